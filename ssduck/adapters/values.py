@@ -1,0 +1,36 @@
+"""Rows as plain Python values: dicts, a flat list, one value."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ssduck.adapters.base import Adapter, Rows
+
+
+def _dicts(rows: Rows) -> list[dict[Any, Any]]:
+    if isinstance(rows.names, list):
+        return [
+            dict(zip(names, values, strict=True))
+            for names, values in zip(rows.names, rows.values, strict=True)
+        ]
+    return [dict(zip(rows.names, values, strict=True)) for values in rows.values]
+
+
+def _flat(rows: Rows) -> list[Any]:
+    return [value for values in rows.values for value in values]
+
+
+def _first(rows: Rows) -> Any:
+    return rows.values[0][0] if rows.values else []
+
+
+VALUES = (
+    Adapter(
+        ("dict", "dictionary"),
+        "A list of dicts, one a row, by the columns' names. The default.",
+        _dicts,
+        keyed=True,
+    ),
+    Adapter(("list",), "One flat list: row after row, column after column.", _flat),
+    Adapter(("value", "val"), "The first column of the first row; [] if there is none.", _first),
+)

@@ -1,0 +1,170 @@
+"""The one door to DuckDB: worlds as schemas, statements, and the tick that they run on."""
+
+from __future__ import annotations
+
+import re
+import threading
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import duckdb
+import pyarrow as pa
+from sqlglot import exp
+
+from ssduck.errors import ArgumentError, SqlError
+from ssduck.tables import TABLES
+from ssduck.udfs import RELATIONS
+from ssduck.world import World
+
+Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
+
+# Schemas that DuckDB has already.
+_TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
+_TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
+_KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+
+
+@dataclass
+class _Bound:
+    """A world with a schema; `versions` are those of the tables that DuckDB has been shown."""
+
+    schema: str
+    world: World
+    versions: dict[str, int] = field(default_factory=dict)
+
+
+class Database:
+    """A DuckDB connection with worlds in it.
+
+    Args:
+        path: a DuckDB file, or `":memory:"`.
+        tracer: is told each statement before it runs.
+    """
+
+    def __init__(self, path: str, tracer: Callable[[str], None] | None) -> None:
+        try:
+            self._connection = duckdb.connect(path)
+        except duckdb.Error as error:
+            raise SqlError(f"{path} cannot be opened: {str(error).strip()}") from error
+        # Left open until Python ends, it would print complaints there.
+        self._finalizer = weakref.finalize(self, self._connection.close)
+        self._tracer = tracer
+        self._lock = threading.RLock()
+        self._bound: list[_Bound] = []
+        self._asked_for_good: set[str] = set()
+        # The data are small and the queries many: a second thread costs more than it gives.
+        self._run("SET threads = 1")
+        for relation in RELATIONS.values():
+            self._run(relation.macro)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._finalizer()
+
+    # -- statements -----------------------------------------------------------------------
+
+    def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
+        """All rows of a statement that the translator wrote; the caller holds the worlds."""
+        rows: list[tuple[Any, ...]] = self._execute(sql, parameters).fetchall()
+        return rows
+
+    def table(self, sql: str, parameters: Parameters) -> pa.Table:
+        """All rows of a statement that a user wrote.
+
+        The tables that its text names are asked for. A view or a prepared statement asks again
+        when it is used, under another name; so what such a statement names is asked for from
+        then on.
+        """
+        asked = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+        if _KEEPS_A_QUERY.search(sql):
+            self._asked_for_good |= asked
+        with self.held(asked | self._asked_for_good):
+            return self._arrow(sql, parameters)
+
+    @contextmanager
+    def held(self, tables: set[str] | frozenset[str] = frozenset()) -> Iterator[None]:
+        """Hold all worlds at their tick, with these tables read, while statements run."""
+        with ExitStack() as stack:
+            stack.enter_context(self._lock)
+            for bound in self._bound:
+                stack.enter_context(bound.world.held(tables))
+            for bound in self._bound:
+                self._show(bound)
+            yield
+
+    def _arrow(self, sql: str, parameters: Parameters) -> pa.Table:
+        with self._told(sql):
+            relation = self._connection.sql(sql, params=parameters)
+            return relation.to_arrow_table() if relation is not None else pa.table({})
+
+    def _run(self, sql: str) -> None:
+        self._execute(sql, None).fetchall()
+
+    def _execute(self, sql: str, parameters: Parameters) -> duckdb.DuckDBPyConnection:
+        """Start a statement; results stream, so that the caller fetches all of it at once."""
+        with self._told(sql):
+            if parameters is None:
+                return self._connection.execute(sql)
+            return self._connection.execute(sql, parameters)
+
+    @contextmanager
+    def _told(self, sql: str) -> Iterator[None]:
+        """Tell the tracer of a statement; DuckDB's errors become ssduck's."""
+        if self._tracer is not None:
+            self._tracer(sql)
+        try:
+            yield
+        except duckdb.Error as error:
+            raise SqlError(str(error).strip()) from error
+
+    # -- worlds ---------------------------------------------------------------------------
+
+    def bind(self, name: str, world: World) -> None:
+        """Make the schema of a world's tables; a world keeps the first name that it gets.
+
+        Raises:
+            ArgumentError: DuckDB has a schema of that name.
+        """
+        with self._lock:
+            if any(bound.world is world for bound in self._bound):
+                return
+            if name.lower() in _TAKEN:
+                raise ArgumentError(f"a world cannot be called {name!r}: DuckDB has that schema")
+            world.name = name
+            bound = _Bound(name, world)
+            self._show(bound)
+            schema = exp.table_(name, quoted=True)
+            self._run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
+            for table in TABLES:
+                rows = exp.select("*").from_(exp.table_(_live(name, table), quoted=True))
+                view = exp.table_(table, db=name, quoted=True)
+                create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
+                self._run(create.sql("duckdb"))
+            self._bound = [other for other in self._bound if other.schema != name] + [bound]
+            self._set_search_path()
+
+    def _set_search_path(self) -> None:
+        """The first world's tables go without its name."""
+        first = exp.to_identifier(self._bound[0].schema, quoted=True).sql("duckdb")
+        path = exp.Literal.string(f"main,{first}").sql("duckdb")
+        self._run(f"SET search_path = {path}")
+
+    def _show(self, bound: _Bound) -> None:
+        """Let DuckDB see the buffers that were made anew; the others it sees already."""
+        for table, live in bound.world.snapshot.tables.items():
+            if bound.versions.get(table) != live.version:
+                self._connection.register(_live(bound.schema, table), live.arrow)
+                bound.versions[table] = live.version
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds, the first one first."""
+        return [bound.world for bound in self._bound]
+
+
+def _live(schema: str, table: str) -> str:
+    """What a table's buffers are called among DuckDB's temporary views."""
+    return f"{schema}.{table} (live)"

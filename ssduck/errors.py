@@ -1,0 +1,132 @@
+"""Errors: what is wrong, where, the nearest right name, and what to do about it.
+
+Every error that ssduck raises on purpose is a `SelectScriptError`; each kind is also the
+builtin exception that a Python user expects (`LookupError` for an unknown name, and so on).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Span:
+    """A part of a program's text: `text[start:end]`, in characters."""
+
+    start: int
+    end: int
+
+
+def nearest(name: str, known: Iterable[str], limit: int = 3) -> tuple[str, ...]:
+    """The known names that are most alike to `name`, best first, case aside."""
+    by_folded = {candidate.casefold(): candidate for candidate in sorted(known)}
+    found = difflib.get_close_matches(name.casefold(), list(by_folded), n=limit, cutoff=0.6)
+    return tuple(by_folded[match] for match in found)
+
+
+class SelectScriptError(Exception):
+    """The root of ssduck's errors.
+
+    Attributes:
+        message: what is wrong, in one line.
+        text: the program's text, where there is one.
+        span: the offending part of it: `text[span.start:span.end]`.
+        suggestions: the nearest right names, best first.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        text: str | None = None,
+        span: Span | None = None,
+        suggestions: Iterable[str] = (),
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.text = text
+        self.span = span
+        self.suggestions = tuple(suggestions)
+
+    def locate(self, text: str) -> None:
+        """Tell it the program in which it arose, unless it knows one already."""
+        if self.text is None:
+            self.text = text
+
+    @property
+    def line(self) -> int | None:
+        """The line of the offending text, from 1."""
+        if self.text is None or self.span is None:
+            return None
+        return self.text.count("\n", 0, self.span.start) + 1
+
+    @property
+    def column(self) -> int | None:
+        """The column of the offending text's first character, from 1."""
+        if self.text is None or self.span is None:
+            return None
+        return self.span.start - (self.text.rfind("\n", 0, self.span.start) + 1) + 1
+
+    def __str__(self) -> str:
+        told = self.message
+        if self.suggestions:
+            told += f"; did you mean {' or '.join(repr(name) for name in self.suggestions)}?"
+        if self.text is None or self.span is None:
+            return told
+        return f"{told}\n  line {self.line}, column {self.column}\n{self._underlined()}"
+
+    def _underlined(self) -> str:
+        """The offending line with the offending text underlined."""
+        assert self.text is not None
+        assert self.span is not None
+        first = self.text.rfind("\n", 0, self.span.start) + 1
+        last = self.text.find("\n", self.span.start)
+        last = len(self.text) if last < 0 else last
+        line = self.text[first:last]
+        before = line[: self.span.start - first]
+        width = max(1, min(self.span.end, last) - self.span.start)
+        # A tab keeps its place, so that the mark stands under what it marks.
+        indent = "".join("\t" if letter == "\t" else " " for letter in before)
+        return f"    {line}\n    {indent}{'^' * width}"
+
+
+class ParseError(SelectScriptError, ValueError):
+    """The text is no SelectScript program."""
+
+
+class UnknownNameError(SelectScriptError, LookupError):
+    """A name that no variable, function, adapter, entity, table or scene has."""
+
+
+class ArgumentError(SelectScriptError, TypeError):
+    """The wrong number of arguments, or one of the wrong type."""
+
+
+class EvaluationError(SelectScriptError, ArithmeticError):
+    """A value that cannot be computed: a division by zero, an index out of range."""
+
+
+class FunctionError(SelectScriptError, RuntimeError):
+    """A user's function raised; the original is the cause."""
+
+
+class UnsupportedError(SelectScriptError, NotImplementedError):
+    """A construct of the language that this version does not run."""
+
+
+class SceneError(SelectScriptError, ValueError):
+    """A scene description that cannot be loaded: file, key and reason."""
+
+
+class RemovedEntityError(SelectScriptError, LookupError):
+    """An entity that is no longer in its world."""
+
+
+class SimulatorError(SelectScriptError, RuntimeError):
+    """The simulator does not answer: its client was disconnected, say."""
+
+
+class SqlError(SelectScriptError, RuntimeError):
+    """DuckDB refused a statement; its own error is the cause."""

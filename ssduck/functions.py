@@ -1,0 +1,128 @@
+"""Functions of plain values: those that come with the language, and those that users add."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ssduck.errors import FunctionError
+
+
+@dataclass(frozen=True)
+class Function:
+    """A Python function in the language.
+
+    Attributes:
+        name: what programs call it.
+        call: the function; it gets copies of lists and dicts.
+        help: what `help('name')` tells after the name.
+        least: how many arguments it takes at least.
+        most: how many at most; None for any number.
+        builtin: whether it comes with the language.
+    """
+
+    name: str
+    call: Callable[..., Any]
+    help: str
+    least: int
+    most: int | None
+    builtin: bool = False
+
+    @classmethod
+    def of(cls, name: str, call: Callable[..., Any], help: str | None = None) -> Function:
+        """A user's function; its arity is that of its signature."""
+        least, most = _arity(call)
+        text = help if help is not None else inspect.getdoc(call) or f"Usage: {name}(...)"
+        return cls(name, call, text, least, most)
+
+    def __call__(self, arguments: Sequence[Any]) -> Any:
+        """Call it.
+
+        Raises:
+            FunctionError: it raised; the original is the cause.
+        """
+        try:
+            return self.call(*(_copied(argument) for argument in arguments))
+        except Exception as error:
+            raise FunctionError(f"{self.name}: {type(error).__name__}: {error}") from error
+
+
+def _copied(value: Any) -> Any:
+    return copy.deepcopy(value) if isinstance(value, list | dict) else value
+
+
+def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
+    try:
+        parameters = inspect.signature(call).parameters.values()
+    except (TypeError, ValueError):  # some of C's functions do not tell
+        return 0, None
+    positional = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    least = sum(p.default is p.empty for p in positional)
+    endless = any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    return least, None if endless else len(positional)
+
+
+def _uniq(values: list[Any]) -> list[Any]:
+    """Without repetitions, in order of first appearance; values need not be hashable."""
+    kept: list[Any] = []
+    for value in values:
+        if value not in kept:
+            kept.append(value)
+    return kept
+
+
+def _avg(values: list[Any]) -> Any:
+    return sum(values) / len(values)
+
+
+def _builtin(
+    name: str, call: Callable[..., Any], about: str, usage: str, most: int = 1
+) -> Function:
+    return Function(name, call, f"{about}\nUsage: {usage}", 1, most, builtin=True)
+
+
+_OF_LISTS = (
+    _builtin("count", len, "Returns how many elements a list has.", "count(list) -> int"),
+    _builtin("sum", sum, "Returns the sum of a list.", "sum(list) -> number"),
+    _builtin("min", min, "Returns the least element of a list.", "min(list) -> value"),
+    _builtin("max", max, "Returns the greatest element of a list.", "max(list) -> value"),
+    _builtin("avg", _avg, "Returns the mean of a list.", "avg(list) -> float"),
+    _builtin("uniq", _uniq, "Returns a list without its repetitions.", "uniq(list) -> list"),
+)
+
+_OF_NUMBERS = tuple(
+    _builtin(name, call, f"Returns {what}.", f"{name}(number) -> number")
+    for name, call, what in (
+        ("abs", abs, "the absolute value"),
+        ("sqrt", math.sqrt, "the square root"),
+        ("exp", math.exp, "e to the power of a number"),
+        ("log", math.log, "the natural logarithm"),
+        ("floor", math.floor, "the next integer below"),
+        ("ceil", math.ceil, "the next integer above"),
+        ("sin", math.sin, "the sine of an angle in radians"),
+        ("cos", math.cos, "the cosine of an angle in radians"),
+        ("tan", math.tan, "the tangent of an angle in radians"),
+        ("asin", math.asin, "the arc sine in radians"),
+        ("acos", math.acos, "the arc cosine in radians"),
+        ("atan", math.atan, "the arc tangent in radians"),
+    )
+)
+
+_OTHERS = (
+    _builtin("round", round, "Returns a rounded number.", "round(number[, digits]) -> number", 2),
+    _builtin("pow", pow, "Returns a power.", "pow(base, exponent) -> number", 2),
+    _builtin(
+        "atan2", math.atan2, "Returns the angle of (x, y) in radians.", "atan2(y, x) -> float", 2
+    ),
+    _builtin("str", str, "Returns a value as text.", "str(value) -> str"),
+    _builtin("int", int, "Returns a value as an integer.", "int(value) -> int"),
+    _builtin("float", float, "Returns a value as a float.", "float(value) -> float"),
+)
+
+BUILTINS: dict[str, Function] = {
+    function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS
+}

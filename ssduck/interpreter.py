@@ -1,0 +1,447 @@
+"""`Interpreter`: variables, functions, running programs and raw SQL.
+
+A program's statements run in order; its value is that of the last one. A program that fails
+leaves the variables as they were. A query is translated once per text and types
+(`ssduck.translate`), runs as one SQL statement on one tick of each world, and what is left of
+it is evaluated in Python on the rows that come back (`ssduck.queries`).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+from ssduck.adapters import ADAPTERS, Adapter
+from ssduck.database import Database
+from ssduck.errors import (
+    ArgumentError,
+    SelectScriptError,
+    UnknownNameError,
+    nearest,
+)
+from ssduck.evaluate import Evaluator
+from ssduck.functions import BUILTINS, Function
+from ssduck.language import Call, Name, Node, Program, Query, parse
+from ssduck.queries import run, shapes_of, tag_of
+from ssduck.result import Result
+from ssduck.scenes import find_scene
+from ssduck.translate import Plan, Tag, sees_outside, translate, unknown_function
+from ssduck.udfs import RELATIONS, Relation
+from ssduck.world import World
+
+
+def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
+    """An interpreter with a scene's world bound to the scene's name.
+
+    Args:
+        scene: the name of a shipped scene, or the path of a scene file, or of a model
+            (URDF, SDF or MJCF).
+        database: a DuckDB file, or `":memory:"`.
+
+    Raises:
+        UnknownNameError: there is no such scene, with the nearest names.
+        SceneError: it cannot be loaded: file, key and reason.
+    """
+    description = find_scene(scene)
+    interpreter = Interpreter(database)
+    try:
+        interpreter.add_variable(description.name, World.load(description))
+    except BaseException:
+        interpreter.close()
+        raise
+    return interpreter
+
+
+class Interpreter:
+    """Runs SelectScript programs and raw SQL on worlds.
+
+    Args:
+        database: a DuckDB file, or `":memory:"`.
+        tracer: is told each SQL statement before it runs.
+    """
+
+    def __init__(
+        self, database: str = ":memory:", *, tracer: Callable[[str], None] | None = None
+    ) -> None:
+        self._database = Database(database, tracer)
+        self._lock = threading.RLock()
+        self._variables: dict[str, Any] = {}
+        self._functions: dict[str, Function] = dict(BUILTINS)
+        self._functions.update((command.name, command) for command in self._commands())
+        self._plans: dict[Query, list[Plan]] = {}
+
+    def close(self) -> None:
+        """Close the database and the worlds; a client that you made stays connected."""
+        for world in self._database.worlds:
+            world.close()
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- programs -------------------------------------------------------------------------
+
+    def compile(self, text: str) -> Program:
+        """Parse a program; running the result again parses nothing.
+
+        Raises:
+            ParseError: with the place of the first thing that is wrong.
+        """
+        return parse(text)
+
+    def eval(self, program: str | Program) -> Any:
+        """Run a program.
+
+        Args:
+            program: its text, or what `compile` gave.
+
+        Returns:
+            The value of the last statement, None if there is none.
+
+        Raises:
+            SelectScriptError: with the place; the variables are as they were before.
+        """
+        compiled = _compiled(program)
+        with self._lock:
+            before = dict(self._variables)
+            try:
+                return self._run(compiled)
+            except BaseException as error:
+                self._variables = before
+                if isinstance(error, SelectScriptError):
+                    error.locate(compiled.text)
+                raise
+
+    def explain(self, program: str | Program) -> str:
+        """The SQL of the queries in a program's last statement, and what is left to Python.
+
+        The statements before it are run for their variables, which are then as before.
+
+        Raises:
+            SelectScriptError: as `eval` does.
+        """
+        compiled = _compiled(program)
+        with self._lock:
+            before = dict(self._variables)
+            try:
+                return self._explained(compiled)
+            except SelectScriptError as error:
+                error.locate(compiled.text)
+                raise
+            finally:
+                self._variables = before
+
+    def _run(self, program: Program) -> Any:
+        if program.explain:
+            return self._explained(program)
+        evaluator = Evaluator(self)
+        value = None
+        for node in program.statements:
+            value = evaluator.value(node)
+        return value
+
+    def _explained(self, program: Program) -> str:
+        evaluator = Evaluator(self)
+        for statement in program.statements[:-1]:
+            evaluator.value(statement)
+        queries = [
+            node
+            for statement in program.statements[-1:]
+            for node in statement.walk()
+            if isinstance(node, Query) and not sees_outside(node)
+        ]
+        return "\n\n".join(self._told(program.text, query, evaluator) for query in queries)
+
+    def _told(self, text: str, query: Query, evaluator: Evaluator) -> str:
+        plan = self._plan(query, [evaluator.value(s.value) for s in query.sources], evaluator)
+        lines = [plan.select.sql(dialect="duckdb", pretty=True)]
+        lines += [f"-- left to Python: {text[n.span.start : n.span.end]}" for n in plan.left]
+        return "\n".join(lines)
+
+    # -- variables and functions ----------------------------------------------------------
+
+    def add_variable(self, name: str, value: Any) -> Any:
+        """Bind a value to a name; a world's tables become the schema of that name.
+
+        Returns:
+            The value.
+
+        Raises:
+            ArgumentError: the name cannot be a variable's, or a schema's.
+        """
+        _check_name(name, "a variable")
+        with self._lock:
+            if isinstance(value, World):
+                self._database.bind(name, value)
+                self._plans.clear()
+            self._variables[name] = value
+        return value
+
+    def call_variable(self, name: str) -> Any:
+        """The value of a variable.
+
+        Raises:
+            UnknownNameError: there is none, with the nearest names.
+        """
+        return self.variable(name)
+
+    def add_function(
+        self, name: str, function: Callable[..., Any], help: str | None = None
+    ) -> None:
+        """Make a Python function part of the language.
+
+        Args:
+            name: what programs call it.
+            function: gets entities as handles, and plain values as Python's. It is taken to be
+                pure: the same arguments on the same tick, the same result.
+            help: what `help('name')` tells; by default its docstring.
+
+        Raises:
+            ArgumentError: the name is that of a relation or of a function of the language.
+        """
+        _check_name(name, "a function")
+        known = self._functions.get(name)
+        if name in RELATIONS or (known is not None and known.builtin):
+            raise ArgumentError(f"{name!r} is a function of the language; choose another name")
+        if not callable(function):
+            raise ArgumentError(f"{name}: {function!r} is no function")
+        with self._lock:
+            self._functions[name] = Function.of(name, function, help)
+            self._plans.clear()
+
+    def help(self, name: str | None = None) -> Any:
+        """The names of all functions, or the help of one.
+
+        Raises:
+            UnknownNameError: there is no such function, with the nearest names.
+        """
+        if name is None:
+            return sorted(self._known_functions(), key=str.casefold)
+        described: dict[str, Function | Relation] = {**self._functions, **RELATIONS}
+        if name not in described:
+            raise UnknownNameError(
+                f"there is no function {name!r}", suggestions=nearest(name, described)
+            )
+        return f"{name}\n{described[name].help}"
+
+    def _known_functions(self) -> list[str]:
+        return [*RELATIONS, *self._functions]
+
+    # The tutorial's spellings.
+    addVariable = add_variable  # noqa: N815
+    callVariable = call_variable  # noqa: N815
+    addFunction = add_function  # noqa: N815
+
+    # -- raw SQL --------------------------------------------------------------------------
+
+    def sql(self, text: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> Result:
+        """Run SQL on the worlds' tables.
+
+        The tables of a world bound as `kitchen` are `kitchen.entities` and so on; those of the
+        first world go without the schema. Relations are functions of rows:
+        `FROM entities a, entities b WHERE above(a, b)`.
+
+        Args:
+            text: one SQL statement in DuckDB's dialect.
+            parameters: for `?` and `$1` a sequence, for `$name` a mapping.
+
+        Returns:
+            All its rows; stepping the world does not change them.
+
+        Raises:
+            SqlError: DuckDB refuses it.
+        """
+        return Result(self._database.table(text, parameters))
+
+    # -- functions that need the interpreter ------------------------------------------------
+
+    def _commands(self) -> list[Function]:
+        def clear(name: str | None = None) -> bool:
+            if name is not None:
+                self.variable(name)
+            kept = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+            if name is not None:
+                kept = {n: v for n, v in self._variables.items() if n != name}
+            self._variables = kept
+            return True
+
+        def get_time() -> float:
+            worlds = self._database.worlds
+            if not worlds:
+                raise UnknownNameError("there is no world, so no simulated time")
+            return worlds[0].time
+
+        def show(*values: Any) -> Any:
+            print(*values)  # noqa: T201  # it is what the language's print is for
+            return values[-1]
+
+        return [
+            _command("help", self.help, "Lists all functions, or tells what one does.", "[name]"),
+            _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
+            _command("var", self.variable, "Returns the variable of that name.", "name"),
+            _command("clear", clear, "Forgets a variable, or all but the worlds.", "[name]"),
+            _command("getTime", get_time, "Returns the simulated time in seconds.", ""),
+            _command("print", show, "Prints its arguments and returns the last.", "value, ..."),
+            _command("eval", self._run_text, "Runs a program that is given as text.", "text"),
+        ]
+
+    def _run_text(self, text: str) -> Any:
+        return self._run(parse(text))
+
+    # -- the scope of expressions (ssduck.evaluate.Scope) -----------------------------------
+
+    def variable(self, name: str) -> Any:
+        """The value of a variable, or an UnknownNameError with the nearest names."""
+        if name in self._variables:
+            return self._variables[name]
+        raise UnknownNameError(
+            f"there is no variable {name!r}",
+            suggestions=nearest(name, [*self._variables, *self._known_functions()]),
+        )
+
+    def has_variable(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+        return name in self._variables
+
+    def assign(self, name: str, value: Any) -> None:
+        """Set a variable."""
+        self._variables[name] = value
+
+    def call(self, node: Call, evaluator: Evaluator) -> Any:
+        """The value of a function call outside SQL."""
+        self.check_call(node)
+        if node.name in RELATIONS:
+            return self._relation(node, evaluator)
+        arguments = [evaluator.value(argument) for argument in node.arguments]
+        return self._functions[node.name](arguments)
+
+    def check_call(self, node: Call) -> None:
+        """Complain of an unknown function, or of a wrong number of arguments."""
+        given = len(node.arguments)
+        if node.name in RELATIONS:
+            relation = RELATIONS[node.name]
+            least, most = min(relation.expressions), max(relation.expressions)
+            fits, usage = given in relation.expressions, relation.usage
+        elif node.name in self._functions:
+            function = self._functions[node.name]
+            least, most = function.least, given if function.most is None else function.most
+            fits, usage = least <= given <= most, f"see help('{node.name}')"
+        else:
+            raise unknown_function(node, self._known_functions())
+        if not fits:
+            wanted = f"{least}" if least == most else f"{least} to {most}"
+            plural = "" if wanted == "1" else "s"
+            raise ArgumentError(
+                f"{node.name} takes {wanted} argument{plural}, not {given}: {usage}",
+                span=node.span,
+            )
+
+    def query(self, node: Query, outer: Evaluator) -> Any:
+        """The value of a query; `outer` knows the rows of the queries around it."""
+        adapter = _adapter(node)
+        values = [outer.value(source.value) for source in node.sources]
+        plan = self._plan(node, values, outer)
+        if adapter.keyed:
+            _check_columns(plan)
+        sources = {shape.alias: value for shape, value in zip(plan.shapes, values, strict=True)}
+        return adapter.make(run(plan, self._database, outer, sources))
+
+    def _plan(self, query: Query, values: Sequence[Any], outer: Evaluator) -> Plan:
+        """The query's plan for values of these types; made anew only for new types."""
+        shapes = shapes_of(query, values)
+        typed = _Typed(self, outer)
+        for plan in self._plans.get(query, ()):
+            if plan.fits(shapes, typed):
+                return plan
+        plan = translate(query, shapes, typed)
+        self._plans.setdefault(query, []).append(plan)
+        return plan
+
+    def _relation(self, node: Call, evaluator: Evaluator) -> Any:
+        """A relation outside a query: a query of one row, without sources."""
+        names = [f"argument_{index}" for index in range(len(node.arguments))]
+        values = [evaluator.value(argument) for argument in node.arguments]
+        inner = Evaluator(_Overlay(self, dict(zip(names, values, strict=True))))
+        arguments = tuple(Name(n.span, name) for n, name in zip(node.arguments, names, strict=True))
+        call = Call(node.span, node.name, arguments, node.name_span)
+        plan = self._plan(Query(node.span, (call,), ()), (), inner)
+        if plan.left:
+            raise ArgumentError(f"{node.name} does not take that", span=node.span)
+        return run(plan, self._database, inner, {}).values[0][0]
+
+
+class _Typed:
+    """What the translator asks: names from the interpreter, types from the values."""
+
+    def __init__(self, interpreter: Interpreter, evaluator: Evaluator) -> None:
+        self.has_variable = evaluator.scope.has_variable
+        self.check_call = interpreter.check_call
+        self._evaluator = evaluator
+
+    def tag(self, node: Node) -> Tag:
+        return tag_of(self._evaluator.value(node))
+
+
+class _Overlay:
+    """An interpreter's scope with some variables before its own."""
+
+    def __init__(self, interpreter: Interpreter, variables: Mapping[str, Any]) -> None:
+        self._variables = variables
+        self._interpreter = interpreter
+        self.assign = interpreter.assign
+        self.call = interpreter.call
+        self.query = interpreter.query
+
+    def variable(self, name: str) -> Any:
+        if name in self._variables:
+            return self._variables[name]
+        return self._interpreter.variable(name)
+
+    def has_variable(self, name: str) -> bool:
+        return name in self._variables or self._interpreter.has_variable(name)
+
+
+def _compiled(program: str | Program) -> Program:
+    return parse(program) if isinstance(program, str) else program
+
+
+def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
+    function = Function.of(name, call, f"{about}\nUsage: {name}({usage})")
+    return replace(function, builtin=True, least=max(function.least, usage == "value, ..."))
+
+
+def _check_name(name: str, what: str) -> None:
+    if not name.isidentifier():
+        raise ArgumentError(f"{name!r} cannot be {what}'s name: letters, digits and _ only")
+
+
+def _adapter(query: Query) -> Adapter:
+    """The form that a query's rows are to take."""
+    if query.adapter is None:
+        return ADAPTERS["dict"]
+    name = query.adapter.name
+    if name not in ADAPTERS:
+        raise UnknownNameError(
+            f"there is no result form {name!r}",
+            span=query.adapter.span,
+            suggestions=nearest(name, ADAPTERS),
+        )
+    if query.adapter.arguments or query.adapter.named:
+        raise ArgumentError(f"AS {name} takes no arguments", span=query.adapter.span)
+    return ADAPTERS[name]
+
+
+def _check_columns(plan: Plan) -> None:
+    """Two columns of one name would leave one value out of a dict, unnoticed."""
+    for index, name in enumerate(plan.names):
+        if isinstance(name, str) and name in plan.names[:index]:
+            raise ArgumentError(
+                f"two columns are called {name!r}; name them with to(…, 'name')",
+                span=plan.items[index].node.span,
+            )

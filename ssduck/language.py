@@ -1,0 +1,664 @@
+"""SelectScript text to a tree.
+
+The tokenizer is sqlglot's with SelectScript's quotes and comments; the parser is a recursive
+descent over its tokens, one method a precedence level (the grammar is in docs/language.md).
+The tree is made of frozen nodes that know their place in the text. It knows no simulator,
+no database and no variable: names are looked up when a program runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import ClassVar, NoReturn, TypeVar
+
+from sqlglot.errors import TokenError
+from sqlglot.tokenizer_core import Token, TokenType
+from sqlglot.tokens import Tokenizer
+
+from ssduck.errors import ParseError, Span, nearest
+
+T = TypeVar("T")
+
+# Parsing and evaluating recurse; deeper programs than this get an error, not a crash.
+MAXIMUM_DEPTH = 60
+
+
+@dataclass(frozen=True)
+class Node:
+    """A part of a program; `span` is its place in the text."""
+
+    span: Span
+
+    def children(self) -> Iterator[Node]:
+        """The nodes directly below this one, in text order."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            for item in value if isinstance(value, tuple) else (value,):
+                if isinstance(item, Node):
+                    yield item
+
+    def walk(self) -> Iterator[Node]:
+        """The node itself and all below it."""
+        yield self
+        for child in self.children():
+            yield from child.walk()
+
+
+@dataclass(frozen=True)
+class Literal(Node):
+    """A number, a text, True or False."""
+
+    value: int | float | str | bool
+
+
+@dataclass(frozen=True)
+class ListOf(Node):
+    """`[a, b, …]`."""
+
+    items: tuple[Node, ...]
+
+
+@dataclass(frozen=True)
+class Name(Node):
+    """A variable, or in SELECT, GROUP BY and ORDER BY a key or a function of `this`."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Aged(Node):
+    """`v{5.0}`: a variable's history; `v{}` has no age."""
+
+    name: str
+    age: Node | None
+
+
+@dataclass(frozen=True)
+class This(Node):
+    """The current element of a source: `this`, or `alias.this`."""
+
+    alias: str | None
+
+
+@dataclass(frozen=True)
+class Call(Node):
+    """`f(a, b)`; `name_span` is the place of `f` alone."""
+
+    name: str
+    arguments: tuple[Node, ...]
+    name_span: Span
+
+
+@dataclass(frozen=True)
+class Index(Node):
+    """`x[i]`, `x[i, j]` and `x.key`."""
+
+    base: Node
+    indices: tuple[Node, ...]
+
+
+@dataclass(frozen=True)
+class Unary(Node):
+    """`-x`, `+x`, `NOT x`."""
+
+    operator: str
+    operand: Node
+
+
+@dataclass(frozen=True)
+class Binary(Node):
+    """`a + b` and the like; the operator as in `LEVELS`."""
+
+    operator: str
+    left: Node
+    right: Node
+
+
+@dataclass(frozen=True)
+class If(Node):
+    """`IF(condition; then, …; else, …)`: of each branch the last value counts."""
+
+    condition: Node
+    then: tuple[Node, ...]
+    otherwise: tuple[Node, ...]
+
+
+@dataclass(frozen=True)
+class Assignment(Node):
+    """`name = value`, or `name{horizon} = value`."""
+
+    name: str
+    horizon: Node | None
+    value: Node
+
+
+@dataclass(frozen=True)
+class Source(Node):
+    """One entry of FROM: what it is called, and what it ranges over."""
+
+    alias: str | None
+    value: Node
+
+
+@dataclass(frozen=True)
+class Key(Node):
+    """One entry of ORDER BY."""
+
+    value: Node
+    descending: bool
+
+
+@dataclass(frozen=True)
+class Recursion(Node):
+    """`START WITH … CONNECT BY … STOP WITH …`."""
+
+    start: tuple[Assignment, ...]
+    no_cycle: bool
+    unique: bool
+    memorize: Node | None
+    maximum: Node | None
+    step: tuple[Assignment, ...]
+    stop: Node
+
+
+@dataclass(frozen=True)
+class Adapter(Node):
+    """`AS name(arguments)`."""
+
+    name: str
+    arguments: tuple[Node, ...] = ()
+    named: tuple[Assignment, ...] = ()
+
+
+@dataclass(frozen=True)
+class Query(Node):
+    """A SELECT; no items mean `*`."""
+
+    items: tuple[Node, ...]
+    sources: tuple[Source, ...]
+    where: Node | None = None
+    recursion: Recursion | None = None
+    group: tuple[Node, ...] = ()
+    having: Node | None = None
+    order: tuple[Key, ...] = ()
+    limit: Node | None = None
+    adapter: Adapter | None = None
+
+
+@dataclass(frozen=True)
+class Program:
+    """A parsed text: its statements in order."""
+
+    text: str
+    statements: tuple[Node, ...]
+    explain: bool = False
+
+
+class SelectScriptTokenizer(Tokenizer):
+    """sqlglot's tokenizer with SelectScript's quotes, comments and operators.
+
+    Words stay plain words (`VAR`), so that no name is lost to an SQL keyword.
+    """
+
+    QUOTES: ClassVar[list[str | tuple[str, str]]] = ["'", '"']
+    IDENTIFIERS: ClassVar[list[str | tuple[str, str]]] = []
+    COMMENTS: ClassVar[list[str | tuple[str, str]]] = ["//", "#", ("/*", "*/")]
+    STRING_ESCAPES: ClassVar[list[str]] = ["\\"]
+    KEYWORDS: ClassVar[dict[str, TokenType]] = {
+        "==": TokenType.EQ,
+        "!=": TokenType.NEQ,
+        ">=": TokenType.GTE,
+        "<=": TokenType.LTE,
+    }
+
+
+# Loosest first; each level is left-associative.
+LEVELS: tuple[tuple[str, ...], ...] = (
+    ("OR",),
+    ("XOR",),
+    ("AND",),
+    ("NOT",),
+    ("IN",),
+    ("==",),
+    ("!=",),
+    (">=",),
+    (">",),
+    ("<=",),
+    ("<",),
+    ("+", "-"),
+    ("*", "/", "%"),
+    ("^",),
+)
+
+LEVEL_OF = {operator: level for level, operators in enumerate(LEVELS) for operator in operators}
+
+CLAUSES = frozenset(
+    (
+        *("SELECT", "FROM", "WHERE", "START", "WITH", "CONNECT", "BY", "STOP"),
+        *("NO", "CYCLE", "UNIQUE", "MEMORIZE", "MAXIMUM", "GROUP", "HAVING", "ORDER"),
+        *("ASC", "ASCENDING", "DESC", "DESCENDING", "LIMIT", "AS"),
+    )
+)
+OPERATOR_WORDS = ("OR", "XOR", "AND", "NOT", "IN")
+# These never begin an expression, so a name spelled so would be unreachable.
+RESERVED = frozenset((*OPERATOR_WORDS, "FROM", "WHERE", "SELECT", "AS"))
+
+
+@lru_cache(maxsize=512)
+def parse(text: str) -> Program:
+    """Parse a program.
+
+    Args:
+        text: statements, each ended by `;` (the last may go without).
+
+    Returns:
+        The program's tree; the same object for the same text.
+
+    Raises:
+        ParseError: with the place of the first thing that is wrong.
+    """
+    return _Parser(text).program()
+
+
+def _tokenize(text: str) -> list[Token]:
+    try:
+        return SelectScriptTokenizer().tokenize(text)
+    except TokenError as error:
+        # The only thing that this tokenizer refuses is a text or a comment without an end.
+        message = "a text or a comment is opened here and never closed"
+        span = Span(_last_opening(text), len(text))
+        raise ParseError(message, text=text, span=span) from error
+
+
+class _Parser:
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.tokens = _tokenize(text)
+        self.index = 0
+        self.depth = 0
+
+    # -- tokens ---------------------------------------------------------------------------
+
+    @property
+    def token(self) -> Token | None:
+        return self.tokens[self.index] if self.index < len(self.tokens) else None
+
+    def ahead(self, offset: int = 1) -> Token | None:
+        index = self.index + offset
+        return self.tokens[index] if index < len(self.tokens) else None
+
+    def at(self, kind: TokenType) -> bool:
+        return self.token is not None and self.token.token_type == kind
+
+    def at_word(self, *words: str) -> bool:
+        return _is_word(self.token, *words)
+
+    def take(self, kind: TokenType) -> Token | None:
+        if not self.at(kind):
+            return None
+        self.index += 1
+        return self.tokens[self.index - 1]
+
+    def take_words(self, *words: str) -> bool:
+        """Take a run of keywords (`GROUP BY`), or nothing."""
+        if all(_is_word(self.ahead(offset), word) for offset, word in enumerate(words)):
+            self.index += len(words)
+            return True
+        return False
+
+    def expect(self, kind: TokenType, what: str) -> Token:
+        taken = self.take(kind)
+        if taken is None:
+            self.fail(f"expected {what}")
+        return taken
+
+    def expect_word(self, word: str) -> None:
+        if not self.take_words(word):
+            self.fail(f"expected {word}")
+
+    def expect_name(self, what: str) -> Token:
+        if self.token is not None and self.token.text.upper() in RESERVED:
+            self.fail(f"expected {what}")
+        return self.expect(TokenType.VAR, what)
+
+    def here(self) -> Span:
+        """The place of the current token; behind the text once that is used up."""
+        if self.token is None:
+            return Span(len(self.text.rstrip()), len(self.text.rstrip()) + 1)
+        return _span(self.token)
+
+    def since(self, start: Span) -> Span:
+        return Span(start.start, _span(self.tokens[self.index - 1]).end)
+
+    def fail(self, message: str) -> NoReturn:
+        token = self.token
+        found = "the end of the text" if token is None else repr(self.text[_slice(token)])
+        names = () if token is None else nearest(token.text, CLAUSES, 1)
+        known = token is not None and token.text.upper() in CLAUSES
+        raise ParseError(
+            f"{message}, found {found}",
+            text=self.text,
+            span=self.here(),
+            suggestions=() if known else names,
+        )
+
+    # -- statements -----------------------------------------------------------------------
+
+    def program(self) -> Program:
+        explain = self.take_words("EXPLAIN")
+        statements = []
+        while self.token is not None:
+            if self.take(TokenType.SEMICOLON):
+                continue
+            statements.append(self.statement())
+            if self.token is not None:
+                self.expect(TokenType.SEMICOLON, "';'")
+        return Program(self.text, tuple(statements), explain)
+
+    def statement(self) -> Node:
+        if self.at_word("SELECT"):
+            return self.query()
+        if self.at_assignment():
+            return self.assignment()
+        return self.expression()
+
+    def at_assignment(self) -> bool:
+        """Whether `name =` or `name{…} =` comes next."""
+        if not self.at(TokenType.VAR):
+            return False
+        offset = 1
+        if _is(self.ahead(offset), TokenType.L_BRACE):
+            while (token := self.ahead(offset)) and token.token_type != TokenType.R_BRACE:
+                offset += 1
+            offset += 1
+        token = self.ahead(offset)
+        return _is(token, TokenType.EQ) and token is not None and token.text == "="
+
+    def assignment(self) -> Assignment:
+        start = self.here()
+        name = self.expect_name("a variable's name")
+        horizon = None
+        if self.take(TokenType.L_BRACE):
+            horizon = None if self.at(TokenType.R_BRACE) else self.expression()
+            self.expect(TokenType.R_BRACE, "'}'")
+        self.expect(TokenType.EQ, "'='")
+        value = self.statement()
+        return Assignment(self.since(start), name.text, horizon, value)
+
+    # -- queries --------------------------------------------------------------------------
+
+    def query(self) -> Query:
+        start = self.here()
+        self.descend()
+        self.expect_word("SELECT")
+        star = self.at(TokenType.STAR)
+        items = () if self.take(TokenType.STAR) else self.separated(self.expression)
+        if star and not self.at_word("FROM"):
+            self.fail("expected FROM after *")
+        self.expect_word("FROM")
+        sources = self.separated(self.source)
+        where = self.expression() if self.take_words("WHERE") else None
+        recursion = self.recursion()
+        group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
+        having = self.expression() if self.take_words("HAVING") else None
+        order = self.separated(self.key) if self.take_words("ORDER", "BY") else ()
+        limit = self.expression() if self.take_words("LIMIT") else None
+        adapter = self.adapter() if self.take_words("AS") else None
+        self.depth -= 1
+        return Query(
+            self.since(start),
+            items,
+            sources,
+            where,
+            recursion,
+            group,
+            having,
+            order,
+            limit,
+            adapter,
+        )
+
+    def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
+        parts = [part()]
+        while self.take(TokenType.COMMA):
+            parts.append(part())
+        return tuple(parts)
+
+    def source(self) -> Source:
+        start = self.here()
+        alias = None
+        if self.at_assignment():
+            alias = self.expect_name("a source's name").text
+            if self.at(TokenType.L_BRACE):
+                self.fail("expected '=' (a source has no horizon)")
+            self.index += 1
+        value = self.query() if self.at_word("SELECT") else self.expression()
+        if alias is None and isinstance(value, Name | Aged):
+            alias = value.name
+        return Source(self.since(start), alias, value)
+
+    def key(self) -> Key:
+        start = self.here()
+        value = self.expression()
+        descending = self.take_words("DESC") or self.take_words("DESCENDING")
+        if not descending:
+            _ = self.take_words("ASC") or self.take_words("ASCENDING")
+        return Key(self.since(start), value, descending)
+
+    def recursion(self) -> Recursion | None:
+        start = self.here()
+        initial: tuple[Assignment, ...] = ()
+        if self.take_words("START", "WITH"):
+            initial = self.separated(self.assignment)
+        elif not self.at_word("CONNECT"):
+            return None
+        if not self.take_words("CONNECT", "BY"):
+            self.fail("expected CONNECT BY")
+        no_cycle = self.take_words("NO", "CYCLE")
+        unique = self.take_words("UNIQUE")
+        memorize = self.primary() if self.take_words("MEMORIZE") else None
+        maximum = self.primary() if self.take_words("MAXIMUM") else None
+        step = self.separated(self.assignment)
+        if not self.take_words("STOP", "WITH"):
+            self.fail("expected STOP WITH")
+        stop = self.expression()
+        return Recursion(
+            self.since(start), initial, no_cycle, unique, memorize, maximum, step, stop
+        )
+
+    def adapter(self) -> Adapter:
+        start = self.here()
+        name = self.expect_name("the name of a result form").text
+        arguments: list[Node] = []
+        named: list[Assignment] = []
+        if self.take(TokenType.L_PAREN):
+            while not self.at(TokenType.R_PAREN):
+                if self.at_assignment():
+                    named.append(self.assignment())
+                else:
+                    arguments.append(self.statement())
+                if not self.take(TokenType.COMMA):
+                    break
+            self.expect(TokenType.R_PAREN, "')'")
+        return Adapter(self.since(start), name, tuple(arguments), tuple(named))
+
+    # -- expressions ----------------------------------------------------------------------
+
+    def expression(self) -> Node:
+        self.descend()
+        node = self.operation(0)
+        self.depth -= 1
+        return node
+
+    def descend(self) -> None:
+        self.depth += 1
+        if self.depth > MAXIMUM_DEPTH:
+            raise ParseError(
+                f"nested deeper than {MAXIMUM_DEPTH} levels", text=self.text, span=self.here()
+            )
+
+    def operation(self, loosest: int) -> Node:
+        """Operators of the level `loosest` and tighter ones, by precedence climbing."""
+        start = self.here()
+        if self.take_words("NOT"):
+            self.descend()
+            operand = self.operation(LEVEL_OF["NOT"])
+            self.depth -= 1
+            left: Node = Unary(self.since(start), "NOT", operand)
+        else:
+            left = self.unary()
+        while (level := self.operator_level()) >= loosest:
+            operator = self.tokens[self.index].text.upper()
+            self.index += 1
+            right = self.operation(level + 1)
+            left = Binary(self.since(start), operator, left, right)
+        return left
+
+    def operator_level(self) -> int:
+        """The level of the operator that comes next, -1 if none does."""
+        token = self.token
+        if token is None or token.token_type == TokenType.STRING:
+            return -1
+        if token.token_type == TokenType.EQ and token.text == "=":
+            self.fail("expected '==' to compare ('=' assigns)")
+        operator = token.text.upper()
+        return -1 if operator == "NOT" else LEVEL_OF.get(operator, -1)
+
+    def unary(self) -> Node:
+        start = self.here()
+        signs = []
+        while self.at(TokenType.DASH) or self.at(TokenType.PLUS):
+            signs.append(self.tokens[self.index].text)
+            self.index += 1
+        node = self.postfix()
+        for sign in reversed(signs):
+            node = Unary(self.since(start), sign, node)
+        return node
+
+    def postfix(self) -> Node:
+        start = self.here()
+        node = self.primary()
+        while True:
+            if self.take(TokenType.L_BRACKET):
+                indices = self.separated(self.expression)
+                self.expect(TokenType.R_BRACKET, "']'")
+            elif self.take(TokenType.DOT):
+                key = self.expect_name("a key")
+                indices = (Literal(_span(key), key.text),)
+            else:
+                return node
+            node = Index(self.since(start), node, indices)
+
+    def primary(self) -> Node:
+        token = self.token
+        start = self.here()
+        if token is None:
+            self.fail("expected an expression")
+        if self.take(TokenType.NUMBER):
+            return Literal(start, self.number(token))
+        if self.take(TokenType.STRING):
+            return Literal(start, token.text)
+        if self.take(TokenType.L_PAREN):
+            self.descend()
+            node = self.statement()
+            self.depth -= 1
+            self.expect(TokenType.R_PAREN, "')'")
+            return node
+        if self.take(TokenType.L_BRACKET):
+            items = () if self.at(TokenType.R_BRACKET) else self.separated(self.item)
+            self.expect(TokenType.R_BRACKET, "']'")
+            return ListOf(self.since(start), items)
+        if self.take(TokenType.DOT) and (digits := self.take(TokenType.NUMBER)):
+            return Literal(self.since(start), self.number(digits, "."))
+        return self.word()
+
+    def item(self) -> Node:
+        self.descend()
+        node = self.statement()
+        self.depth -= 1
+        return node
+
+    def number(self, token: Token, prefix: str = "") -> int | float:
+        text = prefix + token.text
+        try:
+            return int(text) if text.isdigit() else float(text)
+        except ValueError:
+            raise ParseError(f"{text!r} is no number", text=self.text, span=_span(token)) from None
+
+    def word(self) -> Node:
+        start = self.here()
+        if self.at_word("SELECT"):
+            return self.query()
+        if self.take_words("TRUE"):
+            return Literal(start, True)
+        if self.take_words("FALSE"):
+            return Literal(start, False)
+        if self.take_words("THIS"):
+            return This(start, None)
+        if self.at_word("IF") and _is(self.ahead(), TokenType.L_PAREN):
+            return self.choice()
+        name = self.expect_name("an expression")
+        if self.at(TokenType.DOT) and _is_word(self.ahead(), "THIS"):
+            self.index += 2
+            return This(self.since(start), name.text)
+        if self.take(TokenType.L_PAREN):
+            arguments = () if self.at(TokenType.R_PAREN) else self.separated(self.item)
+            self.expect(TokenType.R_PAREN, "')'")
+            return Call(self.since(start), name.text, arguments, start)
+        if self.take(TokenType.L_BRACE):
+            age = None if self.at(TokenType.R_BRACE) else self.expression()
+            self.expect(TokenType.R_BRACE, "'}'")
+            return Aged(self.since(start), name.text, age)
+        return Name(start, name.text)
+
+    def choice(self) -> If:
+        start = self.here()
+        self.index += 2
+        condition = self.item()
+        self.expect(TokenType.SEMICOLON, "';' after the condition")
+        then = self.separated(self.item)
+        otherwise: tuple[Node, ...] = ()
+        if self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
+            otherwise = self.separated(self.item)
+        self.expect(TokenType.R_PAREN, "')'")
+        return If(self.since(start), condition, then, otherwise)
+
+
+def _last_opening(text: str) -> int:
+    """Where the text or comment begins that is never closed."""
+    index = 0
+    while index < len(text):
+        closing = next(
+            (end for begin, end in _DELIMITERS.items() if text.startswith(begin, index)), None
+        )
+        if closing is None:
+            index += 1
+            continue
+        begin, index = index, index + (2 if closing == "*/" else 1)
+        while index < len(text) and not text.startswith(closing, index):
+            index += 2 if text[index] == "\\" and closing in ("'", '"') else 1
+        if index >= len(text) and closing != "\n":
+            return begin
+        index += len(closing)
+    return 0
+
+
+_DELIMITERS = {"'": "'", '"': '"', "/*": "*/", "//": "\n", "#": "\n"}
+
+
+def _is(token: Token | None, kind: TokenType) -> bool:
+    return token is not None and token.token_type == kind
+
+
+def _is_word(token: Token | None, *words: str) -> bool:
+    return token is not None and token.token_type == TokenType.VAR and token.text.upper() in words
+
+
+def _slice(token: Token) -> slice:
+    return slice(token.start, token.end + 1)
+
+
+def _span(token: Token) -> Span:
+    return Span(token.start, token.end + 1)

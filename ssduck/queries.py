@@ -1,0 +1,196 @@
+"""Running a query's plan: its SQL on one tick, then what is left to Python on the rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cmp_to_key
+from typing import Any
+
+from ssduck.adapters import Rows
+from ssduck.database import Database
+from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.evaluate import Evaluator, apply
+from ssduck.language import Node, Query, Source
+from ssduck.translate import Item, Output, Plan, Shape, Tag
+from ssduck.world import Entity, World
+
+
+def tag_of(value: Any) -> Tag:
+    """The type of a value, as far as SQL knows it."""
+    match value:
+        case bool():
+            return Tag("flag")
+        case int():
+            return Tag("integer" if abs(value) < 2**63 else "any")
+        case float():
+            return Tag("real" if math.isfinite(value) else "any")
+        case str():
+            return Tag("text")
+        case None:
+            return Tag("nothing")
+        case Entity():
+            return Tag("entity", schema=value.world.name)
+        case list():
+            tag = _common(value)
+            return Tag("list", tag.type) if tag.type in ("real", "integer", "text") else Tag("any")
+    return Tag("any")
+
+
+def _common(values: Iterable[Any]) -> Tag:
+    """The type that all elements of a list have; integers among reals are reals."""
+    tags = {tag_of(value) for value in values}
+    if tags == {Tag("real"), Tag("integer")}:
+        return Tag("real")
+    return tags.pop() if len(tags) == 1 else Tag("any")
+
+
+def shapes_of(query: Query, values: Sequence[Any]) -> tuple[Shape, ...]:
+    """What the sources of a query are.
+
+    Raises:
+        ArgumentError: two sources have the same name.
+    """
+    shapes = [
+        _shape(source, value, index)
+        for index, (source, value) in enumerate(zip(query.sources, values, strict=True))
+    ]
+    for index, shape in enumerate(shapes):
+        if shape.alias in (other.alias for other in shapes[:index]):
+            raise ArgumentError(
+                f"two sources are called {shape.alias!r}; write FROM a={shape.alias}, b=…",
+                span=query.sources[index].span,
+            )
+    return tuple(shapes)
+
+
+def _shape(source: Source, value: Any, index: int) -> Shape:
+    alias = source.alias or (f"source_{index + 1}" if index else "this")
+    if isinstance(value, World):
+        return Shape(alias, value.name, None)
+    tag = _common(elements_of(value))
+    return Shape(alias, None, tag if tag.type in _LISTED else Tag("any"))
+
+
+_LISTED = frozenset(("entity", "real", "integer", "text", "flag"))
+
+
+def elements_of(value: Any) -> Sequence[Any]:
+    """The elements of a source that is no world: those of a list, else the value alone."""
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def run(plan: Plan, database: Database, outer: Evaluator, sources: Mapping[str, Any]) -> Rows:
+    """The rows of a query.
+
+    Args:
+        plan: how it runs.
+        database: where its SQL runs.
+        outer: knows the variables, and the rows of the queries around this one.
+        sources: the value of each source, by alias.
+    """
+    with database.held():
+        parameters = _parameters(plan, outer, sources)
+        fetched = database.rows(plan.sql, parameters or None)
+        worlds = {world.name: world for world in database.worlds}
+        rows = [_Row(plan, outer, sources, worlds, values) for values in fetched]
+        rows = [row for row in rows if all(map(row.value, plan.conditions))]
+        if plan.order:
+            rows = _ordered(rows, plan.order)
+        if plan.limit is not None:
+            rows = rows[: _count(outer.value(plan.limit), plan.limit)]
+        values = [tuple(map(row.item, plan.items)) for row in rows]
+        if all(isinstance(name, str) for name in plan.names):
+            return Rows(values, tuple(map(str, plan.names)))
+        return Rows(values, [tuple(map(row.name, plan.names)) for row in rows])
+
+
+def _parameters(plan: Plan, outer: Evaluator, sources: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of the SQL's parameters."""
+    bound = {}
+    for binding in plan.bindings:
+        if binding.source is not None:
+            bound[binding.name] = [_plain(value) for value in elements_of(sources[binding.source])]
+        elif binding.node is not None:
+            value = outer.value(binding.node)
+            bound[binding.name] = value.column(binding.column) if binding.column else value
+    return bound
+
+
+def _plain(value: Any) -> Any:
+    """What stands for an element of a source in SQL."""
+    if isinstance(value, Entity):
+        return value.column("id")
+    return value if isinstance(value, bool | int | float | str) else 0
+
+
+class _Row:
+    """One row that SQL left, and what Python makes of it."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        outer: Evaluator,
+        sources: Mapping[str, Any],
+        worlds: Mapping[str, World],
+        values: tuple[Any, ...],
+    ) -> None:
+        self._plan = plan
+        self._outer = outer
+        self._sources = sources
+        self._worlds = worlds
+        self._values = values
+        self._evaluator: Evaluator | None = None
+
+    def value(self, node: Node) -> Any:
+        """The value of a part that was left to Python."""
+        if self._evaluator is None:
+            plan = self._plan
+            known = {part: self.output(output) for part, output in plan.known.items()}
+            elements: dict[str | None, Any] = dict(self._outer.elements)
+            for shape in plan.shapes:
+                element = self._values[plan.elements[shape.alias].index]
+                if shape.tag is not None and shape.tag.type == "any":
+                    element = elements_of(self._sources[shape.alias])[element - 1]
+                else:
+                    element = self.output(plan.elements[shape.alias])
+                elements[shape.alias] = element
+            if len(plan.shapes) == 1:
+                elements[None] = elements[plan.shapes[0].alias]
+            self._evaluator = Evaluator(self._outer.scope, known, elements)
+        return self._evaluator.value(node)
+
+    def output(self, output: Output) -> Any:
+        """The value of a column; an entity's id as its handle."""
+        value = self._values[output.index]
+        if output.schema is None or value is None:
+            return value
+        return self._worlds[output.schema].entity(value)
+
+    def item(self, item: Item) -> Any:
+        """The value of a selected item or of a key."""
+        return self.value(item.node) if item.output is None else self.output(item.output)
+
+    def name(self, name: str | Item) -> Any:
+        """What this row calls a column."""
+        return name if isinstance(name, str) else self.item(name)
+
+
+def _ordered(rows: list[_Row], keys: Sequence[tuple[Item, bool]]) -> list[_Row]:
+    """The rows by their keys; rows with equal keys stay in their order."""
+
+    def compare(left: _Row, right: _Row) -> int:
+        for item, descending in keys:
+            a, b = left.item(item), right.item(item)
+            if a != b:
+                less = bool(apply("<", a, b, item.node.span))
+                return -1 if less != descending else 1
+        return 0
+
+    return sorted(rows, key=cmp_to_key(compare))
+
+
+def _count(value: Any, node: Node) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise EvaluationError(f"LIMIT takes a number of rows, not {value!r}", span=node.span)
+    return value

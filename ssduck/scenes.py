@@ -1,0 +1,321 @@
+"""Scene descriptions: a small TOML format that names bodies, models, poses and sensors.
+
+The format is documented in docs/scenes.md. Reading one checks all of it, so that what is
+wrong is said with file, key and reason before a simulator is started.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, NoReturn, TypeAlias
+
+from ssduck.errors import SceneError, UnknownNameError, nearest
+
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
+MODEL_SUFFIXES = (".urdf", ".sdf", ".mjcf", ".xml")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole view: where it is, what it looks at (metres), its vertical angle (degrees)."""
+
+    eye: Vector = (3.0, -3.0, 2.5)
+    target: Vector = (0.0, 0.0, 0.5)
+    fov: float = 50.0
+
+
+@dataclass(frozen=True)
+class BodySpec:
+    """A body of a scene: position (metres) and orientation (w, x, y, z) of its base link frame."""
+
+    name: str | None
+    kind: Literal["robot", "kinbody"] | None
+    model: Path
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    fixed: bool = False
+    joints: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SensorSpec:
+    """A sensor and where it sits: its pose in the frame of a body's link.
+
+    A sensor looks along its own +x with z up. `settings` are those of its type, as written.
+    """
+
+    name: str
+    on: str
+    link: str | None
+    type: str
+    position: Vector
+    orientation: Quaternion
+    period: float
+    max_range: float
+    settings: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A whole scene; bodies and sensors in load order."""
+
+    name: str
+    path: Path
+    description: str = ""
+    gravity: Vector = (0.0, 0.0, -9.81)
+    timestep: float = 1.0 / 240.0
+    camera: Camera = Camera()
+    bodies: tuple[BodySpec, ...] = ()
+    sensors: tuple[SensorSpec, ...] = ()
+
+
+# What the sensors' types need besides where they are: each a number.
+SENSOR_SETTINGS: dict[str, frozenset[str]] = {
+    "depth_camera": frozenset(("width", "height", "fov")),
+    "planar_laser": frozenset(("min_angle", "max_angle", "resolution")),
+    "range_finder": frozenset(),
+}
+
+
+def shipped_scenes() -> dict[str, Path]:
+    """The scenes that come with ssduck: name to the scene's file."""
+    return {path.parent.name: path for path in sorted(_shipped_folder().glob("*/scene.toml"))}
+
+
+def _shipped_folder() -> Path:
+    """In a wheel the scenes lie inside the package, in a checkout beside it."""
+    inside = Path(str(files("ssduck"))) / "scenes"
+    return inside if inside.is_dir() else Path(__file__).parent.parent / "scenes"
+
+
+def find_scene(name: str | Path) -> Scene:
+    """A scene by the name of a shipped one, or by the path of a scene or a model file.
+
+    Raises:
+        UnknownNameError: there is neither, with the nearest shipped names.
+        SceneError: there is a file, and it cannot be used: file, key and reason.
+    """
+    shipped = shipped_scenes()
+    if str(name) in shipped:
+        return read_scene(shipped[str(name)])
+    path = Path(name)
+    if path.is_dir():
+        path = path / "scene.toml"
+    if not path.exists():
+        raise UnknownNameError(
+            f"there is no scene {str(name)!r}: neither a shipped one ({', '.join(shipped)}) "
+            "nor a file of that name",
+            suggestions=nearest(str(name), shipped),
+        )
+    if path.suffix == ".toml":
+        return read_scene(path)
+    if path.suffix in MODEL_SUFFIXES:
+        body = BodySpec(name=None, kind=None, model=path.resolve())
+        return Scene(name=_identifier(path.stem), path=path, bodies=(body,))
+    raise SceneError(
+        f"{path}: cannot tell what this is; a scene ends in .toml, "
+        f"a model in {', '.join(MODEL_SUFFIXES)}"
+    )
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene file.
+
+    Raises:
+        SceneError: with file, key and reason.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SceneError(f"{path}: {error}") from error
+    return _scene(_Table(path, "", table))
+
+
+def _scene(table: _Table) -> Scene:
+    bodies = tuple(_body(entry) for entry in table.tables("body"))
+    _check_unique(table.path, "body", [body.name for body in bodies])
+    sensors = tuple(
+        _sensor(entry, {str(body.name) for body in bodies}) for entry in table.tables("sensor")
+    )
+    _check_unique(table.path, "sensor", [sensor.name for sensor in sensors])
+    camera = table.table("camera")
+    scene = Scene(
+        name=table.text("name", _identifier(table.path.parent.name)),
+        path=table.path,
+        description=table.text("description", ""),
+        gravity=_three(table.numbers("gravity", 3, Scene.gravity)),
+        timestep=table.number("timestep", Scene.timestep, above=0.0),
+        camera=Camera(
+            _three(camera.numbers("eye", 3, Camera.eye)),
+            _three(camera.numbers("target", 3, Camera.target)),
+            camera.number("fov", Camera.fov, above=0.0),
+        ),
+        bodies=bodies,
+        sensors=sensors,
+    )
+    if not scene.name.isidentifier():
+        table.fail("name", f"{scene.name!r} is no name: letters, digits and _ only")
+    camera.end()
+    table.end()
+    return scene
+
+
+def _body(table: _Table) -> BodySpec:
+    kind = table.text("kind", "") or None
+    if kind not in (None, "robot", "kinbody"):
+        table.fail(
+            "kind",
+            f"{kind!r} is neither 'robot' nor 'kinbody'",
+            nearest(kind, ("robot", "kinbody")),
+        )
+    model = (table.path.parent / table.text("urdf")).resolve()
+    if not model.is_file():
+        table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
+    if model.suffix not in MODEL_SUFFIXES:
+        table.fail("urdf", f"{model.name!r} does not end in {', '.join(MODEL_SUFFIXES)}")
+    joints = table.table("joints")
+    spec = BodySpec(
+        name=table.text("name"),
+        kind=kind,  # type: ignore[arg-type]  # checked above
+        model=model,
+        position=_three(table.numbers("position", 3, BodySpec.position)),
+        orientation=_unit(table, "orientation"),
+        fixed=table.flag("fixed", False),
+        joints={name: joints.number(name) for name in list(joints.values)},
+    )
+    table.end()
+    return spec
+
+
+def _sensor(table: _Table, bodies: set[str]) -> SensorSpec:
+    kind = table.text("type")
+    if kind not in SENSOR_SETTINGS:
+        table.fail("type", f"there is no sensor type {kind!r}", nearest(kind, SENSOR_SETTINGS))
+    on = table.text("on")
+    if on not in bodies:
+        table.fail("on", f"the scene has no body {on!r}", nearest(on, bodies))
+    spec = SensorSpec(
+        name=table.text("name"),
+        on=on,
+        link=table.text("link", "") or None,
+        type=kind,
+        position=_three(table.numbers("position", 3, (0.0, 0.0, 0.0))),
+        orientation=_unit(table, "orientation"),
+        period=table.number("period", 0.0, at_least=0.0),
+        max_range=table.number("max_range", above=0.0),
+        settings={key: table.number(key) for key in sorted(SENSOR_SETTINGS[kind])},
+    )
+    table.end()
+    return spec
+
+
+def _unit(table: _Table, key: str) -> Quaternion:
+    """A rotation w, x, y, z, made exactly of unit length; far from it is a mistake."""
+    w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if abs(length - 1.0) > 1e-3:
+        table.fail(key, f"not a rotation: w, x, y, z have length {length:.4g}, not 1")
+    return (w / length, x / length, y / length, z / length)
+
+
+def _three(values: tuple[float, ...]) -> Vector:
+    x, y, z = values
+    return (x, y, z)
+
+
+def _check_unique(path: Path, what: str, names: list[str | None]) -> None:
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise SceneError(f"{path}: {what}[{index}].name: {name!r} is there already")
+
+
+def _identifier(text: str) -> str:
+    """A name for a scene made from a file's."""
+    name = "".join(letter if letter.isalnum() or letter == "_" else "_" for letter in text)
+    return name if name.isidentifier() else f"world_{name}".rstrip("_")
+
+
+_REQUIRED: Any = object()
+
+
+class _Table:
+    """A TOML table that is read key by key, so that what is left over is a mistake."""
+
+    def __init__(self, path: Path, where: str, values: dict[str, Any]) -> None:
+        self.path = path
+        self.where = where
+        self.values = values
+        self.asked: set[str] = set()
+
+    def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
+        place = f"{self.where}.{key}" if self.where else key
+        raise SceneError(f"{self.path}: {place}: {reason}", suggestions=suggestions)
+
+    def end(self) -> None:
+        """Complain of keys that nothing asked for."""
+        for key in self.values:
+            if key not in self.asked:
+                self.fail(key, "there is no such key", nearest(key, self.asked))
+
+    def text(self, key: str, default: str = _REQUIRED) -> str:
+        return self._get(key, default, lambda value: isinstance(value, str), "a text")  # type: ignore[no-any-return]
+
+    def flag(self, key: str, default: bool) -> bool:
+        return self._get(key, default, lambda value: isinstance(value, bool), "true or false")  # type: ignore[no-any-return]
+
+    def number(
+        self,
+        key: str,
+        default: float = _REQUIRED,
+        above: float = -math.inf,
+        at_least: float = -math.inf,
+    ) -> float:
+        value = float(self._get(key, default, _is_number, "a finite number"))
+        if value <= above:
+            self.fail(key, f"{value:g} is not above {above:g}")
+        if value < at_least:
+            self.fail(key, f"{value:g} is below {at_least:g}")
+        return value
+
+    def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
+        def fits(value: object) -> bool:
+            return (
+                isinstance(value, list | tuple)
+                and len(value) == count
+                and all(map(_is_number, value))
+            )
+
+        return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
+
+    def table(self, key: str) -> _Table:
+        values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
+        return _Table(self.path, f"{self.where}.{key}" if self.where else key, values)
+
+    def tables(self, key: str) -> Iterator[_Table]:
+        def fits(value: object) -> bool:
+            return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
+
+        for index, values in enumerate(self._get(key, [], fits, f"tables, written [[{key}]]")):
+            yield _Table(self.path, f"{key}[{index}]", values)
+
+    def _get(self, key: str, default: Any, fits: Callable[[Any], bool], what: str) -> Any:
+        self.asked.add(key)
+        if key not in self.values:
+            if default is _REQUIRED:
+                self.fail(key, "missing", nearest(key, set(self.values) - self.asked))
+            return default
+        value = self.values[key]
+        if not fits(value):
+            self.fail(key, f"expected {what}, found {value!r}")
+        return value
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

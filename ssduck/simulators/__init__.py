@@ -1,0 +1,130 @@
+"""What ssduck needs of a simulator; one module a simulator implements it.
+
+A simulator describes its bodies once (what they are made of) and then answers, tick after
+tick, where their frames are. Frame 0 of a body is its base link, frame i + 1 its link i.
+Positions and orientations are those of the link frames (not of the centres of mass), in the
+world; orientations are w, x, y, z; velocities are of the link frames' origins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.geometry import Array, PlacedGeometry
+from ssduck.scenes import Camera
+
+Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link of a body: its name, its parent's index among the links (none: -1), its mass."""
+
+    name: str
+    parent: int
+    mass: float
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint between a link and its parent.
+
+    Limits are radians or metres; `effort` newton metres or newtons; none is None.
+    """
+
+    name: str
+    type: Literal["revolute", "prismatic", "spherical", "planar", "fixed"]
+    link: int
+    lower: float | None
+    upper: float | None
+    max_effort: float | None
+    max_velocity: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What a body is made of.
+
+    Attributes:
+        handle: the simulator's own number; simulators may use it again for another body.
+        name: as the scene, the caller or the model's file says; not yet unique.
+        kind: robot or kinbody.
+        movable: whether the simulation can move any of its frames.
+        links: link 0 is the base.
+        joints: one for each link but the base.
+        shapes: collision shapes; `PlacedGeometry.frame` is the index of the link.
+    """
+
+    handle: int
+    name: str
+    kind: Kind
+    movable: bool
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    shapes: tuple[PlacedGeometry, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Where n frames are and how they move: (n, 3) or (n, 4) each, w x y z."""
+
+    positions: Array
+    orientations: Array
+    linear: Array
+    angular: Array
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact point of the solver, in the world frame; the normal points from b to a."""
+
+    body_a: int
+    link_a: int
+    body_b: int
+    link_b: int
+    point_a: tuple[float, float, float]
+    point_b: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    depth: float
+    force: float
+
+
+class Simulator(Protocol):
+    """One running simulation."""
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since the start."""
+
+    @property
+    def watched(self) -> bool:
+        """Whether others may add, remove and move bodies between two ticks."""
+
+    def describe(self) -> tuple[list[Body], list[Body]] | None:
+        """Bodies that came and bodies that went since the last call; None if none did."""
+
+    def read_frames(self, bodies: Sequence[Body]) -> Frames:
+        """All frames of these bodies, body after body, as they are now."""
+
+    def read_joints(self, bodies: Sequence[Body]) -> Array:
+        """Position, velocity and effort of these bodies' joints, (joints, 3)."""
+
+    def read_contacts(self) -> Iterable[Contact]:
+        """The contacts of the last step."""
+
+    def step(self, count: int) -> None:
+        """Advance by that many steps."""
+
+    def place(self, body: Body, position: Array, orientation: Array) -> None:
+        """Put a body's base link frame there."""
+
+    def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
+        """A colour picture, (height, width, 3)."""
+
+    def close(self) -> None:
+        """Give up what the simulator holds; a client that the user made stays connected."""

@@ -1,0 +1,203 @@
+"""The tables of a world: their columns, and the buffers that hold a tick's rows.
+
+Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
+those of link frames, not of centres of mass.
+
+The numbers of a table live in numpy buffers that an Arrow table looks into, so that whoever
+holds the Arrow table (DuckDB does) sees the next tick without being told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from ssduck.geometry import Array
+
+ColumnType: TypeAlias = Literal["real", "integer", "text", "flag", "points", "triples"]
+_ARROW: dict[ColumnType, pa.DataType] = {
+    "real": pa.float64(),
+    "integer": pa.int64(),
+    "text": pa.string(),
+    "flag": pa.bool_(),
+    "points": pa.list_(pa.list_(pa.float64(), 3)),
+    "triples": pa.list_(pa.list_(pa.int32(), 3)),
+}
+
+
+class Column(NamedTuple):
+    """A column of a table: its name, its type, and what it means, with the unit."""
+
+    name: str
+    type: ColumnType
+    comment: str
+
+
+def _reals(names: str, comment: str) -> tuple[Column, ...]:
+    return tuple(Column(name, "real", comment) for name in names.split())
+
+
+_TICK = (
+    Column("tick", "integer", "number of the snapshot"),
+    Column("time", "real", "simulated time, s"),
+)
+_POSE = (
+    *_reals("x y z", "position of the link frame, m"),
+    *_reals("qw qx qy qz", "orientation of the link frame, unit quaternion"),
+)
+_TWIST = (
+    *_reals("vx vy vz", "velocity of the link frame's origin, m/s"),
+    *_reals("wx wy wz", "angular velocity, rad/s"),
+)
+_BOX = _reals("xmin ymin zmin xmax ymax zmax", "axis-aligned box of the shapes, exact, m")
+
+TABLES: dict[str, tuple[Column, ...]] = {
+    "entities": (
+        *_TICK,
+        Column("id", "integer", "ssduck's own number of the entity, never used again"),
+        Column("name", "text", "unique in its world"),
+        Column("kind", "text", "robot, kinbody or sensor"),
+        Column("parent", "text", "the entity that a sensor sits on"),
+        *_POSE,
+        *_TWIST,
+        *_BOX,
+        Column("mass", "real", "kg; 0 for what cannot move"),
+        Column("enabled", "flag", "takes part in collisions"),
+        Column("visible", "flag", "is drawn"),
+    ),
+    "links": (
+        *_TICK,
+        Column("entity", "integer", "id of the entity"),
+        Column("link", "integer", "number of the link; the base is 0"),
+        Column("name", "text", "as in the model"),
+        Column("parent", "integer", "number of the parent link; none for the base"),
+        *_POSE,
+        *_TWIST,
+        *_BOX,
+        Column("mass", "real", "kg; 0 for a base that cannot move"),
+    ),
+    "joints": (
+        *_TICK,
+        Column("entity", "integer", "id of the entity"),
+        Column("link", "integer", "number of the link that the joint moves"),
+        Column("name", "text", "as in the model"),
+        Column("type", "text", "revolute, prismatic, spherical, planar or fixed"),
+        Column("position", "real", "rad or m"),
+        Column("velocity", "real", "rad/s or m/s"),
+        Column("effort", "real", "of the joint's motor in the last step, N m or N"),
+        Column("lower", "real", "limit, rad or m"),
+        Column("upper", "real", "limit, rad or m"),
+        Column("max_effort", "real", "limit, N m or N"),
+        Column("max_velocity", "real", "limit, rad/s or m/s"),
+    ),
+    "shapes": (
+        *_TICK,
+        Column("entity", "integer", "id of the entity"),
+        Column("link", "integer", "number of the link"),
+        Column("shape", "integer", "number of the shape in its entity"),
+        Column("geometry", "integer", "id of the geometry"),
+        *_POSE,
+        *_BOX,
+    ),
+    "geometries": (
+        Column("id", "integer", "the same for equal geometries"),
+        Column("type", "text", "sphere, box, cylinder, capsule, plane, hull or mesh"),
+        *_reals("size_x size_y size_z", "box: full sizes; else radius, length; plane: normal; m"),
+        Column("vertices", "points", "of hulls and meshes, m"),
+        Column("faces", "triples", "of meshes: three vertex numbers each"),
+    ),
+    "contacts": (
+        *_TICK,
+        Column("a", "integer", "id of an entity; a < b, but for self-contacts"),
+        Column("link_a", "integer", "number of its link"),
+        Column("b", "integer", "id of the other entity"),
+        Column("link_b", "integer", "number of its link"),
+        *_reals("ax ay az", "point on a, m"),
+        *_reals("bx by bz", "point on b, m"),
+        *_reals("nx ny nz", "unit normal, from b to a"),
+        Column("depth", "real", "penetration, m"),
+        Column("force", "real", "normal force, N"),
+    ),
+    "ticks": (*_TICK, Column("wall_time", "real", "seconds since 1970")),
+}
+
+
+class LiveTable:
+    """The columns of one table.
+
+    Attributes:
+        arrow: the table; its numbers change in place.
+        version: counts up whenever `arrow` became another object.
+        whole: whether every number is known; an unknown one is NaN here and NULL in `arrow`.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.columns = TABLES[name]
+        self.version = 0
+        self.fill(0, {})
+
+    def fill(self, count: int, values: dict[str, Any]) -> None:
+        """Make the table anew with that many rows; columns without values start at 0."""
+        self.count = count
+        kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
+        self._numbers: dict[str, npt.NDArray[Any]] = {}
+        # What is given with gaps stays as it is given; the rest are buffers to be written.
+        live = [
+            (name, kind)
+            for name, kind in kinds.items()
+            if kind in ("real", "integer") and not _has_none(values.get(name, ()))
+        ]
+        # One block for all reals: neighbouring columns can be written in one go.
+        reals = [name for name, kind in live if kind == "real"]
+        self.block = np.zeros((len(reals), count))
+        self._row = {name: row for row, name in enumerate(reals)}
+        for name, kind in live:
+            if kind == "real":
+                self._numbers[name] = self.block[self._row[name]]
+            else:
+                self._numbers[name] = np.zeros(count, dtype=np.int64)
+        self._others = {
+            name: pa.array(values[name] if name in values else [None] * count, _ARROW[kind])
+            for name, kind in kinds.items()
+            if name not in self._numbers
+        }
+        for name, column in self._numbers.items():
+            if name in values:
+                column[:] = values[name]
+        self.publish()
+
+    def publish(self) -> None:
+        """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
+        self.whole = not any(np.isnan(row).any() for row in self.block)
+        arrays = []
+        for name, kind, _ in self.columns:
+            if name not in self._numbers:
+                arrays.append(self._others[name])
+            elif np.isnan(self._numbers[name]).any():
+                arrays.append(pa.array(self._numbers[name], from_pandas=True))
+            else:
+                buffer = pa.py_buffer(self._numbers[name])
+                arrays.append(pa.Array.from_buffers(_ARROW[kind], self.count, [None, buffer]))
+        self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
+        self.version += 1
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        """The buffer of a column of numbers."""
+        return self._numbers[name]
+
+    def reals(self, first: str, last: str) -> Array:
+        """The buffers of neighbouring columns of reals, (columns, rows)."""
+        return self.block[self._row[first] : self._row[last] + 1]
+
+    def written(self) -> None:
+        """Tell that numbers were written: an unknown one (NaN) becomes NULL."""
+        if not self.whole or np.isnan(self.block).any():
+            self.publish()
+
+
+def _has_none(values: Iterable[Any]) -> bool:
+    return any(value is None for value in values)

@@ -1,0 +1,257 @@
+"""The relations: what each one means, in one registry.
+
+From a `Relation` come the SelectScript function and its help, the DuckDB macro of the same name
+for raw SQL, its row in the manual, and the tests that it has all of these.
+
+A relation that is a formula of the columns of its entities is an SQL expression over them, and
+Python is never called. Its parameters are rows of `entities`, or values. World frame, metres,
+radians, kilograms; quaternions w, x, y, z. A relation of an entity with itself is False (a
+distance 0); an unknown value is NULL.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import sqlglot
+from sqlglot import exp
+
+# What an expression yields. `place` is an entity or a point [x, y, z]; `any` is a value that
+# only Python knows.
+ValueType: TypeAlias = Literal[
+    "entity", "place", "real", "integer", "text", "flag", "list", "nothing", "any"
+]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a relation; optional ones come last and together or not at all."""
+
+    name: str
+    type: ValueType
+    meaning: str
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A function of entities that runs as SQL.
+
+    Attributes:
+        name: in SelectScript and in SQL.
+        parameters: what it takes.
+        result: what it yields.
+        formula: a DuckDB expression over the columns of its parameters.
+        sliced: the same with the optional parameters given.
+        about: what it means, in a sentence or two, with its boundary.
+        unit: of the result.
+        symmetric: whether the order of two entities does not matter.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: ValueType
+    formula: str
+    about: str
+    sliced: str | None = None
+    unit: str = ""
+    symmetric: bool = False
+
+    @property
+    def usage(self) -> str:
+        """`name(parameters) -> result`, as in its help."""
+        return f"{self.name}({_listed(self.parameters)}) -> {_RESULT_WORDS[self.result]}"
+
+    @property
+    def help(self) -> str:
+        """What `help('name')` tells after the name."""
+        return f"{self.about}\nUsage: {self.usage}"
+
+    @property
+    def required(self) -> int:
+        """How many arguments it takes at least."""
+        return sum(not parameter.optional for parameter in self.parameters)
+
+    @cached_property
+    def expressions(self) -> dict[int, exp.Expr]:
+        """The formula as a tree, by the number of arguments."""
+        found = {self.required: _parsed(self.formula)}
+        if self.sliced is not None:
+            found[len(self.parameters)] = _parsed(self.sliced)
+        return found
+
+    @property
+    def macro(self) -> str:
+        """The statement that makes the DuckDB macro of the same name."""
+        overloads = [
+            f"({', '.join(p.name for p in self.parameters[:count])}) AS ({tree.sql('duckdb')})"
+            for count, tree in self.expressions.items()
+        ]
+        return f'CREATE OR REPLACE TEMP MACRO "{self.name}" {", ".join(overloads)}'
+
+
+_RESULT_WORDS: dict[ValueType, str] = {
+    "entity": "object",
+    "place": "object",
+    "real": "float",
+    "integer": "int",
+    "text": "str",
+    "flag": "bool",
+    "list": "list",
+    "nothing": "nothing",
+    "any": "value",
+}
+
+
+def _parsed(formula: str) -> exp.Expr:
+    return sqlglot.parse_one(formula, dialect="duckdb")
+
+
+def _listed(parameters: tuple[Parameter, ...]) -> str:
+    required = ", ".join(p.name for p in parameters if not p.optional)
+    optional = "".join(f"[, {p.name}" for p in parameters if p.optional)
+    return required + optional + "]" * optional.count("[")
+
+
+_ENTITY = (Parameter("object", "entity", "an entity"),)
+_A_B = (Parameter("a", "entity", "an entity"), Parameter("b", "entity", "another entity"))
+_SLICE = (
+    Parameter("start", "integer", "the first number that is kept, from 0", optional=True),
+    Parameter("stop", "integer", "the first number that is not kept", optional=True),
+)
+
+
+def _of_entity(name: str, result: ValueType, formula: str, about: str, unit: str = "") -> Relation:
+    return Relation(name, _ENTITY, result, formula, about, unit=unit)
+
+
+def _sliced(name: str, formula: str, about: str, unit: str) -> Relation:
+    """A list of an entity, whole or from start to stop as Python slices."""
+    part = (
+        f"list_slice({formula}, CASE WHEN start < 0 THEN start ELSE start + 1 END, "
+        "CASE WHEN stop < 0 THEN stop - 1 ELSE stop END)"
+    )
+    return Relation(name, _ENTITY + _SLICE, "list", formula, about, sliced=part, unit=unit)
+
+
+_FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
+
+_LISTED = (
+    _of_entity("id", "text", "object.name", "Returns the name of an object, unique in its world."),
+    _of_entity(
+        "type", "text", "object.kind", "Returns the kind of an object: robot, kinbody or sensor."
+    ),
+    _of_entity("obj", "entity", "object.name", "Returns the object itself."),
+    *(
+        _of_entity(
+            kind,
+            "entity",
+            f"CASE WHEN object.kind = '{kind}' THEN object.name END",
+            f"Returns the object itself if it is a {kind}, else nothing.",
+        )
+        for kind in ("robot", "sensor", "kinbody")
+    ),
+    *(
+        _of_entity(
+            f"is{kind}",
+            "flag",
+            f"object.kind = '{kind.lower()}'",
+            f"Checks if object is of type {kind}.",
+        )
+        for kind in ("Robot", "Sensor", "Kinbody")
+    ),
+    _sliced(
+        "position",
+        "[object.x, object.y, object.z]",
+        "Returns [x, y, z] of the object's link frame in the world, or that list from start "
+        "to stop.",
+        "m",
+    ),
+    *(
+        _of_entity(
+            axis,
+            "real",
+            f"object.{axis}",
+            f"Returns the {axis} coordinate of the object's link frame in the world.",
+            "m",
+        )
+        for axis in "xyz"
+    ),
+    _sliced(
+        "orientation",
+        "[object.qw, object.qx, object.qy, object.qz]",
+        "Returns the unit quaternion [w, x, y, z] of the object's link frame in the world, or "
+        "that list from start to stop.",
+        "",
+    ),
+    _sliced(
+        "pose",
+        "[object.qw, object.qx, object.qy, object.qz, object.x, object.y, object.z]",
+        "Returns the orientation [w, x, y, z] and the position [x, y, z] as one list of seven, "
+        "or that list from start to stop.",
+        "m",
+    ),
+    _of_entity(
+        "volume",
+        "real",
+        "CASE WHEN object.kind = 'kinbody' THEN (object.xmax - object.xmin) "
+        "* (object.ymax - object.ymin) * (object.zmax - object.zmin) / 8 ELSE 0.0::DOUBLE END",
+        "Returns the product of the three half-extents of the object's axis-aligned box: an "
+        "eighth of the box's volume (see aabbVolume); 0 for what is no kinbody.",
+        "m^3",
+    ),
+    _of_entity(
+        "aabbVolume",
+        "real",
+        "(object.xmax - object.xmin) * (object.ymax - object.ymin) * (object.zmax - object.zmin)",
+        "Returns the volume of the object's axis-aligned box.",
+        "m^3",
+    ),
+    Relation(
+        "distance",
+        (
+            Parameter("a", "place", "an entity or a point [x, y, z]"),
+            Parameter("b", "place", "another"),
+        ),
+        "real",
+        "sqrt((a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2)",
+        "Returns the distance between the positions of two objects, or between two points "
+        "given as lists. The size of the objects does not matter.",
+        unit="m",
+        symmetric=True,
+    ),
+    Relation(
+        "above",
+        _A_B,
+        "flag",
+        f"{_FOOTPRINT} AND b.z >= a.zmax AND a.id <> b.id",
+        "Checks if the position of b is above a: x and y within the box of a, edges "
+        "included, and z at its top or higher.",
+    ),
+    Relation(
+        "below",
+        _A_B,
+        "flag",
+        f"{_FOOTPRINT} AND 2 * b.z < a.zmin + a.zmax AND a.zmax < 'infinity'::DOUBLE "
+        "AND a.id <> b.id",
+        "Checks if the position of b is below the centre of a: x and y within the box of a, "
+        "edges included, and z less than that of the box's centre.",
+    ),
+    Relation(
+        "within",
+        _A_B,
+        "flag",
+        "b.x > a.xmin AND b.x < a.xmax AND b.y > a.ymin AND b.y < a.ymax "
+        "AND b.z > a.zmin AND b.z < a.zmax AND a.id <> b.id",
+        "Checks if the position of b is inside the box of a, edges excluded.",
+    ),
+    _of_entity("isEnabled", "flag", "object.enabled", "Checks if object takes part in collisions."),
+    _of_entity("isVisible", "flag", "object.visible", "Checks if object is drawn."),
+    _of_entity(
+        "environmentID", "integer", "object.id", "Returns the number of the object in its world."
+    ),
+)
+
+RELATIONS: dict[str, Relation] = {relation.name: relation for relation in _LISTED}

@@ -1,0 +1,452 @@
+"""What a simulation is, whichever simulator runs it: `World`, `Entity`, `Sensor`.
+
+A *world* is one simulation; an *entity* is a robot, a kinbody or a sensor of it. What an entity
+tells of itself is of the world's last tick, never of the simulator's present.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.errors import (
+    RemovedEntityError,
+    SceneError,
+    SelectScriptError,
+    UnknownNameError,
+    nearest,
+)
+from ssduck.geometry import Array
+from ssduck.layout import Member
+from ssduck.openrave import EntitySpellings, WorldSpellings
+from ssduck.scenes import Camera, Scene, SensorSpec
+from ssduck.simulators import Kind, Simulator
+from ssduck.snapshot import Snapshot
+
+
+class World(WorldSpellings):
+    """One simulation and its current tick.
+
+    Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
+    at once; in between nothing changes them.
+
+    Args:
+        simulator: what runs it.
+        name: what the world is called until it is bound to a variable.
+        sensors: the sensors on its bodies, in load order.
+        camera: the view that `render` draws if it is given none.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        *,
+        name: str = "world",
+        sensors: Sequence[SensorSpec] = (),
+        camera: Camera | None = None,
+    ) -> None:
+        self.name = name
+        self.camera = camera or Camera()
+        self.lock = threading.RLock()
+        self.snapshot = Snapshot()
+        self._queries = 0
+        self._simulator = simulator
+        self._ids = iter(range(1, 2**62))
+        self._members: list[Member] = []
+        self._update_members()
+        if sensors:
+            self._members = self._with_sensors(sensors)
+            self.snapshot.set_members(self._members, simulator.watched)
+        self.tick()
+
+    @classmethod
+    def load(cls, scene: Scene) -> World:
+        """A world made from a scene in a PyBullet simulation of its own.
+
+        Raises:
+            SceneError: the scene cannot be loaded: file, key and reason.
+        """
+        from ssduck.simulators import pybullet
+
+        simulator = pybullet.load(scene)
+        try:
+            return cls(simulator, name=scene.name, sensors=scene.sensors, camera=scene.camera)
+        except SceneError as error:
+            simulator.close()
+            raise SceneError(
+                f"{scene.path}: {error.message}", suggestions=error.suggestions
+            ) from error
+
+    @classmethod
+    def attach(
+        cls,
+        client: Any,
+        names: Mapping[int, str] | None = None,
+        kinds: Mapping[int, Kind] | None = None,
+        *,
+        name: str = "world",
+    ) -> World:
+        """A world around a PyBullet client that you made and go on using.
+
+        Bodies that you add, remove or move are seen at the next `tick()`. Each body gets a
+        piece of PyBullet user data, by which a removed body is told from the next one of the
+        same number. Simulated time counts the steps that this world runs with `step`.
+
+        Args:
+            client: the client's number, or an object that holds it as `_client`.
+            names: names by PyBullet body number; others are named as in their models, made
+                unique.
+            kinds: `"robot"` or `"kinbody"` by PyBullet body number; by default what has
+                movable joints is a robot.
+            name: what the world is called until it is bound to a variable.
+
+        Raises:
+            SimulatorError: the client is not connected.
+        """
+        from ssduck.simulators import pybullet
+
+        return cls(pybullet.attach(client, names, kinds), name=name)
+
+    # -- time -----------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds at the last tick."""
+        return self.snapshot.time
+
+    def step(self, count: int = 1) -> World:
+        """Run that many steps of the simulator, then take a tick."""
+        with self.lock:
+            self._check_not_held()
+            self._simulator.step(count)
+            return self.tick()
+
+    def tick(self) -> World:
+        """Take a tick: the tables are replaced by the simulator's state as it is now.
+
+        Raises:
+            SimulatorError: the simulator does not answer; the last tick stays.
+        """
+        with self.lock:
+            self._check_not_held()
+            self._update_members()
+            self.snapshot.take(self._simulator)
+            return self
+
+    def ask(self, tables: Iterable[str]) -> None:
+        """See to it that the current tick has these tables; takes a fresh one if it has not."""
+        with self.lock:
+            if self.snapshot.ask(tables):
+                self.tick()
+
+    @contextmanager
+    def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
+        """Hold the world at its tick, with these tables read, while a query runs."""
+        with self.lock:
+            self.ask(tables)
+            self._queries += 1
+            try:
+                yield
+            finally:
+                self._queries -= 1
+
+    def _check_not_held(self) -> None:
+        if self._queries:
+            raise SelectScriptError(
+                f"a query on {self.name!r} is running: its tick cannot be replaced before it ends"
+            )
+
+    def close(self) -> None:
+        """Give up the simulation; a client that you made stays connected."""
+        with self.lock:
+            self._simulator.close()
+
+    def render(
+        self, width: int = 960, height: int = 720, camera: Camera | None = None
+    ) -> npt.NDArray[np.uint8]:
+        """A colour picture of the simulation as it is now, (height, width, 3)."""
+        with self.lock:
+            return self._simulator.render(camera or self.camera, width, height)
+
+    # -- entities -------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[Entity]:
+        """The entities: sensors first, then bodies, each in load order."""
+        return map(self.entity, [member.id for member in self.snapshot.members])
+
+    def __len__(self) -> int:
+        return len(self.snapshot.members)
+
+    def __contains__(self, name: object) -> bool:
+        return any(member.name == name for member in self.snapshot.members)
+
+    def __getitem__(self, name: str) -> Entity:
+        """The entity of that name.
+
+        Raises:
+            UnknownNameError: there is none, with the nearest names.
+        """
+        for member in self.snapshot.members:
+            if member.name == name:
+                return self.entity(member.id)
+        known = [member.name for member in self.snapshot.members]
+        raise UnknownNameError(
+            f"world {self.name!r} has no entity {name!r}", suggestions=nearest(name, known)
+        )
+
+    def entity(self, id: int) -> Entity:
+        """The handle of an entity by its id; one that is gone can still be asked its name."""
+        member = self.snapshot.members[self.snapshot.rows[id]]
+        kind = Sensor if member.kind == "sensor" else Entity
+        return kind(self, id, member.name, member.kind)
+
+    def __repr__(self) -> str:
+        return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
+
+    def place(self, id: int, position: Array, orientation: Array) -> None:
+        """Put a body's link frame there and take a tick; see `Entity.move`."""
+        with self.lock:
+            self._check_not_held()
+            member = next(member for member in self._members if member.id == id)
+            if member.body is None:
+                raise UnknownNameError(f"{member.name} is a sensor; move what it sits on")
+            self._simulator.place(member.body, position, orientation)
+            self.snapshot.read_all_anew()
+            self.tick()
+
+    def _update_members(self) -> None:
+        """Take note of bodies that came and went."""
+        changes = self._simulator.describe()
+        if changes is None:
+            return
+        came, gone = changes
+        gone_ids = {member.id for member in self._members if member.body in gone}
+        self._members = [
+            member
+            for member in self._members
+            if member.id not in gone_ids and member.mount[0] not in gone_ids
+        ]
+        for body in came:
+            name = self._unique(body.name)
+            self._members.append(Member(next(self._ids), name, body.kind, body=body))
+        self.snapshot.set_members(self._members, self._simulator.watched)
+
+    def _unique(self, name: str) -> str:
+        """The name, or the name and a number if there is one of that name already."""
+        known = {member.name for member in self._members}
+        if name not in known:
+            return name
+        return next(n for n in (f"{name}_{i}" for i in range(2, 2**62)) if n not in known)
+
+    def _with_sensors(self, specs: Sequence[SensorSpec]) -> list[Member]:
+        """The members and these sensors; ids count sensors first, as worlds list them."""
+        bodies = self._members
+        self._ids = iter(range(1, 2**62))
+        ids = [next(self._ids) for _ in specs]
+        bodies = [
+            Member(next(self._ids), member.name, member.kind, body=member.body) for member in bodies
+        ]
+        by_name = {member.name: member for member in bodies}
+        sensors = []
+        for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
+            if spec.name in by_name:
+                raise SceneError(f"sensor[{index}].name: {spec.name!r} is a body's name already")
+            host = by_name[spec.on]
+            mount = (host.id, _link_number(host, spec, index))
+            sensors.append(
+                Member(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
+            )
+        return sensors + bodies
+
+
+def _link_number(host: Member, spec: SensorSpec, index: int) -> int:
+    assert host.body is not None
+    if spec.link is None:
+        return 0
+    names = [link.name for link in host.body.links]
+    if spec.link not in names:
+        raise SceneError(
+            f"sensor[{index}].link: {host.name!r} has no link {spec.link!r}",
+            suggestions=nearest(spec.link, names),
+        )
+    return names.index(spec.link)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkState:
+    """A link at a tick: its name, position (m), orientation (w, x, y, z), box and mass (kg)."""
+
+    name: str
+    position: list[float]
+    orientation: list[float]
+    aabb: tuple[list[float], list[float]]
+    mass: float
+
+
+@dataclass(frozen=True, eq=False)
+class JointState:
+    """A joint at a tick: position (rad or m), velocity, effort of its motor, limits."""
+
+    name: str
+    type: str
+    position: float
+    velocity: float
+    effort: float
+    lower: float | None
+    upper: float | None
+
+
+class Entity(EntitySpellings):
+    """A handle of a robot, kinbody or sensor: what it tells is of its world's last tick.
+
+    Two handles are equal when they are of the same entity of the same world.
+
+    Attributes:
+        world: the world that it is in.
+        id: ssduck's own number, never used again in this world.
+        name: unique in the world.
+        kind: `"robot"`, `"kinbody"` or `"sensor"`.
+    """
+
+    __slots__ = ("id", "kind", "name", "world")
+
+    def __init__(self, world: World, id: int, name: str, kind: Kind) -> None:
+        self.world = world
+        self.id = id
+        self.name = name
+        self.kind = kind
+
+    @property
+    def position(self) -> list[float]:
+        """The link frame's origin [x, y, z], metres, world frame."""
+        return self._numbers("x", "z")
+
+    @property
+    def orientation(self) -> list[float]:
+        """The link frame's orientation [w, x, y, z], world frame."""
+        return self._numbers("qw", "qz")
+
+    @property
+    def pose(self) -> list[float]:
+        """Orientation, then position: [w, x, y, z, x, y, z]."""
+        return self.orientation + self.position
+
+    @property
+    def velocity(self) -> list[float]:
+        """Of the link frame's origin, m/s, then angular, rad/s: six numbers, world frame."""
+        return self._numbers("vx", "wz")
+
+    @property
+    def aabb(self) -> tuple[list[float], list[float]]:
+        """The lower and upper corner of the exact axis-aligned box, metres."""
+        return self._numbers("xmin", "zmin"), self._numbers("xmax", "zmax")
+
+    @property
+    def mass(self) -> float:
+        """Kilograms of all links; 0 for a sensor and for what cannot move."""
+        return self._numbers("mass", "mass")[0]
+
+    @property
+    def links(self) -> list[LinkState]:
+        """The links, the base first; asks the world for the table of links."""
+        table = self._table("links")
+        box = ("xmin", "ymin", "zmin"), ("xmax", "ymax", "zmax")
+        return [
+            LinkState(
+                name=row["name"],
+                position=[row[axis] for axis in ("x", "y", "z")],
+                orientation=[row[axis] for axis in ("qw", "qx", "qy", "qz")],
+                aabb=([row[axis] for axis in box[0]], [row[axis] for axis in box[1]]),
+                mass=row["mass"],
+            )
+            for row in table
+        ]
+
+    @property
+    def joints(self) -> list[JointState]:
+        """The joints; asks the world for the table of joints."""
+        keys = ("name", "type", "position", "velocity", "effort", "lower", "upper")
+        return [JointState(**{key: row[key] for key in keys}) for row in self._table("joints")]
+
+    def move(
+        self, position: Sequence[float] | None = None, orientation: Sequence[float] | None = None
+    ) -> None:
+        """Put it elsewhere at rest, and take a tick: the next query sees it.
+
+        Args:
+            position: of its link frame, [x, y, z], metres; None leaves it.
+            orientation: of its link frame, [w, x, y, z], any length but 0; None leaves it.
+
+        Raises:
+            ValueError: a number is not finite, or the orientation is all 0.
+            RemovedEntityError: it is no longer in its world.
+        """
+        place = _finite(self.position if position is None else position, 3, "position")
+        turn = _finite(self.orientation if orientation is None else orientation, 4, "orientation")
+        length = float(np.linalg.norm(turn))
+        if length < 1e-9:
+            raise ValueError("orientation: w, x, y, z are all 0")
+        self.world.place(self.id, place, turn / length)
+
+    def column(self, name: str) -> Any:
+        """Its value in a column of the table of entities; None for an unknown one."""
+        return self.world.snapshot.value(self._row(), name)
+
+    def _row(self) -> int:
+        row = self.world.snapshot.rows.get(self.id)
+        if row is None:
+            raise RemovedEntityError(f"{self.name!r} is no longer in world {self.world.name!r}")
+        return row
+
+    def _numbers(self, first: str, last: str) -> list[float]:
+        row = self._row()
+        values: list[float] = (
+            self.world.snapshot.tables["entities"].reals(first, last)[:, row].tolist()
+        )
+        return values
+
+    def _table(self, name: str) -> list[dict[str, Any]]:
+        self._row()
+        with self.world.lock:
+            self.world.ask([name])
+            rows: list[dict[str, Any]] = self.world.snapshot.tables[name].arrow.to_pylist()
+        return [row for row in rows if row["entity"] == self.id]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Entity) and (self.world, self.id) == (other.world, other.id)
+
+    def __hash__(self) -> int:
+        return hash((id(self.world), self.id))
+
+    def __deepcopy__(self, _: dict[int, Any]) -> Entity:
+        """A handle changes nothing, so it is its own copy."""
+        return self
+
+    def __repr__(self) -> str:
+        return f"<{self.kind} {self.name!r}>"
+
+
+class Sensor(Entity):
+    """A handle of a sensor."""
+
+    __slots__ = ()
+
+    @property
+    def spec(self) -> SensorSpec:
+        """What the sensor is, and where it sits."""
+        spec = self.world.snapshot.members[self._row()].sensor
+        assert spec is not None
+        return spec
+
+
+def _finite(values: Sequence[float], count: int, what: str) -> Array:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"{what}: expected {count} finite numbers, found {list(values)!r}")
+    return array
