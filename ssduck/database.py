@@ -8,14 +8,15 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from itertools import count
+from typing import Any, Literal, TypeAlias, cast
 
 import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.errors import ArgumentError, SqlError
-from ssduck.tables import TABLES
+from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
@@ -25,6 +26,66 @@ Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+
+
+class Statement:
+    """A SELECT that DuckDB plans once and runs many times.
+
+    Planning is most of what a small query costs. DuckDB keeps the plan of a prepared statement
+    only if it has no parameters; so these become the columns of a table of one row, which is
+    written in place. Such a plan goes on reading the buffers that it was made for; when
+    buffers are made anew, it is made anew.
+
+    Args:
+        database: where it runs.
+        select: the SELECT, its parameters as `exp.Parameter`.
+        types: of the parameters, by name; all of them numbers.
+    """
+
+    _numbers = count(1)
+
+    def __init__(
+        self,
+        database: Database,
+        select: exp.Select,
+        types: Mapping[str, Literal["real", "integer"]],
+    ) -> None:
+        self._database = database
+        self._name = f"ssduck statement {next(self._numbers)}"
+        self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
+        self._row.fill(1, {})
+        self._prepared_for = -1
+        tree = cast("exp.Select", select.transform(_as_column))
+        self._has_parameters = bool(types)
+        if types:
+            row = exp.table_(self._name, quoted=True, alias="parameters")
+            tree = tree.join(row, join_type="cross")
+        name = exp.to_identifier(self._name, quoted=True).sql("duckdb")
+        self._prepare = f"PREPARE {name} AS {tree.sql('duckdb')}"
+        self._execute = f"EXECUTE {name}"
+        self._deallocate = f"DEALLOCATE {name}"
+
+    def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
+        """All rows for these values of the parameters; the caller holds the worlds."""
+        for name, value in values.items():
+            self._row[name][0] = value
+        if self._prepared_for != self._database.generation:
+            if self._has_parameters:
+                self._database.show(self._name, self._row.arrow)
+            self._database.run(self._prepare)
+            self._prepared_for = self._database.generation
+        return self._database.rows(self._execute)
+
+    def forget(self) -> None:
+        """Let DuckDB forget it."""
+        if self._prepared_for == self._database.generation:
+            self._database.run(self._deallocate)
+        if self._has_parameters:
+            self._database.unshow(self._name)
+
+
+def _as_column(part: exp.Expr) -> exp.Expr:
+    return exp.column(part.name, table="parameters") if isinstance(part, exp.Parameter) else part
 
 
 @dataclass
@@ -42,6 +103,9 @@ class Database:
     Args:
         path: a DuckDB file, or `":memory:"`.
         tracer: is told each statement before it runs.
+
+    Attributes:
+        generation: counts up when prepared statements lose their validity.
     """
 
     def __init__(self, path: str, tracer: Callable[[str], None] | None) -> None:
@@ -54,11 +118,12 @@ class Database:
         self._tracer = tracer
         self._lock = threading.RLock()
         self._bound: list[_Bound] = []
+        self.generation = 0
         self._asked_for_good: set[str] = set()
         # The data are small and the queries many: a second thread costs more than it gives.
-        self._run("SET threads = 1")
+        self.run("SET threads = 1")
         for relation in RELATIONS.values():
-            self._run(relation.macro)
+            self.run(relation.macro)
 
     def close(self) -> None:
         """Close the connection."""
@@ -100,7 +165,8 @@ class Database:
             relation = self._connection.sql(sql, params=parameters)
             return relation.to_arrow_table() if relation is not None else pa.table({})
 
-    def _run(self, sql: str) -> None:
+    def run(self, sql: str) -> None:
+        """Run a statement of ssduck's own."""
         self._execute(sql, None).fetchall()
 
     def _execute(self, sql: str, parameters: Parameters) -> duckdb.DuckDBPyConnection:
@@ -137,12 +203,12 @@ class Database:
             bound = _Bound(name, world)
             self._show(bound)
             schema = exp.table_(name, quoted=True)
-            self._run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
+            self.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
             for table in TABLES:
                 rows = exp.select("*").from_(exp.table_(_live(name, table), quoted=True))
                 view = exp.table_(table, db=name, quoted=True)
                 create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
-                self._run(create.sql("duckdb"))
+                self.run(create.sql("duckdb"))
             self._bound = [other for other in self._bound if other.schema != name] + [bound]
             self._set_search_path()
 
@@ -150,14 +216,31 @@ class Database:
         """The first world's tables go without its name."""
         first = exp.to_identifier(self._bound[0].schema, quoted=True).sql("duckdb")
         path = exp.Literal.string(f"main,{first}").sql("duckdb")
-        self._run(f"SET search_path = {path}")
+        self.run(f"SET search_path = {path}")
 
     def _show(self, bound: _Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         for table, live in bound.world.snapshot.tables.items():
             if bound.versions.get(table) != live.version:
-                self._connection.register(_live(bound.schema, table), live.arrow)
+                if table in bound.versions:
+                    self._forget_plans()
+                self.show(_live(bound.schema, table), live.arrow)
                 bound.versions[table] = live.version
+
+    def show(self, name: str, table: pa.Table) -> None:
+        """Let DuckDB see a table under a name."""
+        self._connection.register(name, table)
+
+    def unshow(self, name: str) -> None:
+        """Let DuckDB forget a table."""
+        self._connection.unregister(name)
+
+    def _forget_plans(self) -> None:
+        """Drop all prepared statements, a user's too: they would go on reading old buffers."""
+        names = self.rows("SELECT name FROM duckdb_prepared_statements()")
+        for (name,) in names:
+            self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
+        self.generation += 1
 
     @property
     def worlds(self) -> list[World]:

@@ -8,6 +8,7 @@ it is evaluated in Python on the rows that come back (`ssduck.queries`).
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -25,12 +26,15 @@ from ssduck.errors import (
 from ssduck.evaluate import Evaluator
 from ssduck.functions import BUILTINS, Function
 from ssduck.language import Call, Name, Node, Program, Query, parse
-from ssduck.queries import run, shapes_of, tag_of
+from ssduck.queries import Planned, shapes_of, tag_of
 from ssduck.result import Result
 from ssduck.scenes import find_scene
 from ssduck.translate import Plan, Tag, sees_outside, translate, unknown_function
 from ssduck.udfs import RELATIONS, Relation
 from ssduck.world import World
+
+# So many queries keep their plans; then all are forgotten and made anew as they are needed.
+MOST_PLANS = 500
 
 
 def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
@@ -71,7 +75,7 @@ class Interpreter:
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
         self._functions.update((command.name, command) for command in self._commands())
-        self._plans: dict[Query, list[Plan]] = {}
+        self._plans: dict[Query, list[Planned]] = {}
 
     def close(self) -> None:
         """Close the database and the worlds; a client that you made stays connected."""
@@ -159,7 +163,8 @@ class Interpreter:
         return "\n\n".join(self._told(program.text, query, evaluator) for query in queries)
 
     def _told(self, text: str, query: Query, evaluator: Evaluator) -> str:
-        plan = self._plan(query, [evaluator.value(s.value) for s in query.sources], evaluator)
+        values = [evaluator.value(source.value) for source in query.sources]
+        plan = self._planned(query, values, evaluator).plan
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
         lines += [f"-- left to Python: {text[n.span.start : n.span.end]}" for n in plan.left]
         return "\n".join(lines)
@@ -179,7 +184,7 @@ class Interpreter:
         with self._lock:
             if isinstance(value, World):
                 self._database.bind(name, value)
-                self._plans.clear()
+                self._forget_plans()
             self._variables[name] = value
         return value
 
@@ -213,7 +218,7 @@ class Interpreter:
             raise ArgumentError(f"{name}: {function!r} is no function")
         with self._lock:
             self._functions[name] = Function.of(name, function, help)
-            self._plans.clear()
+            self._forget_plans()
 
     def help(self, name: str | None = None) -> Any:
         """The names of all functions, or the help of one.
@@ -346,22 +351,29 @@ class Interpreter:
         """The value of a query; `outer` knows the rows of the queries around it."""
         adapter = _adapter(node)
         values = [outer.value(source.value) for source in node.sources]
-        plan = self._plan(node, values, outer)
+        planned = self._planned(node, values, outer)
         if adapter.keyed:
-            _check_columns(plan)
-        sources = {shape.alias: value for shape, value in zip(plan.shapes, values, strict=True)}
-        return adapter.make(run(plan, self._database, outer, sources))
+            _check_columns(planned.plan)
+        aliases = (shape.alias for shape in planned.plan.shapes)
+        return adapter.make(planned.run(outer, dict(zip(aliases, values, strict=True))))
 
-    def _plan(self, query: Query, values: Sequence[Any], outer: Evaluator) -> Plan:
+    def _planned(self, query: Query, values: Sequence[Any], outer: Evaluator) -> Planned:
         """The query's plan for values of these types; made anew only for new types."""
         shapes = shapes_of(query, values)
         typed = _Typed(self, outer)
-        for plan in self._plans.get(query, ()):
-            if plan.fits(shapes, typed):
-                return plan
-        plan = translate(query, shapes, typed)
-        self._plans.setdefault(query, []).append(plan)
-        return plan
+        for planned in self._plans.get(query, ()):
+            if planned.plan.fits(shapes, typed):
+                return planned
+        if len(self._plans) >= MOST_PLANS:
+            self._forget_plans()
+        planned = Planned(translate(query, shapes, typed), self._database)
+        self._plans.setdefault(query, []).append(planned)
+        return planned
+
+    def _forget_plans(self) -> None:
+        for planned in itertools.chain.from_iterable(self._plans.values()):
+            planned.forget()
+        self._plans.clear()
 
     def _relation(self, node: Call, evaluator: Evaluator) -> Any:
         """A relation outside a query: a query of one row, without sources."""
@@ -370,10 +382,10 @@ class Interpreter:
         inner = Evaluator(_Overlay(self, dict(zip(names, values, strict=True))))
         arguments = tuple(Name(n.span, name) for n, name in zip(node.arguments, names, strict=True))
         call = Call(node.span, node.name, arguments, node.name_span)
-        plan = self._plan(Query(node.span, (call,), ()), (), inner)
-        if plan.left:
+        planned = self._planned(Query(node.span, (call,), ()), (), inner)
+        if planned.plan.left:
             raise ArgumentError(f"{node.name} does not take that", span=node.span)
-        return run(plan, self._database, inner, {}).values[0][0]
+        return planned.run(inner, {}).values[0][0]
 
 
 class _Typed:

@@ -8,7 +8,7 @@ from functools import cmp_to_key
 from typing import Any
 
 from ssduck.adapters import Rows
-from ssduck.database import Database
+from ssduck.database import Database, Statement
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.evaluate import Evaluator, apply
 from ssduck.language import Node, Query, Source
@@ -80,29 +80,54 @@ def elements_of(value: Any) -> Sequence[Any]:
     return value if isinstance(value, list | tuple) else [value]
 
 
-def run(plan: Plan, database: Database, outer: Evaluator, sources: Mapping[str, Any]) -> Rows:
-    """The rows of a query.
+class Planned:
+    """A query with its plan, ready to run.
 
     Args:
         plan: how it runs.
         database: where its SQL runs.
-        outer: knows the variables, and the rows of the queries around this one.
-        sources: the value of each source, by alias.
     """
-    with database.held():
-        parameters = _parameters(plan, outer, sources)
-        fetched = database.rows(plan.sql, parameters or None)
-        worlds = {world.name: world for world in database.worlds}
-        rows = [_Row(plan, outer, sources, worlds, values) for values in fetched]
-        rows = [row for row in rows if all(map(row.value, plan.conditions))]
-        if plan.order:
-            rows = _ordered(rows, plan.order)
-        if plan.limit is not None:
-            rows = rows[: _count(outer.value(plan.limit), plan.limit)]
-        values = [tuple(map(row.item, plan.items)) for row in rows]
-        if all(isinstance(name, str) for name in plan.names):
-            return Rows(values, tuple(map(str, plan.names)))
-        return Rows(values, [tuple(map(row.name, plan.names)) for row in rows])
+
+    def __init__(self, plan: Plan, database: Database) -> None:
+        self.plan = plan
+        self._database = database
+        self._statement: Statement | None = None
+        numbers = plan.numbers
+        if numbers is not None:
+            self._statement = Statement(database, plan.select, numbers)
+
+    def forget(self) -> None:
+        """Let the database forget it."""
+        if self._statement is not None:
+            self._statement.forget()
+
+    def run(self, outer: Evaluator, sources: Mapping[str, Any]) -> Rows:
+        """The rows of the query.
+
+        Args:
+            outer: knows the variables, and the rows of the queries around this one.
+            sources: the value of each source, by alias.
+        """
+        plan = self.plan
+        with self._database.held():
+            fetched = self._fetched(_parameters(plan, outer, sources))
+            worlds = {world.name: world for world in self._database.worlds}
+            rows = [_Row(plan, outer, sources, worlds, values) for values in fetched]
+            rows = [row for row in rows if all(map(row.value, plan.conditions))]
+            if plan.order:
+                rows = _ordered(rows, plan.order)
+            if plan.limit is not None:
+                rows = rows[: _count(outer.value(plan.limit), plan.limit)]
+            values = [tuple(map(row.item, plan.items)) for row in rows]
+            if all(isinstance(name, str) for name in plan.names):
+                return Rows(values, tuple(map(str, plan.names)))
+            return Rows(values, [tuple(map(row.name, plan.names)) for row in rows])
+
+    def _fetched(self, parameters: dict[str, Any]) -> list[tuple[Any, ...]]:
+        # A buffer of numbers has no place for an unknown one.
+        if self._statement is None or None in parameters.values():
+            return self._database.rows(self.plan.sql, parameters or None)
+        return self._statement.rows(parameters)
 
 
 def _parameters(plan: Plan, outer: Evaluator, sources: Mapping[str, Any]) -> dict[str, Any]:

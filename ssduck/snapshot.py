@@ -41,7 +41,7 @@ class Snapshot:
     """
 
     def __init__(self) -> None:
-        self.tables = {name: LiveTable(name) for name in TABLES}
+        self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
         self.members: list[Member] = []
         self.rows: dict[int, int] = {}
         self.number = 0

@@ -135,8 +135,8 @@ class LiveTable:
         whole: whether every number is known; an unknown one is NaN here and NULL in `arrow`.
     """
 
-    def __init__(self, name: str) -> None:
-        self.columns = TABLES[name]
+    def __init__(self, columns: tuple[Column, ...]) -> None:
+        self.columns = columns
         self.version = 0
         self.fill(0, {})
 

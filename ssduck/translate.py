@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Literal, Protocol
 
 from sqlglot import exp
 
+from ssduck import language
 from ssduck.errors import ArgumentError, UnknownNameError, UnsupportedError, nearest
 from ssduck.language import (
     Assignment,
@@ -23,7 +24,6 @@ from ssduck.language import (
     If,
     Index,
     ListOf,
-    Literal,
     Name,
     Node,
     Query,
@@ -31,6 +31,7 @@ from ssduck.language import (
     This,
     Unary,
 )
+from ssduck.tables import TABLES
 from ssduck.udfs import RELATIONS, Parameter, Relation, ValueType
 
 # Calls that do something: they are made row by row, in order.
@@ -87,12 +88,14 @@ class Binding:
         node: the expression that it is the value of,
         column: or the column of the entity that the expression is.
         source: instead, the source that it lists the elements of.
+        type: of the value.
     """
 
     name: str
     node: Node | None = None
     column: str | None = None
     source: str | None = None
+    type: ValueType = "list"
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ class Item:
     output: Output | None
 
 
-@dataclass
+@dataclass(eq=False)
 class Plan:
     """How a query runs.
 
@@ -143,6 +146,17 @@ class Plan:
     limit: Node | None = None
     elements: dict[str, Output] = field(default_factory=dict)
     bare: dict[str, bool] = field(default_factory=dict)
+
+    @property
+    def numbers(self) -> dict[str, Literal["real", "integer"]] | None:
+        """Its parameters' types if all are numbers, and none is where SQL takes no column."""
+        types: dict[str, Literal["real", "integer"]] = {}
+        for binding in self.bindings:
+            if binding.type not in ("real", "integer"):
+                return None
+            types[binding.name] = binding.type
+        limit = self.select.args.get("limit")
+        return None if limit and limit.find(exp.Parameter) else types
 
     def fits(self, shapes: tuple[Shape, ...], names: Names) -> bool:
         """Whether it runs as it is for sources of these shapes and the present variables."""
@@ -191,6 +205,11 @@ class _Value:
 
 
 _NUMBERS = ("real", "integer")
+_COLUMN_TYPES: dict[str, ValueType] = {
+    column.name: column.type
+    for column in TABLES["entities"]
+    if column.type in ("real", "integer", "text", "flag")
+}
 _COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 _ARITHMETIC = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
 
@@ -255,7 +274,7 @@ class _Translator:
                 yield This(self.query.span, name), name
         for node in self.query.items:
             match node:
-                case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                case Call(name="to", arguments=(value, language.Literal(value=str() as name))):
                     yield value, name
                 case Call(name="to", arguments=(value, name_node)):
                     yield value, name_node
@@ -415,7 +434,7 @@ class _Translator:
         match node:
             case This() if self._own(node):
                 return self._this(node)
-            case Literal(value=value):
+            case language.Literal(value=value):
                 return _Value(exp.convert(value), self.names.tag(node))
         if self._is_constant(node):
             return self._constant(node)
@@ -434,7 +453,7 @@ class _Translator:
                 )
             case Binary():
                 return self._binary(node)
-            case Index(base=base, indices=(Literal(value=int() as index),)):
+            case Index(base=base, indices=(language.Literal(value=int() as index),)):
                 elements = self.value(base).elements or ()
                 if 0 <= index < len(elements):
                     return elements[index]
@@ -463,10 +482,11 @@ class _Translator:
             raise _NotSqlError
         stem = node.name if isinstance(node, Name) else "value"
         if tag.type != "entity":
-            return _Value(self._parameter(stem, Binding("", node)), tag)
+            return _Value(self._parameter(stem, Binding("", node, type=tag.type)), tag)
 
         def column(name: str) -> exp.Expr:
-            return self._parameter(f"{stem}_{name}", Binding("", node, name))
+            wanted = Binding("", node, name, type=_COLUMN_TYPES[name])
+            return self._parameter(f"{stem}_{name}", wanted)
 
         # Its columns become parameters only if they are asked for.
         return _Value(exp.Placeholder(), tag, column)
@@ -540,7 +560,7 @@ class _Translator:
 
     def _quotient(self, node: Binary) -> _Value:
         """A division whose divisor cannot be 0; DuckDB would yield NULL, Python raises."""
-        if not (isinstance(node.right, Literal) and node.right.value):
+        if not (isinstance(node.right, language.Literal) and node.right.value):
             raise _NotSqlError
         left, right = self._number(node.left), self._number(node.right)
         sql = exp.Div(this=_wrapped(left.sql), expression=right.sql, typed=False, safe=False)
