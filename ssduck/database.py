@@ -59,7 +59,7 @@ class Statement:
         self._has_parameters = bool(types)
         if types:
             row = exp.table_(self._name, quoted=True, alias="parameters")
-            tree = tree.join(row, join_type="cross")
+            tree = tree.join(row, join_type="cross") if tree.find(exp.From) else tree.from_(row)
         name = exp.to_identifier(self._name, quoted=True).sql("duckdb")
         self._prepare = f"PREPARE {name} AS {tree.sql('duckdb')}"
         self._execute = f"EXECUTE {name}"
@@ -211,6 +211,17 @@ class Database:
                 self.run(create.sql("duckdb"))
             self._bound = [other for other in self._bound if other.schema != name] + [bound]
             self._set_search_path()
+
+    def ensure(self, world: World) -> None:
+        """Bind a world that no variable was bound to by Python, under a name like its own."""
+        with self._lock:
+            if world not in self.worlds:
+                taken = {bound.schema for bound in self._bound}
+                names = (f"{world.name}_{number}" for number in count(2))
+                name = world.name if world.name not in taken else next(names)
+                while name in taken:
+                    name = next(names)
+                self.bind(name, world)
 
     def _set_search_path(self) -> None:
         """The first world's tables go without its name."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ssduck.errors import FunctionError
+from ssduck.errors import FunctionError, SelectScriptError
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,8 @@ class Function:
         """
         try:
             return self.call(*(_copied(argument) for argument in arguments))
+        except SelectScriptError:
+            raise
         except Exception as error:
             raise FunctionError(f"{self.name}: {type(error).__name__}: {error}") from error
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -19,6 +20,7 @@ from ssduck.adapters import ADAPTERS, Adapter
 from ssduck.database import Database
 from ssduck.errors import (
     ArgumentError,
+    ParseError,
     SelectScriptError,
     UnknownNameError,
     nearest,
@@ -26,12 +28,12 @@ from ssduck.errors import (
 from ssduck.evaluate import Evaluator
 from ssduck.functions import BUILTINS, Function
 from ssduck.language import Call, Name, Node, Program, Query, parse
-from ssduck.queries import Planned, shapes_of, tag_of
+from ssduck.queries import Planned, elements_of, shapes_of, tag_of
 from ssduck.result import Result
 from ssduck.scenes import find_scene
 from ssduck.translate import Plan, Tag, sees_outside, translate, unknown_function
 from ssduck.udfs import RELATIONS, Relation
-from ssduck.world import World
+from ssduck.world import Entity, World
 
 # So many queries keep their plans; then all are forgotten and made anew as they are needed.
 MOST_PLANS = 500
@@ -112,15 +114,8 @@ class Interpreter:
             SelectScriptError: with the place; the variables are as they were before.
         """
         compiled = _compiled(program)
-        with self._lock:
-            before = dict(self._variables)
-            try:
-                return self._run(compiled)
-            except BaseException as error:
-                self._variables = before
-                if isinstance(error, SelectScriptError):
-                    error.locate(compiled.text)
-                raise
+        with self._undone_on_failure(compiled):
+            return self._run(compiled)
 
     def explain(self, program: str | Program) -> str:
         """The SQL of the queries in a program's last statement, and what is left to Python.
@@ -131,15 +126,26 @@ class Interpreter:
             SelectScriptError: as `eval` does.
         """
         compiled = _compiled(program)
+        with self._undone_on_failure(compiled):
+            before = dict(self._variables)
+            told = self._explained(compiled)
+            self._variables = before
+            return told
+
+    @contextmanager
+    def _undone_on_failure(self, program: Program) -> Iterator[None]:
+        """Whatever fails in here leaves the variables as they were, and says where it failed."""
         with self._lock:
             before = dict(self._variables)
             try:
-                return self._explained(compiled)
-            except SelectScriptError as error:
-                error.locate(compiled.text)
-                raise
-            finally:
+                yield
+            except BaseException as error:
                 self._variables = before
+                if isinstance(error, SelectScriptError):
+                    error.locate(program.text)
+                if isinstance(error, RecursionError):
+                    raise ParseError("the program is nested too deeply") from error
+                raise
 
     def _run(self, program: Program) -> Any:
         if program.explain:
@@ -351,6 +357,8 @@ class Interpreter:
         """The value of a query; `outer` knows the rows of the queries around it."""
         adapter = _adapter(node)
         values = [outer.value(source.value) for source in node.sources]
+        for value in values:
+            self.ensure_worlds(value)
         planned = self._planned(node, values, outer)
         if adapter.keyed:
             _check_columns(planned.plan)
@@ -369,6 +377,12 @@ class Interpreter:
         planned = Planned(translate(query, shapes, typed), self._database)
         self._plans.setdefault(query, []).append(planned)
         return planned
+
+    def ensure_worlds(self, value: Any) -> None:
+        """See to it that the worlds of a source's elements have tables."""
+        for element in elements_of(value):
+            if isinstance(element, World | Entity):
+                self._database.ensure(element if isinstance(element, World) else element.world)
 
     def _forget_plans(self) -> None:
         for planned in itertools.chain.from_iterable(self._plans.values()):
@@ -394,10 +408,16 @@ class _Typed:
     def __init__(self, interpreter: Interpreter, evaluator: Evaluator) -> None:
         self.has_variable = evaluator.scope.has_variable
         self.check_call = interpreter.check_call
+        self._interpreter = interpreter
         self._evaluator = evaluator
 
+    def has_source(self, alias: str) -> bool:
+        return alias in self._evaluator.elements
+
     def tag(self, node: Node) -> Tag:
-        return tag_of(self._evaluator.value(node))
+        value = self._evaluator.value(node)
+        self._interpreter.ensure_worlds(value)
+        return tag_of(value)
 
 
 class _Overlay:

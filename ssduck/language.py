@@ -358,11 +358,15 @@ class _Parser:
         return Program(self.text, tuple(statements), explain)
 
     def statement(self) -> Node:
+        self.descend()
         if self.at_word("SELECT"):
-            return self.query()
-        if self.at_assignment():
-            return self.assignment()
-        return self.expression()
+            node: Node = self.query()
+        elif self.at_assignment():
+            node = self.assignment()
+        else:
+            node = self.expression()
+        self.depth -= 1
+        return node
 
     def at_assignment(self) -> bool:
         """Whether `name =` or `name{…} =` comes next."""
@@ -561,24 +565,16 @@ class _Parser:
         if self.take(TokenType.STRING):
             return Literal(start, token.text)
         if self.take(TokenType.L_PAREN):
-            self.descend()
             node = self.statement()
-            self.depth -= 1
             self.expect(TokenType.R_PAREN, "')'")
             return node
         if self.take(TokenType.L_BRACKET):
-            items = () if self.at(TokenType.R_BRACKET) else self.separated(self.item)
+            items = () if self.at(TokenType.R_BRACKET) else self.separated(self.statement)
             self.expect(TokenType.R_BRACKET, "']'")
             return ListOf(self.since(start), items)
         if self.take(TokenType.DOT) and (digits := self.take(TokenType.NUMBER)):
             return Literal(self.since(start), self.number(digits, "."))
         return self.word()
-
-    def item(self) -> Node:
-        self.descend()
-        node = self.statement()
-        self.depth -= 1
-        return node
 
     def number(self, token: Token, prefix: str = "") -> int | float:
         text = prefix + token.text
@@ -604,7 +600,7 @@ class _Parser:
             self.index += 2
             return This(self.since(start), name.text)
         if self.take(TokenType.L_PAREN):
-            arguments = () if self.at(TokenType.R_PAREN) else self.separated(self.item)
+            arguments = () if self.at(TokenType.R_PAREN) else self.separated(self.statement)
             self.expect(TokenType.R_PAREN, "')'")
             return Call(self.since(start), name.text, arguments, start)
         if self.take(TokenType.L_BRACE):
@@ -616,12 +612,12 @@ class _Parser:
     def choice(self) -> If:
         start = self.here()
         self.index += 2
-        condition = self.item()
+        condition = self.statement()
         self.expect(TokenType.SEMICOLON, "';' after the condition")
-        then = self.separated(self.item)
+        then = self.separated(self.statement)
         otherwise: tuple[Node, ...] = ()
         if self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
-            otherwise = self.separated(self.item)
+            otherwise = self.separated(self.statement)
         self.expect(TokenType.R_PAREN, "')'")
         return If(self.since(start), condition, then, otherwise)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
-from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.evaluate import Evaluator, apply
 from ssduck.language import Node, Query, Source
 from ssduck.translate import Item, Output, Plan, Shape, Tag
@@ -33,7 +33,8 @@ def tag_of(value: Any) -> Tag:
             return Tag("entity", schema=value.world.name)
         case list():
             tag = _common(value)
-            return Tag("list", tag.type) if tag.type in ("real", "integer", "text") else Tag("any")
+            if tag.type in ("real", "integer", "text"):
+                return Tag("list", tag.type, len(value))
     return Tag("any")
 
 
@@ -137,9 +138,17 @@ def _parameters(plan: Plan, outer: Evaluator, sources: Mapping[str, Any]) -> dic
         if binding.source is not None:
             bound[binding.name] = [_plain(value) for value in elements_of(sources[binding.source])]
         elif binding.node is not None:
-            value = outer.value(binding.node)
-            bound[binding.name] = value.column(binding.column) if binding.column else value
+            bound[binding.name] = _bound_value(outer, binding.node, binding.column)
     return bound
+
+
+def _bound_value(outer: Evaluator, node: Node, column: str | None) -> Any:
+    value = outer.value(node)
+    try:
+        return value.column(column) if column else value
+    except SelectScriptError as error:  # an entity that is gone
+        error.span = error.span or node.span
+        raise
 
 
 def _plain(value: Any) -> Any:

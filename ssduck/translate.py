@@ -45,11 +45,13 @@ class Tag:
     Attributes:
         type: what it is.
         element: of a list, what its elements are.
+        length: of a list, how many it has.
         schema: of an entity, the world that it is in.
     """
 
     type: ValueType
     element: ValueType | None = None
+    length: int | None = None
     schema: str | None = None
 
 
@@ -71,6 +73,9 @@ class Names(Protocol):
 
     def has_variable(self, name: str) -> bool:
         """Whether there is a variable of that name."""
+
+    def has_source(self, alias: str) -> bool:
+        """Whether a query around this one has a source of that name."""
 
     def tag(self, node: Node) -> Tag:
         """The type of the value of an expression that depends on no row of this query."""
@@ -149,14 +154,13 @@ class Plan:
 
     @property
     def numbers(self) -> dict[str, Literal["real", "integer"]] | None:
-        """Its parameters' types if all are numbers, and none is where SQL takes no column."""
+        """The types of its parameters if all of them are numbers."""
         types: dict[str, Literal["real", "integer"]] = {}
         for binding in self.bindings:
             if binding.type not in ("real", "integer"):
                 return None
             types[binding.name] = binding.type
-        limit = self.select.args.get("limit")
-        return None if limit and limit.find(exp.Parameter) else types
+        return types
 
     def fits(self, shapes: tuple[Shape, ...], names: Names) -> bool:
         """Whether it runs as it is for sources of these shapes and the present variables."""
@@ -198,10 +202,18 @@ class _NotSqlError(Exception):
 class _Value:
     """A part as SQL, its type, and for an entity how to get at its columns."""
 
-    sql: exp.Expr
+    given: exp.Expr | None
     tag: Tag
     column: Callable[[str], exp.Expr] | None = None
     elements: tuple[_Value, ...] | None = None
+
+    @property
+    def sql(self) -> exp.Expr:
+        """The value; of an entity its id."""
+        if self.given is not None:
+            return self.given
+        assert self.column is not None
+        return self.column("id")
 
 
 _NUMBERS = ("real", "integer")
@@ -308,15 +320,11 @@ class _Translator:
         plan = self.result
         if self.query.limit is None:
             return
-        if not plan.conditions and not plan.order:
-            try:
-                value = self.value(self.query.limit)
-            except _NotSqlError:
-                value = None
-            if value is not None and value.tag.type == "integer":
-                plan.select = plan.select.limit(value.sql)
-                return
-        plan.limit = self.query.limit
+        match self.query.limit:
+            case language.Literal(value=int(number)) if not plan.conditions and not plan.order:
+                plan.select = plan.select.limit(int(number))
+            case limit:
+                plan.limit = limit
 
     def _table(self, shape: Shape) -> exp.Expr:
         """A source as a table: the entities of a world, some of them, or numbered values."""
@@ -399,8 +407,16 @@ class _Translator:
         it becomes part of the SQL.
         """
         match node:
+            case This(alias=alias) if alias is not None and alias not in self.shapes:
+                if not self.names.has_source(alias):
+                    raise UnknownNameError(
+                        f"there is no source {alias!r} here",
+                        span=node.span,
+                        suggestions=nearest(alias, self.shapes) or list(self.shapes)[:3],
+                    )
+                return True
             case This():
-                return not self._own(node)
+                return False
             case Query():
                 return not _free(node) & {None, *self.shapes} and not _is_impure(node)
             case Call(name=name) if name in RELATIONS or name in IMPURE:
@@ -488,8 +504,7 @@ class _Translator:
             wanted = Binding("", node, name, type=_COLUMN_TYPES[name])
             return self._parameter(f"{stem}_{name}", wanted)
 
-        # Its columns become parameters only if they are asked for.
-        return _Value(exp.Placeholder(), tag, column)
+        return _Value(None, tag, column)  # its columns become parameters as they are asked for
 
     def _relation(self, relation: Relation, node: Call) -> _Value:
         self.names.check_call(node)
@@ -505,11 +520,11 @@ class _Translator:
             def column(name: str) -> exp.Expr:
                 return _expanded(formula, values, name)
 
-            return _Value(column("id"), entity.tag, column)
+            return _Value(None, entity.tag, column)
         sql = _expanded(formula, values)
         if isinstance(sql, exp.Array):
             elements = tuple(_Value(part, Tag("real")) for part in sql.expressions)
-            return _Value(sql, Tag("list", "real"), elements=elements)
+            return _Value(sql, Tag("list", "real", len(elements)), elements=elements)
         return _Value(sql, Tag(relation.result, "real" if relation.result == "list" else None))
 
     def _argument(self, parameter: Parameter, node: Node) -> _Value:
@@ -519,6 +534,12 @@ class _Translator:
         if parameter.type == "place" and value.tag.type == "entity":
             return value
         if parameter.type == "place" and value.tag.type == "list" and value.tag.element in _NUMBERS:
+            if value.tag.length != 3:
+                raise ArgumentError(
+                    f"{parameter.name} is to be {parameter.meaning}, not a list of "
+                    f"{value.tag.length if value.tag.length is not None else 'unknown length'}",
+                    span=node.span,
+                )
             index = {"x": 1, "y": 2, "z": 3}
             return _Value(
                 value.sql,
@@ -595,7 +616,7 @@ class _Translator:
         if len(kinds) != 1 or not kinds <= {"real", "text", "flag", "integer"}:
             raise _NotSqlError
         sql = exp.Array(expressions=[value.sql.copy() for value in values])
-        return _Value(sql, Tag("list", kinds.pop()), elements=tuple(values))
+        return _Value(sql, Tag("list", kinds.pop(), len(values)), elements=tuple(values))
 
     def _choice(self, condition: Node, then: Node, otherwise: Node) -> _Value:
         first, second = self.value(then), self.value(otherwise)

@@ -1,0 +1,31 @@
+# The tasks of this project; `make` alone lists them.
+PYTHON ?= .venv/bin/python
+
+.DEFAULT_GOAL := help
+.PHONY: help setup test lint bench docs scene
+
+help: ## list the tasks
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
+
+setup: ## make .venv with everything that development needs
+	python3 -m venv .venv
+	$(PYTHON) -m pip install --quiet -e '.[dev]'
+
+test: ## run the tests
+	$(PYTHON) -m pytest
+
+lint: ## check style and types, and that what is generated is up to date
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
+	$(PYTHON) -m mypy
+	$(PYTHON) tools/build_kitchen.py --check
+	$(PYTHON) tools/write_reference.py --check
+
+bench: ## print the tables of the benchmarks
+	$(PYTHON) -m benchmarks
+
+docs: ## write the manual's generated pages
+	$(PYTHON) tools/write_reference.py
+
+scene: ## write the files of the kitchen
+	$(PYTHON) tools/build_kitchen.py

@@ -1,0 +1,5 @@
+"""`python -m ssduck`: the command `ssduck`."""
+
+from ssduck.cli import main
+
+main()

@@ -1,0 +1,378 @@
+"""Raw SQL on live worlds, and how DuckDB is used: statements, plans, buffers, results."""
+
+from __future__ import annotations
+
+import ast
+import datetime as dt
+import decimal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.tables import TABLES
+
+NINE_PAIRS = (
+    "SELECT a.name, b.name FROM entities a, entities b "
+    "WHERE above(a, b) AND a.kind <> 'sensor' AND b.kind <> 'sensor'"
+)
+
+
+@pytest.fixture(scope="module")
+def ss():
+    with ssduck.load("kitchen") as interpreter:
+        yield interpreter
+
+
+@pytest.fixture
+def sim():
+    """A PyBullet client of the user's with three boxes, bound as `sim`."""
+    client = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    for place in range(3):
+        pybullet.createMultiBody(1, shape, basePosition=[place, 0, 1], physicsClientId=client)
+    with ssduck.Interpreter() as interpreter:
+        interpreter.add_variable("sim", ssduck.World.attach(client))
+        yield interpreter, client, shape
+    pybullet.disconnect(client)
+
+
+# -- tables -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_table_is_there_with_its_columns(ss, table):
+    for name in (table, f"kitchen.{table}"):
+        assert ss.sql(f"FROM {name} LIMIT 0").columns == [column.name for column in TABLES[table]]
+
+
+@pytest.mark.parametrize("table", sorted(set(TABLES) - {"contacts"}))
+def test_tables_are_filled_and_of_one_tick(ss, table):
+    ss.call_variable("kitchen").step()
+    rows = ss.sql(f"FROM {table}")
+    assert len(rows) > 0
+    if table != "geometries":
+        assert (
+            ss.sql(f"SELECT DISTINCT tick, time FROM {table}").fetchall()
+            == ss.sql("SELECT tick, time FROM ticks").fetchall()
+        )
+
+
+def test_contacts_join_entities(ss):
+    ss.call_variable("kitchen").step(240)
+    rows = ss.sql(
+        "SELECT DISTINCT a.name, b.name FROM contacts c JOIN entities a ON a.id = c.a "
+        "JOIN entities b ON b.id = c.b WHERE 'cup_905a' IN (a.name, b.name)"
+    ).fetchall()
+    assert rows == [("table", "cup_905a")]
+
+
+def test_links_joints_and_shapes_join_entities(ss):
+    joints = ss.sql(
+        "SELECT j.name FROM joints j JOIN entities e ON e.id = j.entity "
+        "WHERE e.name = 'barrett_4918' AND j.lower IS NOT NULL ORDER BY j.link"
+    ).fetchall()
+    assert [name for (name,) in joints][:7] == ["j1", "j2", "j3", "j4", "j5", "j6", "j7"]
+    types = ss.sql(
+        "SELECT DISTINCT g.type FROM shapes s JOIN geometries g ON g.id = s.geometry "
+        "JOIN entities e ON e.id = s.entity WHERE e.name = 'fridge'"
+    ).fetchall()
+    assert types == [("sphere",)]
+
+
+def test_two_worlds_are_two_schemas(ss, sim):
+    interpreter, _, _ = sim
+    world = ssduck.load("kitchen").call_variable("kitchen")
+    interpreter.add_variable("second", world)
+    assert len(interpreter.sql("FROM entities")) == len(interpreter.sql("FROM sim.entities")) == 3
+    assert len(interpreter.sql("FROM second.entities")) == len(world)
+    names = interpreter.eval("SELECT id FROM second WHERE isRobot(this) LIMIT 1 AS list;")
+    assert names == ["fridge"]
+    far = "SELECT count(*) FROM sim.entities a, second.entities b WHERE distance(a, b) > 0"
+    assert interpreter.sql(far).fetchone() == (3 * len(world),)
+    world.close()
+
+
+def test_a_world_bound_twice_keeps_its_schema(sim):
+    interpreter, _, _ = sim
+    interpreter.eval("other = sim;")
+    assert interpreter.eval("SELECT count([1]) FROM other AS list;") == [1, 1, 1]
+    interpreter.add_variable("third", interpreter.call_variable("sim"))
+    with pytest.raises(ssduck.SelectScriptError):
+        interpreter.sql("FROM third.entities")
+
+
+def test_a_world_that_takes_anothers_name(sim):
+    interpreter, _, _ = sim
+    old = interpreter.call_variable("sim")
+    client = pybullet.connect(pybullet.DIRECT)
+    interpreter.add_variable("old", old)
+    interpreter.add_variable("sim", ssduck.World.attach(client))
+    assert interpreter.eval("SELECT id FROM sim AS list;") == []
+    assert len(interpreter.eval("SELECT id FROM old AS list;")) == 3
+    assert len(interpreter.sql("FROM sim.entities")) == 0
+    pybullet.disconnect(client)
+
+
+# -- plans and statements -----------------------------------------------------------------------
+
+
+def test_the_nine_pairs_are_a_range_join_without_python(ss):
+    plan = ss.sql(f"EXPLAIN {NINE_PAIRS}").fetchall()[0][1].upper()
+    assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))
+    assert "UDF" not in plan
+    functions = ss.sql(
+        "SELECT count(*) FROM duckdb_functions() WHERE function_type = 'scalar' AND function_name = 'above'"
+    )
+    assert functions.fetchone() == (0,)
+    assert len(ss.sql(NINE_PAIRS)) == 9
+
+
+def test_selectscript_pairs_are_a_range_join_too(ss):
+    sql = ss.explain(
+        "SELECT to(id(a.this), 'a'), to(id(b.this), 'b') FROM a=kitchen, b=kitchen WHERE above(a.this, b.this);"
+    )
+    plan = ss.sql(f"EXPLAIN {sql}").fetchall()[0][1].upper()
+    assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))
+
+
+def test_statements_a_run():
+    """A compiled query is one statement; planning happens once, and for new buffers again."""
+    told = []
+    interpreter = ssduck.Interpreter(tracer=told.append)
+    with ssduck.load("kitchen") as other:
+        kitchen = other.call_variable("kitchen")
+        interpreter.add_variable("kitchen", kitchen)
+        program = interpreter.compile("SELECT id FROM kitchen WHERE z(this) > 1.5 AS list;")
+        told.clear()
+        interpreter.eval(program)
+        assert [sql.split()[0] for sql in told] == ["PREPARE", "EXECUTE"]
+        told.clear()
+        for _ in range(3):
+            kitchen.step()
+            interpreter.eval(program)
+        assert [sql.split()[0] for sql in told] == ["EXECUTE"] * 3
+        told.clear()
+        interpreter.eval("1 + 1; [1, 2][0];")
+        assert told == []
+    interpreter.close()
+
+
+def test_plans_follow_bodies_that_come_and_go(sim):
+    """A prepared statement would go on reading the buffers that it was made for."""
+    interpreter, client, shape = sim
+    program = interpreter.compile("SELECT x FROM sim WHERE x(this) > low AS list;")
+    interpreter.add_variable("low", 0.5)
+    world = interpreter.call_variable("sim")
+    assert interpreter.eval(program) == [1.0, 2.0]
+    pybullet.createMultiBody(1, shape, basePosition=[7, 0, 0], physicsClientId=client)
+    assert interpreter.eval(program) == [1.0, 2.0]  # until the next tick
+    world.tick()
+    assert interpreter.eval(program) == [1.0, 2.0, 7.0]
+    interpreter.add_variable("low", 1.5)
+    assert interpreter.eval(program) == [2.0, 7.0]
+    pybullet.removeBody(2, client)
+    world.tick()
+    assert interpreter.eval(program) == [7.0]
+
+
+def test_a_users_prepared_statement_never_reads_old_buffers(sim):
+    interpreter, client, shape = sim
+    interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")
+    assert interpreter.sql("EXECUTE mine").fetchone() == (3,)
+    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    interpreter.call_variable("sim").tick()
+    with pytest.raises(ssduck.SelectScriptError, match="mine"):
+        interpreter.sql("EXECUTE mine")
+    interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")
+    assert interpreter.sql("EXECUTE mine").fetchone() == (4,)
+
+
+def test_views_of_on_demand_tables_stay_up_to_date(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    interpreter.sql("CREATE VIEW fastest AS SELECT max(abs(vz)) AS v FROM links")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    world.step(24)
+    assert interpreter.sql("FROM fastest").fetchone()[0] == pytest.approx(1.0, rel=0.01)
+    world.step(24)
+    assert interpreter.sql("FROM fastest").fetchone()[0] == pytest.approx(2.0, rel=0.01)
+
+
+def test_stepping_is_seen_by_the_next_query(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    heights = []
+    for _ in range(3):
+        heights.append(interpreter.sql("SELECT max(z) FROM entities").fetchone()[0])
+        world.step(10)
+    assert heights == sorted(heights, reverse=True)
+    assert len(set(heights)) == 3
+
+
+def test_many_texts_do_not_pile_up(ss, monkeypatch):
+    monkeypatch.setattr("ssduck.interpreter.MOST_PLANS", 10)
+    for number in range(25):
+        assert ss.eval(f"SELECT id FROM kitchen WHERE z(this) > {number + 10} AS list;") == []
+    assert len(ss._plans) <= 10
+    (statements,) = ss.sql("SELECT count(*) FROM duckdb_prepared_statements()").fetchone()
+    assert statements <= 10
+
+
+def test_threads_may_step_and_ask(sim):
+    """Every answer is of one tick: all bodies fall alike, so all heights in it are equal."""
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    running = threading.Event()
+    running.set()
+
+    def step():
+        while running.is_set():
+            world.step()
+
+    stepper = threading.Thread(target=step)
+    stepper.start()
+    try:
+        answers = [interpreter.eval("SELECT z FROM sim AS list;") for _ in range(200)]
+        tables = [interpreter.sql("SELECT z FROM links").fetchall() for _ in range(100)]
+    finally:
+        running.clear()
+        stepper.join()
+    assert all(len(set(answer)) == 1 and len(answer) == 3 for answer in answers)
+    assert all(len(set(rows)) == 1 for rows in tables)
+    assert len({answer[0] for answer in answers}) > 1
+
+
+def test_one_module_calls_duckdb():
+    """And one folder imports pybullet."""
+    package = Path(ssduck.__file__).parent
+    importers = {"duckdb": set(), "pybullet": set()}
+    for path in package.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            for name in importers:
+                if name in names:
+                    importers[name].add(path.relative_to(package).as_posix())
+    assert importers == {"duckdb": {"database.py"}, "pybullet": {"simulators/pybullet.py"}}
+
+
+def test_nothing_is_printed_when_python_ends(tmp_path):
+    """Not even if nothing is closed, and an interpreter is still held by the module."""
+    program = (
+        "import ssduck\n"
+        "ss = ssduck.load('kitchen')\n"
+        "ss.add_function('f', lambda e: ss is not None)\n"
+        "assert ss.eval('SELECT id FROM kitchen WHERE f(this) AS list;')\n"
+        "rows = ss.sql('FROM links')\n"
+        "rows.fetchone()\n"
+    )
+    root = str(Path(ssduck.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+# -- results ------------------------------------------------------------------------------------
+
+
+def test_results_fetch_like_duckdbs(ss):
+    result = ss.sql("SELECT i, i * 2 AS twice FROM range(5) t(i)")
+    assert result.columns == ["i", "twice"]
+    assert result.shape == (5, 2)
+    assert len(result) == 5
+    assert result.fetchone() == (0, 0)
+    assert result.fetchmany(2) == [(1, 2), (2, 4)]
+    assert result.fetchall() == [(3, 6), (4, 8)]
+    assert result.fetchone() is None
+    assert result.fetchall() == []
+    assert list(result) == [(i, 2 * i) for i in range(5)]
+    assert repr(result) == "<Result: 5 rows of i, twice>"
+
+
+def test_results_of_every_type(ss):
+    row = ss.sql(
+        "SELECT 1::HUGEINT, sum(1), 'ü', NULL, [1, 2], {'a': 1}, 1.5::DECIMAL(4, 2), "
+        "DATE '2020-01-02', true, 'infinity'::DOUBLE, 'x'::BLOB"
+    ).fetchone()
+    assert row == (
+        1, 1, "ü", None, [1, 2], {"a": 1}, decimal.Decimal("1.50"),
+        dt.date(2020, 1, 2), True, float("inf"), b"x",
+    )  # fmt: skip
+
+
+def test_results_as_frames(ss):
+    result = ss.sql("SELECT name, z FROM entities ORDER BY z DESC, name LIMIT 3")
+    assert result.df()["name"].tolist() == result.pl()["name"].to_list()
+    assert result.arrow().column("name").to_pylist() == [name for name, _ in result]
+
+
+def test_results_stay_as_they_were(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    result = interpreter.sql("SELECT z FROM entities")
+    world.step(100)
+    assert result.fetchall() == [(1.0,)] * 3
+
+
+def test_results_in_a_notebook(ss):
+    page = ss.sql("SELECT '<b>' AS tag, i FROM range(30) t(i)")._repr_html_()
+    assert "&lt;b&gt;" in page
+    assert "first 20 of 30 rows" in page
+    assert page.count("<tr>") == 21
+
+
+@pytest.mark.parametrize(
+    ("sql", "parameters", "rows"),
+    [
+        ("SELECT ? + 1", [1], [(2,)]),
+        ("SELECT $1 || $2", ["a", "b"], [("ab",)]),
+        ("SELECT $name", {"name": "x'; --"}, [("x'; --",)]),
+        ("SELECT 1 WHERE false", None, []),
+        ("CREATE TABLE kept AS SELECT 1 AS i", None, None),
+        ("FROM kept", None, [(1,)]),
+        ("DROP TABLE kept", None, None),
+    ],
+)
+def test_parameters_and_other_statements(ss, sql, parameters, rows):
+    result = ss.sql(sql, parameters)
+    if rows is not None:
+        assert result.fetchall() == rows
+
+
+def test_a_database_file_can_be_used_again(tmp_path):
+    path = str(tmp_path / "kept.duckdb")
+    for round_ in range(2):
+        with ssduck.load("kitchen", path) as ss:
+            if round_ == 0:
+                ss.sql("CREATE TABLE notes AS SELECT name FROM entities WHERE kind = 'robot'")
+            assert len(ss.sql("FROM notes")) == 4
+            assert len(ss.sql(NINE_PAIRS)) == 9
+
+
+def test_a_file_that_is_no_database(tmp_path):
+    path = tmp_path / "text.duckdb"
+    path.write_text("no database at all, but long enough to be looked at" * 10)
+    with pytest.raises(ssduck.SelectScriptError, match=r"text\.duckdb cannot be opened"):
+        ssduck.Interpreter(str(path))
+
+
+def test_a_closed_interpreter_says_so(tmp_path):
+    ss = ssduck.load("kitchen")
+    ss.close()
+    ss.close()
+    with pytest.raises(ssduck.SelectScriptError, match=r"[Cc]losed"):
+        ss.sql("SELECT 1")

@@ -1,0 +1,114 @@
+"""What the README and the manual show is run, and what comes from the code is up to date."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import ssduck
+from ssduck.language import parse
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(language):
+    """The fenced blocks of a language, by page."""
+    found = {}
+    for page in PAGES:
+        texts = [
+            text
+            for name, text in FENCE.findall(page.read_text(encoding="utf-8"))
+            if name == language
+        ]
+        if texts:
+            found[page.name] = texts
+    return found
+
+
+@pytest.mark.parametrize(("page", "texts"), blocks("python").items())
+def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    namespace = {}
+    for text in texts:
+        exec(compile(text, page, "exec"), namespace)  # noqa: S102
+    for value in list(namespace.values()):
+        if isinstance(value, ssduck.Interpreter):
+            value.close()
+    printed = capsys.readouterr().out.strip()
+    for shown in blocks("text").get(page, ()):
+        assert shown.strip() in printed
+
+
+@pytest.mark.parametrize(("page", "texts"), blocks("selectscript").items())
+def test_selectscript_examples_run(page, texts):
+    assert page.endswith(".md")
+    with ssduck.load("kitchen") as ss:
+        for text in texts:
+            program = parse(text)
+            spans = [statement.span for statement in program.statements]
+            parts = [text] if program.explain else [text[s.start : s.end] + ";" for s in spans]
+            for part in parts:
+                value = ss.eval(part)
+                assert value not in (None, [], {}), f"{page}: an example that shows nothing"
+
+
+def test_values_that_the_readme_shows():
+    """`expression  # value` lines are true."""
+    with ssduck.load("kitchen") as ss:
+        rows = ss.eval(
+            "table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;"
+            "SELECT id, z FROM kitchen WHERE above(table, this) AND volume(this) < 0.001 ORDER BY z DESC;"
+        )
+        assert rows[0]["id"] == "plate_835a"
+        assert rows[0]["z"] == pytest.approx(0.922)
+        assert ss.eval("SELECT id FROM kitchen WHERE z(this) > 1.6 AS list;") == [
+            "pin_a091",
+            "pin_c671",
+        ]
+
+
+def test_the_guard_against_an_empty_run():
+    assert sum(map(len, blocks("python").values())) >= 8
+    assert sum(map(len, blocks("selectscript").values())) >= 4
+
+
+@pytest.mark.parametrize("text", [t for texts in blocks("toml").values() for t in texts])
+def test_toml_examples_parse(text):
+    assert tomllib.loads(text)
+
+
+@pytest.mark.parametrize("tool", ["write_reference.py", "build_kitchen.py"])
+def test_what_is_generated_is_up_to_date(tool):
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / tool), "--check"],
+        cwd=ROOT,
+        env={"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+        if not target.startswith("https://"):
+            assert (page.parent / target).exists(), target
+
+
+def test_every_module_is_in_the_manual():
+    page = (ROOT / "docs" / "how-it-works.md").read_text(encoding="utf-8")
+    modules = {path.name for path in (ROOT / "ssduck").glob("*.py")} - {
+        "__init__.py",
+        "__main__.py",
+    }
+    missing = {name for name in modules if f"`{name}`" not in page}
+    assert missing <= {"errors.py", "result.py"}

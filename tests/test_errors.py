@@ -1,0 +1,369 @@
+"""Everything that can be wrong with a program: one clear message, the place, the nearest name."""
+
+from __future__ import annotations
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    FunctionError,
+    ParseError,
+    RemovedEntityError,
+    SelectScriptError,
+    SimulatorError,
+    Span,
+    SqlError,
+    UnknownNameError,
+    UnsupportedError,
+    nearest,
+)
+
+
+def broken(value):
+    raise KeyError(value)
+
+
+@pytest.fixture(scope="module")
+def ss():
+    with ssduck.load("kitchen") as interpreter:
+        interpreter.add_function("broken", broken, "Raises.")
+        interpreter.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
+        yield interpreter
+
+
+# (program, kind, the offending text, words of the message, suggestions)
+MISTAKES = [
+    ("x = 1; y = unknwn + 1;", UnknownNameError, "unknwn", "no variable 'unknwn'", []),
+    ("SELECT id FROM kitchn;", UnknownNameError, "kitchn", "no variable 'kitchn'", ["kitchen"]),
+    ("tabel;", UnknownNameError, "tabel", "no variable 'tabel'", ["table"]),
+    (
+        "SELECT id FROM kitchen WHERE isRobott(this);",
+        UnknownNameError,
+        "isRobott",
+        "no function",
+        ["isRobot"],
+    ),
+    (
+        "SELECT vollume FROM kitchen;",
+        UnknownNameError,
+        "vollume",
+        "no function 'vollume'",
+        ["volume"],
+    ),
+    (
+        "SELECT id FROM kitchen ORDER BY hight;",
+        UnknownNameError,
+        "hight",
+        "no function 'hight'",
+        [],
+    ),
+    ("ISROBOT(table);", UnknownNameError, "ISROBOT", "no function", ["isRobot"]),
+    (
+        "SELECT id FROM kitchen AS dcit;",
+        UnknownNameError,
+        "dcit",
+        "no result form 'dcit'",
+        ["dict"],
+    ),
+    ("help('volum');", UnknownNameError, "help('volum')", "no function 'volum'", ["volume"]),
+    ("var('tabel');", UnknownNameError, "var('tabel')", "no variable 'tabel'", ["table"]),
+    (
+        "SELECT id FROM a=kitchen WHERE isRobot(b.this);",
+        UnknownNameError,
+        "b.this",
+        "no source 'b'",
+        ["a"],
+    ),
+    ("this;", UnknownNameError, "this", "no 'this' here", []),
+    ("above(table);", ArgumentError, "above(table)", "above takes 2 arguments, not 1", []),
+    (
+        "SELECT id FROM kitchen WHERE above(table, this, 3);",
+        ArgumentError,
+        "above(table, this, 3)",
+        "takes 2 arguments",
+        [],
+    ),
+    (
+        "SELECT position(this, 1) FROM kitchen;",
+        ArgumentError,
+        "position(this, 1)",
+        "takes 1 to 3 arguments",
+        [],
+    ),
+    ("SELECT isRobot() FROM kitchen;", ArgumentError, "isRobot()", "takes 1 argument, not 0", []),
+    ("broken(1, 2);", ArgumentError, "broken(1, 2)", "takes 1 argument, not 2", []),
+    (
+        "SELECT to(id(this)) FROM kitchen;",
+        ArgumentError,
+        "to(id(this))",
+        "to takes 2 arguments",
+        [],
+    ),
+    (
+        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE isRobot(this);",
+        ArgumentError,
+        "this",
+        "a.this, b.this",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen, kitchen;",
+        ArgumentError,
+        "kitchen",
+        "two sources are called 'kitchen'",
+        [],
+    ),
+    (
+        "SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen;",
+        ArgumentError,
+        "id(b.this)",
+        "two columns are called 'id'",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen AS list(3);",
+        ArgumentError,
+        "list(3)",
+        "AS list takes no arguments",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen WHERE above(3, this);",
+        ArgumentError,
+        "3",
+        "an entity, not a number",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen WHERE distance([1, 2], this) < 1;",
+        ArgumentError,
+        "[1, 2]",
+        "not a list of 2",
+        [],
+    ),
+    ("'a' < 1;", ArgumentError, "'a' < 1", "< does not take a text and a number", []),
+    (
+        "SELECT id FROM kitchen WHERE id(this) < 3;",
+        ArgumentError,
+        "id(this) < 3",
+        "< does not take",
+        [],
+    ),
+    ("-'a';", ArgumentError, "-'a'", "- does not take a text", []),
+    ("3[0];", ArgumentError, "0", "int has no element 0", []),
+    ("1 / 0;", EvaluationError, "1 / 0", "division by zero", []),
+    ("1 % 0;", EvaluationError, "1 % 0", "division by zero", []),
+    (
+        "SELECT id FROM kitchen WHERE 1 / (z(this) - z(this)) > 2;",
+        EvaluationError,
+        "1 / (z(this) - z(this))",
+        "division by zero",
+        [],
+    ),
+    ("10.0 ^ 400;", EvaluationError, "10.0 ^ 400", "too large", []),
+    ("[1, 2][2];", EvaluationError, "2", "no element 2: there are 2 elements", []),
+    ("SELECT id FROM kitchen LIMIT -1;", EvaluationError, "-1", "LIMIT takes a number of rows", []),
+    (
+        "SELECT id FROM kitchen LIMIT 'a';",
+        EvaluationError,
+        "'a'",
+        "LIMIT takes a number of rows",
+        [],
+    ),
+    ("broken(1);", FunctionError, "broken(1)", "broken: KeyError: 1", []),
+    (
+        "SELECT broken(id(this)) FROM kitchen;",
+        FunctionError,
+        "broken(id(this))",
+        "broken: KeyError: 'fridge_webcam'",
+        [],
+    ),
+    ("sqrt(-1);", FunctionError, "sqrt(-1)", "sqrt: ValueError", []),
+    ("v{5.0} = 3;", UnsupportedError, "v{5.0} = 3", "history", []),
+    ("SELECT id FROM kitchen{2.0};", UnsupportedError, "kitchen{2.0}", "history", []),
+    ("SELECT id FROM kitchen GROUP BY type;", UnsupportedError, "type", "GROUP BY", []),
+    (
+        "SELECT id FROM kitchen CONNECT BY a = 1 STOP WITH a > 2;",
+        UnsupportedError,
+        "CONNECT BY a = 1 STOP WITH a > 2",
+        "CONNECT BY",
+        [],
+    ),
+    ("eval('1 +');", ParseError, None, "expected an expression", []),
+]
+
+
+@pytest.mark.parametrize(("program", "kind", "offending", "words", "suggestions"), MISTAKES)
+def test_mistakes(ss, program, kind, offending, words, suggestions):
+    variables = dict(ss._variables)
+    with pytest.raises(kind) as caught:
+        ss.eval(program)
+    error = caught.value
+    assert words in error.message
+    for name in suggestions:
+        assert name in error.suggestions
+        assert repr(name) in str(error)
+    if offending is not None:
+        assert error.text == program
+        assert program[error.span.start : error.span.end] == offending
+        first, place, line, mark = str(error).splitlines()
+        assert first.startswith(error.message)
+        assert place == f"  line {error.line}, column {error.column}"
+        assert line[mark.index("^") : mark.rindex("^") + 1] == offending
+    # The session goes on, and no variable has changed.
+    assert ss._variables == variables
+    assert ss.eval("1 + 1;") == 2
+
+
+def test_the_cause_of_a_functions_error_is_kept(ss):
+    with pytest.raises(FunctionError) as caught:
+        ss.eval("SELECT id FROM kitchen WHERE broken(this);")
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_errors_are_the_builtin_ones_that_a_user_expects():
+    assert issubclass(UnknownNameError, LookupError)
+    assert issubclass(ParseError, ValueError)
+    assert issubclass(ArgumentError, TypeError)
+    assert issubclass(EvaluationError, ArithmeticError)
+    assert issubclass(SimulatorError, RuntimeError)
+    assert issubclass(UnsupportedError, NotImplementedError)
+
+
+def test_a_failed_program_changes_no_variable(ss):
+    ss.add_variable("kept", 1)
+    with pytest.raises(UnknownNameError):
+        ss.eval("kept = 2; added = 3; kept = nothing_of_that_name;")
+    assert ss.call_variable("kept") == 1
+    with pytest.raises(UnknownNameError):
+        ss.call_variable("added")
+    with pytest.raises(UnknownNameError):
+        ss.eval("clear(); nothing_of_that_name;")
+    assert ss.call_variable("kept") == 1
+
+
+@pytest.mark.parametrize("text", ["1" + " + 1" * 20_000, "a" + " OR a" * 20_000])
+def test_endless_chains_are_an_error_and_no_crash(ss, text):
+    ss.add_variable("a", False)
+    with pytest.raises(SelectScriptError, match="nested too deeply"):
+        ss.eval(text)
+    assert ss.eval("1;") == 1
+
+
+@pytest.mark.parametrize("name", ["not a name", "", "1a", "a;b"])
+def test_bad_names_of_variables_and_functions(ss, name):
+    with pytest.raises(ArgumentError, match="letters, digits and _ only"):
+        ss.add_variable(name, 1)
+    with pytest.raises(ArgumentError, match="letters, digits and _ only"):
+        ss.add_function(name, len)
+
+
+@pytest.mark.parametrize("name", ["above", "volume", "help", "count", "to"])
+def test_functions_of_the_language_stay(ss, name):
+    with pytest.raises(ArgumentError, match="choose another name"):
+        ss.add_function(name, len)
+
+
+def test_what_is_no_function_is_refused(ss):
+    with pytest.raises(ArgumentError, match="is no function"):
+        ss.add_function("three", 3)
+
+
+@pytest.mark.parametrize("name", ["main", "temp", "information_schema"])
+def test_worlds_cannot_take_duckdbs_schemas(ss, name):
+    world = ssduck.load("kitchen").call_variable("kitchen")
+    with (
+        ssduck.Interpreter() as fresh,
+        pytest.raises(ArgumentError, match="DuckDB has that schema"),
+    ):
+        fresh.add_variable(name, world)
+    world.close()
+
+
+# (sql, words)
+SQL_MISTAKES = [
+    ("SELECT nme FROM entities", "name"),
+    ("SELEC 1", "syntax error"),
+    ("FROM entitis", "entities"),
+    ("SELECT abov(a, b) FROM entities a, entities b", "above"),
+    ("SELECT above(a) FROM entities a", "above"),
+    ("SELECT 1; SELEC 2", "syntax error"),
+]
+
+
+@pytest.mark.parametrize(("sql", "words"), SQL_MISTAKES)
+def test_sql_mistakes(ss, sql, words):
+    with pytest.raises(SqlError, match=words) as caught:
+        ss.sql(sql)
+    assert caught.value.__cause__ is not None
+    assert ss.sql("SELECT 1").fetchall() == [(1,)]
+
+
+def test_a_removed_body():
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+        )
+        bodies = [pybullet.createMultiBody(1, shape, physicsClientId=client) for _ in range(2)]
+        world = ssduck.World.attach(client, names={bodies[0]: "stays", bodies[1]: "goes"})
+        with ssduck.Interpreter() as ss:
+            ss.add_variable("sim", world)
+            ss.eval("goes = SELECT obj FROM sim WHERE id(this) == 'goes' AS value;")
+            ss.eval("both = SELECT obj FROM sim AS list;")
+            pybullet.removeBody(bodies[1], client)
+            world.tick()
+            for program, offending in (
+                ("SELECT id FROM sim WHERE above(goes, this);", "goes"),
+                ("z(goes);", "goes"),
+                ("SELECT z(this) FROM both;", None),
+            ):
+                with pytest.raises(
+                    RemovedEntityError, match="'goes' is no longer in world 'sim'"
+                ) as caught:
+                    ss.eval(program)
+                if offending:
+                    span = caught.value.span
+                    assert program[span.start : span.end] == offending
+            assert ss.eval("SELECT id FROM sim AS list;") == ["stays"]
+            with pytest.raises(UnknownNameError, match="no entity 'goes'"):
+                world["goes"]
+    finally:
+        pybullet.disconnect(client)
+
+
+def test_a_disconnected_client():
+    """The last tick can still be asked; the next one cannot be taken, and says why."""
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.createMultiBody(physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(client))
+        pybullet.disconnect(client)
+        for act in (world.tick, world.step, lambda: world.render(8, 8)):
+            with pytest.raises(SimulatorError, match=f"PyBullet client {client} is disconnected"):
+                act()
+        assert len(ss.eval("SELECT id FROM sim AS list;")) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "best"),
+    [
+        ("isrobot", ["isRobot", "isSensor"], "isRobot"),
+        ("kitchn", ["kitchen", "garage"], "kitchen"),
+        ("volum", ["volume", "aabbVolume"], "volume"),
+    ],
+)
+def test_nearest_names(name, known, best):
+    assert nearest(name, known)[0] == best
+
+
+def test_nothing_is_near_to_nonsense():
+    assert nearest("qqqq", ["isRobot", "volume"]) == ()
+
+
+def test_long_offending_text_over_several_lines_is_marked_on_its_first():
+    error = SelectScriptError("wrong", text="a = [1,\n2];", span=Span(4, 10))
+    assert str(error).splitlines() == ["wrong", "  line 1, column 5", "    a = [1,", "        ^^^"]
