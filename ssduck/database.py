@@ -28,6 +28,10 @@ _TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 
 
+# No source can be called so, for it is no name.
+_PARAMETERS = "the parameters"
+
+
 class Statement:
     """A SELECT that DuckDB plans once and runs many times.
 
@@ -58,7 +62,7 @@ class Statement:
         tree = cast("exp.Select", select.transform(_as_column))
         self._has_parameters = bool(types)
         if types:
-            row = exp.table_(self._name, quoted=True, alias="parameters")
+            row = exp.table_(self._name, quoted=True, alias=_PARAMETERS)
             tree = tree.join(row, join_type="cross") if tree.find(exp.From) else tree.from_(row)
         name = exp.to_identifier(self._name, quoted=True).sql("duckdb")
         self._prepare = f"PREPARE {name} AS {tree.sql('duckdb')}"
@@ -85,7 +89,11 @@ class Statement:
 
 
 def _as_column(part: exp.Expr) -> exp.Expr:
-    return exp.column(part.name, table="parameters") if isinstance(part, exp.Parameter) else part
+    return (
+        exp.column(part.name, table=_PARAMETERS, quoted=True)
+        if isinstance(part, exp.Parameter)
+        else part
+    )
 
 
 @dataclass

@@ -63,6 +63,8 @@ class Evaluator:
         known: values of parts that are known already.
         elements: the current element of each source, by alias; that of the only source
             also by None.
+        once: parts that are the same for all rows: an empty list each until it is needed for
+            the first time, then its value in a list.
     """
 
     def __init__(
@@ -70,10 +72,16 @@ class Evaluator:
         scope: Scope,
         known: Mapping[Node, Any] | None = None,
         elements: Mapping[str | None, Any] | None = None,
+        once: Mapping[Node, list[Any]] | None = None,
     ) -> None:
         self.scope = scope
         self.known = known or {}
         self.elements = elements or {}
+        self.once = once or {}
+
+    def knowing(self, values: Mapping[Node, Any]) -> Evaluator:
+        """An evaluator that knows the values of more parts."""
+        return Evaluator(self.scope, {**self.known, **values}, self.elements, self.once)
 
     def value(self, node: Node) -> Any:
         """The value of an expression.
@@ -83,11 +91,17 @@ class Evaluator:
         """
         if node in self.known:
             return self.known[node]
+        kept = self.once.get(node)
+        if kept:
+            return kept[0]
         try:
-            return self._value(node)
+            value = self._value(node)
         except SelectScriptError as error:
             error.span = error.span or node.span
             raise
+        if kept is not None:
+            kept.append(value)
+        return value
 
     def _value(self, node: Node) -> Any:
         match node:

@@ -27,7 +27,7 @@ from ssduck.errors import (
 )
 from ssduck.evaluate import Evaluator
 from ssduck.functions import BUILTINS, Function
-from ssduck.language import Call, Name, Node, Program, Query, parse
+from ssduck.language import Call, Given, Node, Program, Query, parse
 from ssduck.queries import Planned, elements_of, shapes_of, tag_of
 from ssduck.result import Result
 from ssduck.scenes import find_scene
@@ -78,6 +78,7 @@ class Interpreter:
         self._functions: dict[str, Function] = dict(BUILTINS)
         self._functions.update((command.name, command) for command in self._commands())
         self._plans: dict[Query, list[Planned]] = {}
+        self._relations: dict[Call, Query] = {}
 
     def close(self) -> None:
         """Close the database and the worlds; a client that you made stays connected."""
@@ -170,7 +171,7 @@ class Interpreter:
 
     def _told(self, text: str, query: Query, evaluator: Evaluator) -> str:
         values = [evaluator.value(source.value) for source in query.sources]
-        plan = self._planned(query, values, evaluator).plan
+        plan = self._planned(query, values, _Typed(self, evaluator)).plan
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
         lines += [f"-- left to Python: {text[n.span.start : n.span.end]}" for n in plan.left]
         return "\n".join(lines)
@@ -359,16 +360,17 @@ class Interpreter:
         values = [outer.value(source.value) for source in node.sources]
         for value in values:
             self.ensure_worlds(value)
-        planned = self._planned(node, values, outer)
+        typed = _Typed(self, outer)
+        planned = self._planned(node, values, typed)
         if adapter.keyed:
             _check_columns(planned.plan)
         aliases = (shape.alias for shape in planned.plan.shapes)
-        return adapter.make(planned.run(outer, dict(zip(aliases, values, strict=True))))
+        inner = outer.knowing(typed.values)
+        return adapter.make(planned.run(inner, dict(zip(aliases, values, strict=True))))
 
-    def _planned(self, query: Query, values: Sequence[Any], outer: Evaluator) -> Planned:
+    def _planned(self, query: Query, values: Sequence[Any], typed: _Typed) -> Planned:
         """The query's plan for values of these types; made anew only for new types."""
         shapes = shapes_of(query, values)
-        typed = _Typed(self, outer)
         for planned in self._plans.get(query, ()):
             if planned.plan.fits(shapes, typed):
                 return planned
@@ -388,18 +390,23 @@ class Interpreter:
         for planned in itertools.chain.from_iterable(self._plans.values()):
             planned.forget()
         self._plans.clear()
+        self._relations.clear()
 
     def _relation(self, node: Call, evaluator: Evaluator) -> Any:
         """A relation outside a query: a query of one row, without sources."""
-        names = [f"argument_{index}" for index in range(len(node.arguments))]
+        query = self._relations.get(node)
+        if query is None:
+            names = [Given(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
+            asked = Call(node.span, node.name, tuple(names), node.name_span)
+            query = self._relations[node] = Query(node.span, (asked,), ())
+        (call,) = query.items
         values = [evaluator.value(argument) for argument in node.arguments]
-        inner = Evaluator(_Overlay(self, dict(zip(names, values, strict=True))))
-        arguments = tuple(Name(n.span, name) for n, name in zip(node.arguments, names, strict=True))
-        call = Call(node.span, node.name, arguments, node.name_span)
-        planned = self._planned(Query(node.span, (call,), ()), (), inner)
+        inner = evaluator.knowing(dict(zip(call.children(), values, strict=True)))
+        typed = _Typed(self, inner)
+        planned = self._planned(query, (), typed)
         if planned.plan.left:
             raise ArgumentError(f"{node.name} does not take that", span=node.span)
-        return planned.run(inner, {}).values[0][0]
+        return planned.run(inner.knowing(typed.values), {}).values[0][0]
 
 
 class _Typed:
@@ -410,33 +417,17 @@ class _Typed:
         self.check_call = interpreter.check_call
         self._interpreter = interpreter
         self._evaluator = evaluator
+        self.values: dict[Node, Any] = {}
 
     def has_source(self, alias: str) -> bool:
         return alias in self._evaluator.elements
 
     def tag(self, node: Node) -> Tag:
-        value = self._evaluator.value(node)
-        self._interpreter.ensure_worlds(value)
-        return tag_of(value)
-
-
-class _Overlay:
-    """An interpreter's scope with some variables before its own."""
-
-    def __init__(self, interpreter: Interpreter, variables: Mapping[str, Any]) -> None:
-        self._variables = variables
-        self._interpreter = interpreter
-        self.assign = interpreter.assign
-        self.call = interpreter.call
-        self.query = interpreter.query
-
-    def variable(self, name: str) -> Any:
-        if name in self._variables:
-            return self._variables[name]
-        return self._interpreter.variable(name)
-
-    def has_variable(self, name: str) -> bool:
-        return name in self._variables or self._interpreter.has_variable(name)
+        """The type of a constant part; its value is kept, so that it is computed once a run."""
+        if node not in self.values:
+            self.values[node] = self._evaluator.value(node)
+            self._interpreter.ensure_worlds(self.values[node])
+        return tag_of(self.values[node])
 
 
 def _compiled(program: str | Program) -> Program:

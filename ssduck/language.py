@@ -8,10 +8,11 @@ no database and no variable: names are looked up when a program runs.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import ClassVar, NoReturn, TypeVar
+from typing import Any, ClassVar, NoReturn, TypeVar
 
 from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
@@ -25,9 +26,12 @@ T = TypeVar("T")
 MAXIMUM_DEPTH = 60
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Node:
-    """A part of a program; `span` is its place in the text."""
+    """A part of a program; `span` is its place in the text.
+
+    Nodes are compared by identity, so that they are quick to look up.
+    """
 
     span: Span
 
@@ -45,29 +49,61 @@ class Node:
         for child in self.children():
             yield from child.walk()
 
+    def replaced(self, change: Callable[[Node], Node | None]) -> Node:
+        """The node with parts of it changed, from the outside in.
 
-@dataclass(frozen=True)
+        Args:
+            change: a part to what stands in its place, None to look into it.
+
+        Returns:
+            The node itself if nothing changes.
+        """
+        changed = change(self)
+        if changed is not None:
+            return changed
+        parts: dict[str, Any] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            part: Any = value
+            if isinstance(value, Node):
+                part = value.replaced(change)
+            elif isinstance(value, tuple):
+                part = tuple(v.replaced(change) if isinstance(v, Node) else v for v in value)
+                part = value if all(map(operator.is_, part, value)) else part
+            if part is not value:
+                parts[field.name] = part
+        return replace(self, **parts) if parts else self
+
+
+@dataclass(frozen=True, eq=False)
 class Literal(Node):
     """A number, a text, True or False."""
 
     value: int | float | str | bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ListOf(Node):
     """`[a, b, …]`."""
 
     items: tuple[Node, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Name(Node):
     """A variable, or in SELECT, GROUP BY and ORDER BY a key or a function of `this`."""
 
     name: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Given(Node):
+    """A value that is given from outside; no text has it."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
 class Aged(Node):
     """`v{5.0}`: a variable's history; `v{}` has no age."""
 
@@ -75,14 +111,14 @@ class Aged(Node):
     age: Node | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class This(Node):
     """The current element of a source: `this`, or `alias.this`."""
 
     alias: str | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Call(Node):
     """`f(a, b)`; `name_span` is the place of `f` alone."""
 
@@ -91,7 +127,7 @@ class Call(Node):
     name_span: Span
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Index(Node):
     """`x[i]`, `x[i, j]` and `x.key`."""
 
@@ -99,7 +135,7 @@ class Index(Node):
     indices: tuple[Node, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Unary(Node):
     """`-x`, `+x`, `NOT x`."""
 
@@ -107,7 +143,7 @@ class Unary(Node):
     operand: Node
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Binary(Node):
     """`a + b` and the like; the operator as in `LEVELS`."""
 
@@ -116,7 +152,7 @@ class Binary(Node):
     right: Node
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class If(Node):
     """`IF(condition; then, …; else, …)`: of each branch the last value counts."""
 
@@ -125,7 +161,7 @@ class If(Node):
     otherwise: tuple[Node, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Assignment(Node):
     """`name = value`, or `name{horizon} = value`."""
 
@@ -134,7 +170,7 @@ class Assignment(Node):
     value: Node
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Source(Node):
     """One entry of FROM: what it is called, and what it ranges over."""
 
@@ -142,7 +178,7 @@ class Source(Node):
     value: Node
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Key(Node):
     """One entry of ORDER BY."""
 
@@ -150,7 +186,7 @@ class Key(Node):
     descending: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recursion(Node):
     """`START WITH … CONNECT BY … STOP WITH …`."""
 
@@ -163,7 +199,7 @@ class Recursion(Node):
     stop: Node
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Adapter(Node):
     """`AS name(arguments)`."""
 
@@ -172,7 +208,7 @@ class Adapter(Node):
     named: tuple[Assignment, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Query(Node):
     """A SELECT; no items mean `*`."""
 
@@ -187,7 +223,7 @@ class Query(Node):
     adapter: Adapter | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Program:
     """A parsed text: its statements in order."""
 

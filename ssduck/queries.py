@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cmp_to_key
+from dataclasses import dataclass
+from functools import cached_property, cmp_to_key
 from typing import Any
 
 from ssduck.adapters import Rows
@@ -113,22 +114,33 @@ class Planned:
         with self._database.held():
             fetched = self._fetched(_parameters(plan, outer, sources))
             worlds = {world.name: world for world in self._database.worlds}
-            rows = [_Row(plan, outer, sources, worlds, values) for values in fetched]
-            rows = [row for row in rows if all(map(row.value, plan.conditions))]
-            if plan.order:
-                rows = _ordered(rows, plan.order)
-            if plan.limit is not None:
-                rows = rows[: _count(outer.value(plan.limit), plan.limit)]
-            values = [tuple(map(row.item, plan.items)) for row in rows]
-            if all(isinstance(name, str) for name in plan.names):
+            once: dict[Node, list[Any]] = {**outer.once, **{node: [] for node in plan.once}}
+            this_run = _Run(plan, outer, sources, worlds, once)
+            outputs = plan.outputs
+            if outputs is not None:  # nothing is left to Python
+                values = [tuple(this_run.output(o, row) for o in outputs) for row in fetched]
                 return Rows(values, tuple(map(str, plan.names)))
-            return Rows(values, [tuple(map(row.name, plan.names)) for row in rows])
+            return _finished(this_run, [_Row(this_run, values) for values in fetched])
 
     def _fetched(self, parameters: dict[str, Any]) -> list[tuple[Any, ...]]:
         # A buffer of numbers has no place for an unknown one.
         if self._statement is None or None in parameters.values():
             return self._database.rows(self.plan.sql, parameters or None)
         return self._statement.rows(parameters)
+
+
+def _finished(run: _Run, rows: list[_Row]) -> Rows:
+    """What Python makes of the rows that SQL left."""
+    plan = run.plan
+    rows = [row for row in rows if all(map(row.value, plan.conditions))]
+    if plan.order:
+        rows = _ordered(rows, plan.order)
+    if plan.limit is not None:
+        rows = rows[: _count(run.outer.value(plan.limit), plan.limit)]
+    values = [tuple(map(row.item, plan.items)) for row in rows]
+    if all(isinstance(name, str) for name in plan.names):
+        return Rows(values, tuple(map(str, plan.names)))
+    return Rows(values, [tuple(map(row.name, plan.names)) for row in rows])
 
 
 def _parameters(plan: Plan, outer: Evaluator, sources: Mapping[str, Any]) -> dict[str, Any]:
@@ -158,48 +170,56 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, bool | int | float | str) else 0
 
 
+@dataclass(frozen=True)
+class _Run:
+    """One run of a plan; `once` holds what is the same for all rows, from when it is needed."""
+
+    plan: Plan
+    outer: Evaluator
+    sources: Mapping[str, Any]
+    worlds: Mapping[str, World]
+    once: dict[Node, list[Any]]
+
+    def output(self, output: Output, values: tuple[Any, ...]) -> Any:
+        """The value of a column; an entity's id as its handle."""
+        value = values[output.index]
+        if output.schema is None or value is None:
+            return value
+        return self.worlds[output.schema].entity(value)
+
+
 class _Row:
     """One row that SQL left, and what Python makes of it."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        outer: Evaluator,
-        sources: Mapping[str, Any],
-        worlds: Mapping[str, World],
-        values: tuple[Any, ...],
-    ) -> None:
-        self._plan = plan
-        self._outer = outer
-        self._sources = sources
-        self._worlds = worlds
+    def __init__(self, run: _Run, values: tuple[Any, ...]) -> None:
+        self._run = run
         self._values = values
-        self._evaluator: Evaluator | None = None
+
+    @cached_property
+    def _evaluator(self) -> Evaluator:
+        run, plan = self._run, self._run.plan
+        known = dict(run.outer.known)
+        known.update((part, self.output(output)) for part, output in plan.known.items())
+        elements: dict[str | None, Any] = dict(run.outer.elements)
+        elements.update((shape.alias, self._element(shape)) for shape in plan.shapes)
+        if len(plan.shapes) == 1:
+            elements[None] = elements[plan.shapes[0].alias]
+        return Evaluator(run.outer.scope, known, elements, run.once)
+
+    def _element(self, shape: Shape) -> Any:
+        """The current element of a source; of values that SQL does not know, SQL has the number."""
+        element = self.output(self._run.plan.elements[shape.alias])
+        if shape.tag is not None and shape.tag.type == "any":
+            return elements_of(self._run.sources[shape.alias])[element - 1]
+        return element
 
     def value(self, node: Node) -> Any:
         """The value of a part that was left to Python."""
-        if self._evaluator is None:
-            plan = self._plan
-            known = {part: self.output(output) for part, output in plan.known.items()}
-            elements: dict[str | None, Any] = dict(self._outer.elements)
-            for shape in plan.shapes:
-                element = self._values[plan.elements[shape.alias].index]
-                if shape.tag is not None and shape.tag.type == "any":
-                    element = elements_of(self._sources[shape.alias])[element - 1]
-                else:
-                    element = self.output(plan.elements[shape.alias])
-                elements[shape.alias] = element
-            if len(plan.shapes) == 1:
-                elements[None] = elements[plan.shapes[0].alias]
-            self._evaluator = Evaluator(self._outer.scope, known, elements)
         return self._evaluator.value(node)
 
     def output(self, output: Output) -> Any:
-        """The value of a column; an entity's id as its handle."""
-        value = self._values[output.index]
-        if output.schema is None or value is None:
-            return value
-        return self._worlds[output.schema].entity(value)
+        """The value of a column."""
+        return self._run.output(output, self._values)
 
     def item(self, item: Item) -> Any:
         """The value of a selected item or of a key."""

@@ -9,8 +9,9 @@ database.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, Protocol
 
 from sqlglot import exp
@@ -21,6 +22,7 @@ from ssduck.language import (
     Assignment,
     Binary,
     Call,
+    Given,
     If,
     Index,
     ListOf,
@@ -134,6 +136,7 @@ class Plan:
         order: keys that are left to Python, with whether they descend.
         limit: LIMIT, if it is left to Python.
         elements: the column of each source's element, by alias.
+        once: constants that are left to Python.
         bare: bare names that were looked up, and whether there was a variable of that name.
     """
 
@@ -150,7 +153,15 @@ class Plan:
     order: list[tuple[Item, bool]] = field(default_factory=list)
     limit: Node | None = None
     elements: dict[str, Output] = field(default_factory=dict)
+    once: list[Node] = field(default_factory=list)
     bare: dict[str, bool] = field(default_factory=dict)
+
+    @cached_property
+    def outputs(self) -> list[Output] | None:
+        """The columns that the selected items are, if nothing is left to Python."""
+        if self.left or not all(isinstance(name, str) for name in self.names):
+            return None
+        return [item.output for item in self.items if item.output is not None]
 
     @property
     def numbers(self) -> dict[str, Literal["real", "integer"]] | None:
@@ -232,6 +243,7 @@ class _Translator:
         self.shapes = {shape.alias: shape for shape in shapes}
         self.names = names
         self.only = shapes[0].alias if len(shapes) == 1 else None
+        self.aliases = _sql_aliases(self.shapes)
         self.result = Plan(query, shapes)
         self.columns: list[exp.Expr] = []
         self.texts: dict[str, int] = {}
@@ -310,8 +322,8 @@ class _Translator:
                 assert item.output is not None
                 key = self.columns[item.output.index].copy()
                 ordered.append(exp.Ordered(this=key, desc=descending, nulls_first=False))
-        # A single source keeps its order by itself.
-        if len(self.shapes) > 1 or ordered:
+        # A scan keeps its order; a join, and be it with the row of parameters, need not.
+        if len(self.shapes) > 1 or ordered or self.result.bindings:
             for shape in self.result.shapes:
                 ordered.extend(self._position(shape))
         return ordered
@@ -328,8 +340,9 @@ class _Translator:
 
     def _table(self, shape: Shape) -> exp.Expr:
         """A source as a table: the entities of a world, some of them, or numbered values."""
+        alias = exp.to_identifier(self.aliases[shape.alias], quoted=True)
         if shape.tag is None:
-            return exp.table_("entities", db=shape.schema, quoted=True, alias=shape.alias)
+            return exp.table_("entities", db=shape.schema, quoted=True, alias=alias)
         rows = self._parameter(shape.alias, Binding("", source=shape.alias))
         numbers = exp.func("generate_subscripts", rows, exp.Literal.number(1))
         if shape.tag.type == "any":
@@ -339,21 +352,24 @@ class _Translator:
             values = exp.func("unnest", rows.copy())
             numbered = exp.select(exp.alias_(values, name), exp.alias_(numbers, "n"))
         if shape.tag.type != "entity":
-            return numbered.subquery(exp.to_identifier(shape.alias, quoted=True))
+            return numbered.subquery(alias)
         entities = exp.table_("entities", db=shape.tag.schema, quoted=True, alias="e")
         joined = exp.select("e.*", "i.n").from_(numbered.subquery("i")).join(entities, using=["id"])
-        return joined.subquery(exp.to_identifier(shape.alias, quoted=True))
+        return joined.subquery(alias)
 
     def _position(self, shape: Shape) -> list[exp.Expr]:
         """The keys by which a source's elements are in their order."""
         if shape.tag is not None:
-            return [_column(shape.alias, "n")]
+            return [self._column(shape.alias, "n")]
         sensors_first = exp.NEQ(
-            this=_column(shape.alias, "kind"), expression=exp.Literal.string("sensor")
+            this=self._column(shape.alias, "kind"), expression=exp.Literal.string("sensor")
         )
-        return [sensors_first, _column(shape.alias, "id")]
+        return [sensors_first, self._column(shape.alias, "id")]
 
     # -- columns and parameters -----------------------------------------------------------
+
+    def _column(self, alias: str, name: str) -> exp.Expr:
+        return exp.column(name, table=self.aliases[alias], quoted=True)
 
     def _output(self, value: _Value) -> Output:
         text = value.sql.sql(dialect="duckdb")
@@ -364,16 +380,18 @@ class _Translator:
 
     def _leave(self, node: Node) -> None:
         """Leave a part to Python: fetch the largest parts of it that SQL can do."""
-        if isinstance(node, Query):
+        if isinstance(node, Query) and not self._is_constant(node):
             return  # it runs by itself, and sees the elements
         if isinstance(node, Call) and node.name not in RELATIONS:
             self.names.check_call(node)
-        if not self._is_constant(node):
-            try:
-                self.result.known[node] = self._output(self.value(node))
-            except _NotSqlError:
-                for child in node.children():
-                    self._leave(child)
+        if self._is_constant(node):
+            self.result.once.append(node)
+            return
+        try:
+            self.result.known[node] = self._output(self.value(node))
+        except _NotSqlError:
+            for child in node.children():
+                self._leave(child)
 
     def _parameter(self, stem: str, wanted: Binding) -> exp.Expr:
         """A parameter for that binding: the same one for the same."""
@@ -390,15 +408,21 @@ class _Translator:
     # -- expressions ----------------------------------------------------------------------
 
     def _resolved(self, node: Node) -> Node:
-        """A bare name in SELECT, GROUP BY or ORDER BY: a variable, or a function of `this`."""
-        if not isinstance(node, Name):
-            return node
-        known = self.result.bare[node.name] = self.names.has_variable(node.name)
-        if known:
-            return node
-        call = Call(node.span, node.name, (This(node.span, None),), node.span)
-        self.names.check_call(call)
-        return call
+        """With bare names in SELECT, GROUP BY or ORDER BY: variables, or functions of `this`."""
+
+        def looked_up(part: Node) -> Node | None:
+            if isinstance(part, Query):
+                return part
+            if not isinstance(part, Name):
+                return None
+            known = self.result.bare[part.name] = self.names.has_variable(part.name)
+            if known:
+                return part
+            call = Call(part.span, part.name, (This(part.span, None),), part.span)
+            self.names.check_call(call)
+            return call
+
+        return node.replaced(looked_up)
 
     def _is_constant(self, node: Node) -> bool:
         """Whether it is the same for all rows, and can be evaluated without a query of its own.
@@ -433,13 +457,13 @@ class _Translator:
         if shape.tag is None or shape.tag.type == "entity":
             schema = shape.schema if shape.tag is None else shape.tag.schema
             return _Value(
-                _column(alias, "id"),
+                self._column(alias, "id"),
                 Tag("entity", schema=schema),
-                lambda name: _column(alias, name),
+                lambda name: self._column(alias, name),
             )
         if shape.tag.type == "any":
-            return _Value(_column(alias, "n"), shape.tag)
-        return _Value(_column(alias, "value"), shape.tag)
+            return _Value(self._column(alias, "n"), shape.tag)
+        return _Value(self._column(alias, "value"), shape.tag)
 
     def value(self, node: Node) -> _Value:
         """A part as SQL.
@@ -496,7 +520,7 @@ class _Translator:
         tag = self.result.constants.setdefault(node, self.names.tag(node))
         if tag.type == "any":
             raise _NotSqlError
-        stem = node.name if isinstance(node, Name) else "value"
+        stem = node.name if isinstance(node, Name | Given) else "value"
         if tag.type != "entity":
             return _Value(self._parameter(stem, Binding("", node, type=tag.type)), tag)
 
@@ -667,8 +691,15 @@ def _expanded(formula: exp.Expr, values: Mapping[str, _Value], name: str | None 
     return exp.paren(expanded) if isinstance(expanded, exp.Connector) else expanded
 
 
-def _column(alias: str, name: str) -> exp.Expr:
-    return exp.column(name, table=alias, quoted=True)
+def _sql_aliases(names: Iterable[str]) -> dict[str, str]:
+    """What sources are called in SQL, which does not tell upper from lower case."""
+    aliases: dict[str, str] = {}
+    for name in names:
+        taken = {alias.casefold() for alias in aliases.values()}
+        alike = sum(name.casefold() == other.casefold() for other in aliases)
+        alias = f"{name} {alike + 1}" if name.casefold() in taken else name
+        aliases[name] = alias
+    return aliases
 
 
 def _wrapped(sql: exp.Expr) -> exp.Expr:

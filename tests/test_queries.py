@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pybullet
 import pytest
 
 import ssduck
@@ -179,6 +180,15 @@ PROGRAMS = [
     ),
     ("SELECT e.this FROM e=kitchen WHERE id(e.this) == 'can' AS dict;", None),
     ("SELECT * FROM kitchen WHERE isRobot(this) LIMIT 1 AS list;", None),
+    ("SELECT z * 2 + 1 FROM kitchen WHERE id(this) == 'cooker' AS value;", 2.5),
+    ("SELECT str(z) + id FROM kitchen WHERE id(this) == 'cooker' AS value;", "0.75cooker"),
+    ("SELECT id FROM kitchen WHERE isRobot(this) ORDER BY -z LIMIT 1 AS list;", ["fridge"]),
+    ("SELECT a.this, A.this FROM a=[1], A=[2] AS list;", [1, 2]),
+    (
+        "SELECT id(parameters.this) FROM parameters=kitchen WHERE parameters.this == table AS list;",
+        ["table"],
+    ),
+    ("SELECT x.this FROM x=[4, 5], y=kitchen WHERE x.this == 5 AND y.this == table AS list;", [5]),
     ("SELECT 1 FROM kitchen LIMIT 2 AS list;", [1, 1]),
     ("SELECT id(table) FROM kitchen LIMIT 1 AS list;", ["table"]),
 ]
@@ -236,6 +246,48 @@ def test_cheap_conditions_come_before_python(ss):
     ss.add_function("spy", lambda e: called.append(e.name) or True, "Spies.")
     ss.eval("SELECT id FROM kitchen WHERE spy(this) AND isRobot(this) AND z(this) < 0.5;")
     assert called == ["roomba_625x"]
+
+
+def test_what_depends_on_no_row_is_evaluated_once(ss):
+    called = []
+    ss.add_function("once", lambda value: called.append(value) or value, "Spies.")
+    program = (
+        "SELECT id FROM kitchen WHERE z(this) > once(1.6) AND tall(this) == once(False) AS list;"
+    )
+    assert ss.eval(program) == ["pin_a091", "pin_c671"]
+    assert called == [1.6, False]
+    called.clear()
+    robots = "(SELECT once(id(this)) FROM kitchen WHERE isRobot(this) LIMIT 1 AS list)"
+    assert ss.eval(f"SELECT id FROM kitchen WHERE id(this) IN {robots} AS list;") == ["fridge"]
+    assert called == ["fridge"]
+
+
+def test_order_holds_in_large_worlds():
+    """Joins and the row of parameters may not disturb it, whatever plan DuckDB takes."""
+    client = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    for number in range(3000):
+        place = [number % 7, number % 11, number % 13]
+        pybullet.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach(client))
+        ss.add_variable("three", 3.0)
+        for condition in (
+            "x(this) > three",
+            "x(this) == three",
+            "x(this) == three AND y(this) < three",
+        ):
+            found = ss.eval(f"SELECT environmentID FROM sim WHERE {condition} AS list;")
+            assert found == sorted(found)
+            assert len(found) > 100
+        found = ss.eval(
+            "SELECT environmentID(a.this), environmentID(b.this) FROM a=sim, b=sim "
+            "WHERE x(a.this) == three AND y(a.this) == 4 AND distance(a.this, b.this) < 0.5 AS list;"
+        )
+        pairs = list(zip(found[::2], found[1::2], strict=True))
+        assert pairs == sorted(pairs)
+        assert len(pairs) > 100
+    pybullet.disconnect(client)
 
 
 def test_functions_get_copies(ss):
