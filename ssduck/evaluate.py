@@ -19,7 +19,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.language import (
+from ssduck.tree import (
     Aged,
     Assignment,
     Binary,

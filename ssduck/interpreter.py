@@ -26,12 +26,15 @@ from ssduck.errors import (
     nearest,
 )
 from ssduck.evaluate import Evaluator
+from ssduck.expressions import sees_outside
 from ssduck.functions import BUILTINS, Function
-from ssduck.language import Call, Given, Node, Program, Query, parse
+from ssduck.language import parse
+from ssduck.plan import Plan, Tag
 from ssduck.queries import Planned, elements_of, shapes_of, tag_of
 from ssduck.result import Result
 from ssduck.scenes import find_scene
-from ssduck.translate import Plan, Tag, sees_outside, translate, unknown_function
+from ssduck.translate import translate, unknown_function
+from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS, Relation
 from ssduck.world import Entity, World
 

@@ -12,8 +12,8 @@ from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.evaluate import Evaluator, apply
-from ssduck.language import Node, Query, Source
-from ssduck.translate import Item, Output, Plan, Shape, Tag
+from ssduck.plan import Item, Output, Plan, Shape, Tag
+from ssduck.tree import Node, Query, Source
 from ssduck.world import Entity, World
 
 

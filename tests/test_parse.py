@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssduck.errors import ParseError, SelectScriptError
-from ssduck.language import (
+from ssduck.language import parse
+from ssduck.tree import (
     Aged,
     Assignment,
     Binary,
@@ -21,7 +22,6 @@ from ssduck.language import (
     Query,
     This,
     Unary,
-    parse,
 )
 
 

@@ -1,0 +1,219 @@
+"""The tree of a program: frozen nodes that know their place in the text.
+
+Nodes know no simulator, no database and no variable; names are looked up when a program runs.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from ssduck.errors import Span
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A part of a program; `span` is its place in the text.
+
+    Nodes are compared by identity, so that they are quick to look up.
+    """
+
+    span: Span
+
+    def children(self) -> Iterator[Node]:
+        """The nodes directly below this one, in text order."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            for item in value if isinstance(value, tuple) else (value,):
+                if isinstance(item, Node):
+                    yield item
+
+    def walk(self) -> Iterator[Node]:
+        """The node itself and all below it."""
+        yield self
+        for child in self.children():
+            yield from child.walk()
+
+    def replaced(self, change: Callable[[Node], Node | None]) -> Node:
+        """The node with parts of it changed, from the outside in.
+
+        Args:
+            change: a part to what stands in its place, None to look into it.
+
+        Returns:
+            The node itself if nothing changes.
+        """
+        changed = change(self)
+        if changed is not None:
+            return changed
+        parts: dict[str, Any] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            part: Any = value
+            if isinstance(value, Node):
+                part = value.replaced(change)
+            elif isinstance(value, tuple):
+                part = tuple(v.replaced(change) if isinstance(v, Node) else v for v in value)
+                part = value if all(map(operator.is_, part, value)) else part
+            if part is not value:
+                parts[field.name] = part
+        return replace(self, **parts) if parts else self
+
+
+@dataclass(frozen=True, eq=False)
+class Literal(Node):
+    """A number, a text, True or False."""
+
+    value: int | float | str | bool
+
+
+@dataclass(frozen=True, eq=False)
+class ListOf(Node):
+    """`[a, b, …]`."""
+
+    items: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Name(Node):
+    """A variable, or in SELECT, GROUP BY and ORDER BY a key or a function of `this`."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Given(Node):
+    """A value that is given from outside; no text has it."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Aged(Node):
+    """`v{5.0}`: a variable's history; `v{}` has no age."""
+
+    name: str
+    age: Node | None
+
+
+@dataclass(frozen=True, eq=False)
+class This(Node):
+    """The current element of a source: `this`, or `alias.this`."""
+
+    alias: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Call(Node):
+    """`f(a, b)`; `name_span` is the place of `f` alone."""
+
+    name: str
+    arguments: tuple[Node, ...]
+    name_span: Span
+
+
+@dataclass(frozen=True, eq=False)
+class Index(Node):
+    """`x[i]`, `x[i, j]` and `x.key`."""
+
+    base: Node
+    indices: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Unary(Node):
+    """`-x`, `+x`, `NOT x`."""
+
+    operator: str
+    operand: Node
+
+
+@dataclass(frozen=True, eq=False)
+class Binary(Node):
+    """`a + b` and the like; the operator as in `LEVELS`."""
+
+    operator: str
+    left: Node
+    right: Node
+
+
+@dataclass(frozen=True, eq=False)
+class If(Node):
+    """`IF(condition; then, …; else, …)`: of each branch the last value counts."""
+
+    condition: Node
+    then: tuple[Node, ...]
+    otherwise: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Assignment(Node):
+    """`name = value`, or `name{horizon} = value`."""
+
+    name: str
+    horizon: Node | None
+    value: Node
+
+
+@dataclass(frozen=True, eq=False)
+class Source(Node):
+    """One entry of FROM: what it is called, and what it ranges over."""
+
+    alias: str | None
+    value: Node
+
+
+@dataclass(frozen=True, eq=False)
+class Key(Node):
+    """One entry of ORDER BY."""
+
+    value: Node
+    descending: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Recursion(Node):
+    """`START WITH … CONNECT BY … STOP WITH …`."""
+
+    start: tuple[Assignment, ...]
+    no_cycle: bool
+    unique: bool
+    memorize: Node | None
+    maximum: Node | None
+    step: tuple[Assignment, ...]
+    stop: Node
+
+
+@dataclass(frozen=True, eq=False)
+class Adapter(Node):
+    """`AS name(arguments)`."""
+
+    name: str
+    arguments: tuple[Node, ...] = ()
+    named: tuple[Assignment, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Query(Node):
+    """A SELECT; no items mean `*`."""
+
+    items: tuple[Node, ...]
+    sources: tuple[Source, ...]
+    where: Node | None = None
+    recursion: Recursion | None = None
+    group: tuple[Node, ...] = ()
+    having: Node | None = None
+    order: tuple[Key, ...] = ()
+    limit: Node | None = None
+    adapter: Adapter | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A parsed text: its statements in order."""
+
+    text: str
+    statements: tuple[Node, ...]
+    explain: bool = False
