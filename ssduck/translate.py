@@ -74,6 +74,9 @@ class _Translator:
         plan.select = plan.select.where(*[c for c in conditions if c is not None])
         if order:
             plan.select = plan.select.order_by(*order)
+        # A part that turned out not to be SQL may have asked for parameters before it did.
+        used = {parameter.name for parameter in plan.select.find_all(exp.Parameter)}
+        plan.bindings = [binding for binding in plan.bindings if binding.name in used]
         plan.sql = plan.select.sql(dialect="duckdb")
         return plan
 
