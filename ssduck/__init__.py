@@ -1,7 +1,33 @@
 """ssduck: a robot simulation as a database."""
 
-from ssduck.errors import SelectScriptError
-from ssduck.interpreter import Interpreter, load
-from ssduck.world import Entity, Sensor, World
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ssduck.errors import SelectScriptError
+    from ssduck.interpreter import Interpreter, load
+    from ssduck.world import Entity, Sensor, World
 
 __all__ = ["Entity", "Interpreter", "SelectScriptError", "Sensor", "World", "load"]
+
+_HOMES = {
+    "Entity": "world",
+    "Interpreter": "interpreter",
+    "SelectScriptError": "errors",
+    "Sensor": "world",
+    "World": "world",
+    "load": "interpreter",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is used: the command's help needs none of them."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -9,21 +9,24 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import errno
+import datetime as dt
 import inspect
 import io
 import json
 import math
+import os
 import re
+import signal
 import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from enum import StrEnum
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -62,17 +65,10 @@ class _Commands(TyperGroup):
         try:
             with _warnings_in_one_line():
                 result = super().invoke(ctx)
-            if sys.stdout is not None:
-                sys.stdout.flush()
         except SelectScriptError as error:
             _complain(str(error))
             raise typer.Exit(1) from error
-        except OSError as error:
-            if error.errno == errno.EPIPE:  # typer ends quietly when the reader has gone
-                raise
-            sys.stdout = io.StringIO()  # what cannot be written would be tried again at exit
-            _complain(str(error))
-            raise typer.Exit(1) from error
+        sys.stdout.flush()  # here typer still sees that the reader has gone, and ends quietly
         return result
 
 
@@ -87,11 +83,38 @@ app = typer.Typer(
 
 def main() -> None:
     """The entry point of the command `ssduck`."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
+    _prepare_streams()
     sys.set_int_max_str_digits(0)  # an integer of the language may be longer than 4300 digits
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # names are shown in any locale, or escaped
+    try:
+        app(prog_name="ssduck")
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        # The output cannot be written (a full disk, say), and must not be tried again at the end.
+        sys.stdout = io.StringIO()
+        _complain(str(error))
+        sys.exit(1)
+
+
+def _interrupted(*_: object) -> NoReturn:
+    """End at once on Ctrl-C.
+
+    Python's KeyboardInterrupt does not always arrive: libraries that are being imported swallow
+    it, and DuckDB turns it into another exception.
+    """
+    os._exit(130)
+
+
+def _prepare_streams() -> None:
+    """Closed streams lead nowhere; names are shown in any locale, if need be as escapes."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    app(prog_name="ssduck")
 
 
 def _complain(message: str) -> None:
@@ -226,8 +249,6 @@ def query(
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
-    if seconds is not None and not math.isfinite(seconds):
-        raise typer.BadParameter(f"--seconds: {seconds} is not a length of time")
     text = _program(program, file)
 
     from ssduck.interpreter import load
@@ -235,13 +256,20 @@ def query(
 
     description = find_scene(scene)
     if seconds is not None:
-        steps = round(seconds / description.timestep)
+        steps = _whole_steps(seconds / description.timestep)
     # What a program prints is not its answer.
     with load(scene) as ss, contextlib.redirect_stdout(sys.stderr):
+        ss.sql("SET enable_progress_bar = false")  # DuckDB's goes to standard output
         if steps:
             ss.call_variable(description.name).step(steps)
         value = ss.sql(text) if sql else ss.eval(text)
     _WRITERS[format](value)
+
+
+def _whole_steps(count: float) -> int:
+    if not math.isfinite(count):
+        raise typer.BadParameter("--seconds: that is too long")
+    return round(count)
 
 
 @app.command()
@@ -388,9 +416,9 @@ def _write_table(value: Any) -> None:
     if answer.columns and not answer.named:
         for row in answer.rows:
             _line(_shown(row[0]))
-    else:
+    elif answer.columns or answer.rows:
         _print_table(answer)
-    if not answer.rows and answer.columns and value is not None:
+    if answer.columns and not answer.rows and value is not None:
         _line("(no rows)")
 
 
@@ -401,12 +429,12 @@ def _write_json(value: Any) -> None:
         columns = _distinct(value.columns)
         value = [dict(zip(columns, row, strict=True)) for row in value.fetchall()]
     ascii_only = (sys.stdout.encoding or "").lower() not in ("utf-8", "utf8")
-    if not isinstance(value, list) or not value:
+    if not (isinstance(value, list) and any(isinstance(row, list | dict) for row in value)):
         _line(json.dumps(_plain(value), ensure_ascii=ascii_only))
         return
     start = "[\n"
-    for element in value:  # an element a line can be read by people too
-        sys.stdout.write(start + json.dumps(_plain(element), ensure_ascii=ascii_only))
+    for row in value:  # a row a line can be read by people too
+        sys.stdout.write(start + json.dumps(_plain(row), ensure_ascii=ascii_only))
         start = ",\n"
     _line("\n]")
 
@@ -439,10 +467,6 @@ def _plain(value: Any) -> Any:
 
 
 def _of_other_type(value: Any) -> Any:
-    from datetime import date, datetime
-    from datetime import time as time_of_day
-    from decimal import Decimal
-
     from ssduck.world import Entity, World
 
     match value:
@@ -450,7 +474,7 @@ def _of_other_type(value: Any) -> Any:
             return value.name
         case Decimal():
             return float(value)
-        case date() | datetime() | time_of_day():
+        case dt.date() | dt.time():
             return value.isoformat()
     return str(value)
 
@@ -561,8 +585,6 @@ def _numeric(answer: _Answer) -> list[bool]:
 
 
 def _is_number(value: Any) -> bool:
-    from decimal import Decimal
-
     return value is None or (
         isinstance(value, int | float | Decimal) and not isinstance(value, bool)
     )
@@ -581,20 +603,22 @@ def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql
     """Ask a question and show all of it; how long the answer took, in seconds."""
     from rich.table import Table
 
-    shown = Table.grid(padding=(0, 2, 1, 0))
-    shown.add_column(style="dim", min_width=9)
-    shown.add_column(overflow="fold")
-    if question.addition is not None:
-        added = question.addition
+    added = question.addition
+    if added is not None:
         ss.add_function(added.name, added.function, added.help)
-        shown.add_row("  Python", _highlighted(inspect.getsource(added.function)))
-    shown.add_row("  program", _highlighted(question.program))
-    if with_sql and not question.sql and (sql := ss.explain(question.program)):
-        shown.add_row("  as SQL", _compact(sql), style="dim")
     start = time.perf_counter()
     value = ss.sql(question.program) if question.sql else ss.eval(question.program)
     taken = time.perf_counter() - start
     answer = _answer(value)
+
+    shown = Table.grid(padding=(0, 2, 1, 0))
+    shown.add_column(style="dim", min_width=9)
+    shown.add_column(overflow="fold")
+    if added is not None:
+        shown.add_row("  Python", _highlighted(inspect.getsource(added.function)))
+    shown.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
+    if with_sql and not question.sql and (sql := ss.explain(question.program)):
+        shown.add_row("  as SQL", _compact(sql), style="dim")
     shown.add_row("  answer", _table(answer) if answer.named else _shown(value))
     with console.capture() as captured:
         console.print(shown)

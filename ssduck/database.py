@@ -130,6 +130,8 @@ class Database:
         self._asked_for_good: set[str] = set()
         # The data are small and the queries many: a second thread costs more than it gives.
         self.run("SET threads = 1")
+        # It would be drawn on standard output, amid what a program prints there.
+        self.run("SET enable_progress_bar = false")
         for relation in RELATIONS.values():
             self.run(relation.macro)
 
@@ -193,6 +195,10 @@ class Database:
             yield
         except duckdb.Error as error:
             raise SqlError(str(error).strip()) from error
+        except RuntimeError as error:  # so DuckDB tells of Ctrl-C
+            if "interrupted" not in str(error).lower():
+                raise
+            raise KeyboardInterrupt from error
 
     # -- worlds ---------------------------------------------------------------------------
 

@@ -90,7 +90,7 @@ class Expressions:
 
     def column(self, alias: str, name: str) -> exp.Expr:
         """A column of a source."""
-        return exp.column(name, table=self.aliases[alias], quoted=True)
+        return exp.column(name, table=exp.to_identifier(self.aliases[alias]))
 
     def parameter(self, stem: str, wanted: Binding) -> exp.Expr:
         """A parameter for that binding: the same one for the same."""

@@ -28,7 +28,7 @@ from ssduck.errors import (
 from ssduck.evaluate import Evaluator
 from ssduck.expressions import sees_outside
 from ssduck.functions import BUILTINS, Function
-from ssduck.language import parse
+from ssduck.language import is_reserved, parse
 from ssduck.plan import Plan, Tag
 from ssduck.queries import Planned, elements_of, shapes_of, tag_of
 from ssduck.result import Result
@@ -315,6 +315,10 @@ class Interpreter:
         """The value of a variable, or an UnknownNameError with the nearest names."""
         if name in self._variables:
             return self._variables[name]
+        if name in self._known_functions():
+            raise UnknownNameError(
+                f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
+            )
         raise UnknownNameError(
             f"there is no variable {name!r}",
             suggestions=nearest(name, [*self._variables, *self._known_functions()]),
@@ -445,6 +449,8 @@ def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Fun
 def _check_name(name: str, what: str) -> None:
     if not name.isidentifier():
         raise ArgumentError(f"{name!r} cannot be {what}'s name: letters, digits and _ only")
+    if is_reserved(name):
+        raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")
 
 
 def _adapter(query: Query) -> Adapter:

@@ -94,6 +94,11 @@ OPERATOR_WORDS = ("OR", "XOR", "AND", "NOT", "IN")
 RESERVED = frozenset((*OPERATOR_WORDS, "FROM", "WHERE", "SELECT", "AS"))
 
 
+def is_reserved(name: str) -> bool:
+    """Whether a program could not call a variable so."""
+    return name.upper() in RESERVED or name.upper() in ("TRUE", "FALSE", "THIS")
+
+
 @lru_cache(maxsize=512)
 def parse(text: str) -> Program:
     """Parse a program.

@@ -145,9 +145,9 @@ class _Translator:
 
     def _table(self, shape: Shape) -> exp.Expr:
         """A source as a table: the entities of a world, some of them, or numbered values."""
-        alias = exp.to_identifier(self.sql.aliases[shape.alias], quoted=True)
+        alias = exp.to_identifier(self.sql.aliases[shape.alias])
         if shape.tag is None:
-            return exp.table_("entities", db=shape.schema, quoted=True, alias=alias)
+            return exp.table_("entities", db=shape.schema, alias=alias)
         rows = self.sql.parameter(shape.alias, Binding("", source=shape.alias))
         numbers = exp.func("generate_subscripts", rows, exp.Literal.number(1))
         if shape.tag.type == "any":
@@ -158,7 +158,7 @@ class _Translator:
             numbered = exp.select(exp.alias_(values, name), exp.alias_(numbers, "n"))
         if shape.tag.type != "entity":
             return numbered.subquery(alias)
-        entities = exp.table_("entities", db=shape.tag.schema, quoted=True, alias="e")
+        entities = exp.table_("entities", db=shape.tag.schema, alias="e")
         joined = exp.select("e.*", "i.n").from_(numbered.subquery("i")).join(entities, using=["id"])
         return joined.subquery(alias)
 

@@ -82,7 +82,7 @@ class Relation:
             found[len(self.parameters)] = _parsed(self.sliced)
         return found
 
-    @property
+    @cached_property
     def macro(self) -> str:
         """The statement that makes the DuckDB macro of the same name."""
         overloads = [

@@ -38,6 +38,7 @@ def ss():
 MISTAKES = [
     ("x = 1; y = unknwn + 1;", UnknownNameError, "unknwn", "no variable 'unknwn'", []),
     ("SELECT id FROM kitchn;", UnknownNameError, "kitchn", "no variable 'kitchn'", ["kitchen"]),
+    ("SELECT id FROM kitchen WHERE id == 'can';", UnknownNameError, "id", "write id(this)", []),
     ("tabel;", UnknownNameError, "tabel", "no variable 'tabel'", ["table"]),
     (
         "SELECT id FROM kitchen WHERE isRobott(this);",
@@ -259,6 +260,12 @@ def test_bad_names_of_variables_and_functions(ss, name):
         ss.add_variable(name, 1)
     with pytest.raises(ArgumentError, match="letters, digits and _ only"):
         ss.add_function(name, len)
+
+
+@pytest.mark.parametrize("name", ["select", "From", "this", "TRUE", "and"])
+def test_words_of_the_language_are_no_names(ss, name):
+    with pytest.raises(ArgumentError, match="a word of the language"):
+        ss.add_variable(name, 1)
 
 
 @pytest.mark.parametrize("name", ["above", "volume", "help", "count", "to"])

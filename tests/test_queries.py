@@ -366,7 +366,7 @@ def test_a_variable_hides_the_function_of_its_name_in_select(ss):
 def test_explain_is_a_statement_too(ss):
     text = ss.eval("EXPLAIN SELECT id FROM kitchen WHERE above(table, this);")
     assert "$table_xmin" in text
-    assert '"kitchen"."entities"' in text
+    assert "FROM kitchen.entities AS kitchen" in text
 
 
 def test_names_cannot_inject_sql(ss):
