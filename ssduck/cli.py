@@ -8,11 +8,8 @@ need it, so that help is there at once.
 from __future__ import annotations
 
 import contextlib
-import csv
-import datetime as dt
 import inspect
 import io
-import json
 import math
 import os
 import re
@@ -20,29 +17,32 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from decimal import Decimal
+from collections.abc import Iterator
 from enum import StrEnum
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
+from ssduck.answers import (
+    WRITERS,
+    Answer,
+    answer_of,
+    console_of_answers,
+    print_line,
+    print_table,
+    table_of,
+)
 from ssduck.errors import SelectScriptError
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import Console
     from rich.text import Text
 
     from ssduck.demo import Question
     from ssduck.interpreter import Interpreter
     from ssduck.world import World
-
-# How wide the output is at least where there is no terminal to tell.
-WIDTH = 100
 
 # Of both languages, and of Python's as far as the demonstration uses them.
 _KEYWORDS = (
@@ -202,7 +202,7 @@ def demo(
     if output is not None and not picture:
         raise typer.BadParameter("--output and --no-picture exclude each other")
     description = find_scene(scene)
-    console = _console()
+    console = console_of_answers()
     with load(scene) as ss:
         asked = questions(description)
         taken = 0.0
@@ -259,11 +259,10 @@ def query(
         steps = _whole_steps(seconds / description.timestep)
     # What a program prints is not its answer.
     with load(scene) as ss, contextlib.redirect_stdout(sys.stderr):
-        ss.sql("SET enable_progress_bar = false")  # DuckDB's goes to standard output
         if steps:
             ss.call_variable(description.name).step(steps)
         value = ss.sql(text) if sql else ss.eval(text)
-    _WRITERS[format](value)
+    WRITERS[format](value)
 
 
 def _whole_steps(count: float) -> int:
@@ -278,7 +277,7 @@ def scenes() -> None:
     from ssduck.scenes import read_scene, shipped_scenes
 
     shipped = [(name, read_scene(path).description) for name, path in shipped_scenes().items()]
-    _print_table(_Answer(["scene", "description"], shipped))
+    print_table(Answer(["scene", "description"], shipped))
 
 
 @app.command()
@@ -293,10 +292,10 @@ def functions(
 
     with Interpreter() as ss:
         if name is not None:
-            _line(ss.help(name))
+            print_line(ss.help(name))
             return
         listed = [_usage_and_gist(ss.help(known)) for known in ss.help()]
-    _print_table(_Answer(["function", "what it does"], listed))
+    print_table(Answer(["function", "what it does"], listed))
 
 
 def _usage_and_gist(text: str) -> tuple[str, str]:
@@ -364,238 +363,6 @@ def _decoded(content: bytes, source: str) -> str:
         ) from error
 
 
-# -- answers ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Answer:
-    """An answer as rows.
-
-    Attributes:
-        columns: their names, none if the rows are lists.
-        rows: may differ in length if there are no columns.
-        named: whether the answer itself names the columns.
-    """
-
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Any]]
-    named: bool = True
-
-
-def _answer(value: Any) -> _Answer:
-    """A value as rows: lists of dicts and of lists row by row, else a row a value."""
-    from ssduck.result import Result
-
-    if isinstance(value, Result):
-        return _Answer(_distinct(value.columns), value.fetchall())
-    if isinstance(value, dict):
-        return _Answer(["key", "value"], list(value.items()))
-    if value is None:
-        return _Answer(["value"], [], named=False)
-    if not isinstance(value, list):
-        return _Answer(["value"], [[value]], named=False)
-    if value and all(isinstance(row, dict) for row in value):
-        names = list(dict.fromkeys(name for row in value for name in row))
-        return _Answer([_key(name) for name in names], [[*map(row.get, names)] for row in value])
-    if value and all(isinstance(row, list) for row in value):
-        return _Answer([], value, named=False)
-    return _Answer(["value"], [[element] for element in value], named=False)
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Columns of the same name are told apart by a number."""
-    found: list[str] = []
-    for name in names:
-        numbered = (f"{name}_{number}" for number in range(2, 2 + len(names)))
-        found.append(next(n for n in (name, *numbered) if n not in found))
-    return found
-
-
-def _write_table(value: Any) -> None:
-    answer = _answer(value)
-    if answer.columns and not answer.named:
-        for row in answer.rows:
-            _line(_shown(row[0]))
-    elif answer.columns or answer.rows:
-        _print_table(answer)
-    if answer.columns and not answer.rows and value is not None:
-        _line("(no rows)")
-
-
-def _write_json(value: Any) -> None:
-    from ssduck.result import Result
-
-    if isinstance(value, Result):
-        columns = _distinct(value.columns)
-        value = [dict(zip(columns, row, strict=True)) for row in value.fetchall()]
-    ascii_only = (sys.stdout.encoding or "").lower() not in ("utf-8", "utf8")
-    if not (isinstance(value, list) and any(isinstance(row, list | dict) for row in value)):
-        _line(json.dumps(_plain(value), ensure_ascii=ascii_only))
-        return
-    start = "[\n"
-    for row in value:  # a row a line can be read by people too
-        sys.stdout.write(start + json.dumps(_plain(row), ensure_ascii=ascii_only))
-        start = ",\n"
-    _line("\n]")
-
-
-def _write_csv(value: Any) -> None:
-    answer = _answer(value)
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    if answer.columns:
-        writer.writerow(answer.columns)
-    writer.writerows([[_cell(element) for element in row] for row in answer.rows])
-
-
-_WRITERS = {Format.TABLE: _write_table, Format.JSON: _write_json, Format.CSV: _write_csv}
-
-
-def _plain(value: Any) -> Any:
-    """A value as JSON has it: entities and worlds by name, numbers that are none as null."""
-    match value:
-        case None | bool() | int() | str():
-            return value
-        case float():
-            return value if math.isfinite(value) else None
-        case list() | tuple():
-            return [_plain(element) for element in value]
-        case dict():
-            return {_key(key): _plain(element) for key, element in value.items()}
-        case bytes():
-            return value.hex()
-    return _of_other_type(value)
-
-
-def _of_other_type(value: Any) -> Any:
-    from ssduck.world import Entity, World
-
-    match value:
-        case Entity() | World():
-            return value.name
-        case Decimal():
-            return float(value)
-        case dt.date() | dt.time():
-            return value.isoformat()
-    return str(value)
-
-
-def _key(key: Any) -> str:
-    return key if isinstance(key, str) else _cell(key)
-
-
-def _cell(value: Any) -> str:
-    """A value in a CSV file: a text, or JSON; an unknown value is empty."""
-    plain = _plain(value)
-    if plain is None:
-        return ""
-    return plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False)
-
-
-def _shown(value: Any, *, inside: bool = False) -> str:
-    """A value for people: numbers rounded to six digits, entities by name."""
-    match value:
-        case float():
-            return f"{value + 0.0:.{6 if abs(value) < 1e6 else 15}g}"  # -0.0 + 0.0 is 0.0
-        case str():
-            return repr(value) if inside else value
-        case list() | tuple():
-            return f"[{', '.join(_shown(element, inside=True) for element in value)}]"
-        case dict():
-            items = (
-                f"{_shown(k, inside=True)}: {_shown(v, inside=True)}" for k, v in value.items()
-            )
-            return f"{{{', '.join(items)}}}"
-        case None:
-            return "NULL"
-        case bool():
-            return str(value)
-    return str(_plain(value))
-
-
-# -- on the terminal ----------------------------------------------------------------------
-
-
-def _line(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-
-
-def _console() -> Console:
-    """Where text is printed as it is: square brackets are no markup, numbers not coloured."""
-    from rich.console import Console
-
-    console = Console(markup=False, highlight=False, emoji=False)
-    if not console.is_terminal:
-        console.width = WIDTH
-    return console
-
-
-def _print_table(answer: _Answer) -> None:
-    """A table, folded to fit a terminal; elsewhere it is as wide as it is."""
-    console = _console()
-    if console.is_terminal:
-        console.print(_table(answer))
-    else:
-        sys.stdout.writelines(f"{line}\n" for line in _aligned(answer))
-
-
-def _table(answer: _Answer) -> RenderableType:
-    """A table for rich, which takes its time: half a second for a thousand rows."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, show_header=answer.named)
-    for name, numeric in zip(_names(answer), _numeric(answer), strict=True):
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
-    for row in answer.rows:
-        table.add_row(*map(_on_one_line, row))
-    return table
-
-
-def _aligned(answer: _Answer) -> Iterator[str]:
-    """The lines of a table that is read by programs, or kept."""
-    from rich.cells import cell_len
-
-    lines = [[_on_one_line(value) for value in row] for row in answer.rows]
-    if answer.named:
-        lines.insert(0, [_on_one_line(name) for name in answer.columns])
-    widths = [max(map(cell_len, cells)) for cells in zip_longest(*lines, fillvalue="")]
-    if answer.named:
-        lines.insert(1, ["-" * width for width in widths])
-    numeric = _numeric(answer)
-    for line in lines:
-        padded = (
-            " " * (width - cell_len(text)) + text
-            if right
-            else text + " " * (width - cell_len(text))
-            for text, width, right in zip(line, widths, numeric, strict=False)
-        )
-        yield "  ".join(padded).rstrip()
-
-
-def _names(answer: _Answer) -> Sequence[str]:
-    width = max(map(len, answer.rows), default=0)
-    return [_on_one_line(name) for name in answer.columns] if answer.named else [""] * width
-
-
-def _numeric(answer: _Answer) -> list[bool]:
-    """Which columns hold numbers only; they are aligned at the right."""
-    columns = zip_longest(*answer.rows)
-    found = [all(map(_is_number, column)) for column in columns]
-    return found or [False] * len(answer.columns)
-
-
-def _is_number(value: Any) -> bool:
-    return value is None or (
-        isinstance(value, int | float | Decimal) and not isinstance(value, bool)
-    )
-
-
-def _on_one_line(value: Any) -> str:
-    """As `_shown`; line ends and what else would upset a terminal are escaped."""
-    text = _shown(value)
-    return text if text.isprintable() else repr(text)[1:-1]
-
-
 # -- the demonstration --------------------------------------------------------------------
 
 
@@ -609,19 +376,19 @@ def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql
     start = time.perf_counter()
     value = ss.sql(question.program) if question.sql else ss.eval(question.program)
     taken = time.perf_counter() - start
-    answer = _answer(value)
+    answer = answer_of(value)
 
-    shown = Table.grid(padding=(0, 2, 1, 0))
-    shown.add_column(style="dim", min_width=9)
-    shown.add_column(overflow="fold")
+    grid = Table.grid(padding=(0, 2, 1, 0))
+    grid.add_column(style="dim", min_width=9)
+    grid.add_column(overflow="fold")
     if added is not None:
-        shown.add_row("  Python", _highlighted(inspect.getsource(added.function)))
-    shown.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
+        grid.add_row("  Python", _highlighted(inspect.getsource(added.function)))
+    grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
     if with_sql and not question.sql and (sql := ss.explain(question.program)):
-        shown.add_row("  as SQL", _compact(sql), style="dim")
-    shown.add_row("  answer", _table(answer) if answer.named else _shown(value))
+        grid.add_row("  as SQL", _compact(sql), style="dim")
+    grid.add_row("  answer", table_of(answer) if answer.named else shown(value))
     with console.capture() as captured:
-        console.print(shown)
+        console.print(grid)
         console.line()
     # Padding at the ends of lines is in the way of those who copy or compare them.
     sys.stdout.write(re.sub(r" +$", "", captured.get(), flags=re.MULTILINE))
