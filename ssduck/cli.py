@@ -32,6 +32,7 @@ from ssduck.answers import (
     console_of_answers,
     print_line,
     print_table,
+    shown,
     table_of,
 )
 from ssduck.errors import SelectScriptError
