@@ -8,9 +8,10 @@ in a frame A: `point_A = position + R(orientation) @ point_B`. Arrays of n frame
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -19,11 +20,17 @@ import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
+Triangles: TypeAlias = npt.NDArray[np.int32]
 GeometryType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+# Points are turned and compared in bunches of this size; a box has eight corners.
+TOGETHER = 8
 # Below this many points a hull costs more to find than it saves in each box.
 WORTH_A_HULL = 9
+# A scene has a few dozen mesh files at most, each in one or two sizes. What is not used any
+# more goes, so that big meshes do not add up.
+CACHED_FILES = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +49,7 @@ class Geometry:
     type: GeometryType
     size: tuple[float, float, float]
     vertices: Array
-    faces: npt.NDArray[np.int32]
+    faces: Triangles
 
     @classmethod
     def primitive(cls, type: GeometryType, size: Sequence[float]) -> Geometry:
@@ -60,73 +67,140 @@ class Geometry:
     def key(self) -> str:
         """Equal for equal shapes: geometries are stored and built once by content."""
         digest = hashlib.blake2b(digest_size=12)
-        digest.update(f"{self.type}{self.size}".encode())
+        digest.update(f"{self.type}{self.size}{self.vertices.shape}".encode())
         digest.update(self.vertices.tobytes())
         digest.update(self.faces.tobytes())
         return digest.hexdigest()
 
 
-@lru_cache(maxsize=256)
-def load_mesh(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
-    """A triangle mesh from a file that trimesh reads (OBJ, STL, …), scaled along its axes.
+# -- mesh files -------------------------------------------------------------------------------
+
+
+def load_mesh(path: Path, scale: tuple[float, ...]) -> Geometry:
+    """All triangles of a mesh file (OBJ, STL, …), scaled along its axes.
 
     Raises:
-        ValueError: the file holds no triangles.
+        ValueError: the file cannot be read, or holds no triangles.
     """
+    return _mesh(path, scale, _stamp(path))
+
+
+def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
+    """The convex hull of each object in a mesh file (OBJ, STL, …), scaled along its axes.
+
+    Raises:
+        ValueError: the file cannot be read, or holds no triangles.
+    """
+    return _hulls(path, scale, _stamp(path))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """Tells a file from what it was before it was written anew."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {error.strerror}") from error
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(maxsize=CACHED_FILES)
+def _mesh(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> Geometry:
+    vertices, objects = _read_triangles(path)
+    return Geometry("mesh", (0.0, 0.0, 0.0), vertices * scale, np.concatenate(objects))
+
+
+@lru_cache(maxsize=CACHED_FILES)
+def _hulls(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> tuple[Geometry, ...]:
+    vertices, objects = _read_triangles(path)
+    return tuple(Geometry.hull(vertices[np.unique(faces)] * scale) for faces in objects)
+
+
+def _read_triangles(path: Path) -> tuple[Array, list[Triangles]]:
+    """The vertices of a file, and the triangles of each of its objects."""
+    try:
+        if path.suffix.lower() == ".obj":
+            vertices, objects = _read_obj(path.read_text(encoding="utf-8", errors="replace"))
+        else:
+            vertices, objects = _read_other(path)
+    except Exception as error:  # of any kind: trimesh lets its readers' own errors through
+        raise ValueError(f"{path} cannot be read as a mesh: {error}") from error
+    if not objects:
+        raise ValueError(f"{path} holds no triangles")
+    used = np.concatenate(objects)
+    if used.min() < 0 or used.max() >= len(vertices):
+        raise ValueError(f"{path}: a face has a vertex that is not there")
+    if not np.isfinite(vertices[used]).all():
+        raise ValueError(f"{path}: a vertex is no finite number")
+    return vertices, objects
+
+
+def _read_obj(text: str) -> tuple[Array, list[Triangles]]:
+    """An OBJ file; `o` and `g` begin an object, as they do for PyBullet."""
+    vertices: list[list[float]] = []
+    objects: list[list[list[int]]] = [[]]
+    for line in text.splitlines():
+        match line.split():
+            case ["v", x, y, z, *_]:
+                vertices.append([float(x), float(y), float(z)])
+            case ["f", *corners]:
+                # A corner is vertex/texture/normal; numbers count from 1, or back from the end.
+                numbers = [int(corner.partition("/")[0]) for corner in corners]
+                face = [n - 1 if n > 0 else len(vertices) + n for n in numbers]
+                objects[-1] += [[face[0], *edge] for edge in pairwise(face[1:])]
+            case ["o" | "g", *_]:
+                objects.append([])
+    return (
+        np.array(vertices, dtype=np.float64).reshape(-1, 3),
+        [np.array(triangles, dtype=np.int32) for triangles in objects if triangles],
+    )
+
+
+def _read_other(path: Path) -> tuple[Array, list[Triangles]]:
+    """A file that trimesh reads, as one object."""
     import trimesh
 
     loaded: Any = trimesh.load_mesh(path, process=False)
-    faces = np.asarray(loaded.faces, dtype=np.int32)
-    if len(faces) == 0:
-        raise ValueError(f"{path} holds no triangles")
-    vertices = np.asarray(loaded.vertices, dtype=np.float64) * np.asarray(scale)
-    return (Geometry("mesh", (0.0, 0.0, 0.0), vertices, faces),)
-
-
-@lru_cache(maxsize=256)
-def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
-    """The convex hull of each object in a file that trimesh reads, scaled along its axes.
-
-    Raises:
-        ValueError: the file holds no vertices.
-    """
-    import trimesh
-
-    options: dict[str, Any] = {}
-    if path.suffix.lower() == ".obj":
-        options = {"split_objects": True, "split_groups": True}
-    scene: Any = trimesh.load_scene(path, process=False, **options)
-    pieces = [np.asarray(mesh.vertices) * np.asarray(scale) for mesh in scene.geometry.values()]
-    if not any(map(len, pieces)):
-        raise ValueError(f"{path} holds no vertices")
-    return tuple(Geometry.hull(piece) for piece in pieces if len(piece))
+    faces = np.asarray(loaded.faces, dtype=np.int32).reshape(-1, 3)
+    return np.asarray(loaded.vertices, dtype=np.float64), [faces] if len(faces) else []
 
 
 # -- poses ------------------------------------------------------------------------------------
 
-# R = 1/|q|^2 * (the products q_i q_j weighed so): one matrix product for all nine entries.
-# Source: the rotation matrix of a quaternion, e.g. Shuster 1993, eq. 102 (transposed).
-_products = np.zeros((4, 4, 3, 3))
-for _i, _j, _row, _column, _weight in (
-    *((0, 0, axis, axis, 1.0) for axis in range(3)),
-    *(
-        (1 + a, 1 + a, axis, axis, 1.0 if a == axis else -1.0)
-        for a in range(3)
-        for axis in range(3)
-    ),
-    *((1 + a, 1 + b, a, b, 2.0) for a in range(3) for b in range(3) if a != b),
-    *((0, 1 + c, b, a, 2.0) for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1))),
-    *((0, 1 + c, a, b, -2.0) for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1))),
-):
-    _products[_i, _j, _row, _column] += _weight
-_PRODUCTS: Array = _products.reshape(16, 9)
+# Rotations and products are sums of products of two rows' entries. As one matrix product of all
+# such products with constant weights they cost two calls; numpy's own `cross` costs dozens,
+# which counts where a tick is a few hundred rows.
+_EPSILON = np.zeros((3, 3, 3))  # the cross product: axis a times axis b is ± axis c
+for _a, _b, _c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _EPSILON[_a, _b, _c], _EPSILON[_b, _a, _c] = 1.0, -1.0
+_CROSS: Array = _EPSILON.reshape(9, 3)
+
+# (s, u)(t, v) = (s t - u.v, s v + t u + u x v)
+_HAMILTON = np.zeros((4, 4, 4))
+_HAMILTON[0, :, :] = np.eye(4)
+_HAMILTON[1:, 0, 1:] = np.eye(3)
+_HAMILTON[1:, 1:, 0] = -np.eye(3)
+_HAMILTON[1:, 1:, 1:] = _EPSILON
+_PRODUCT: Array = _HAMILTON.reshape(16, 4)
+
+# R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed)
+_SQUARES = np.zeros((4, 4, 3, 3))
+_SQUARES[0, 0] = np.eye(3)
+_SQUARES[1:, 1:] = 2.0 * np.einsum("ai,bj->abij", np.eye(3), np.eye(3))
+for _a in range(3):
+    _SQUARES[1 + _a, 1 + _a] -= np.eye(3)
+    _SQUARES[0, 1 + _a] = 2.0 * _EPSILON[_a].T
+_ROTATION: Array = _SQUARES.reshape(16, 9)
+
+
+def _products(first: Array, second: Array, weights: Array) -> Array:
+    pairs = first[:, :, None] * second[:, None, :]
+    summed: Array = pairs.reshape(len(first), len(weights)) @ weights
+    return summed
 
 
 def rotation_matrices(orientations: Array) -> Array:
     """(n, 4) unit quaternions to (n, 3, 3) rotation matrices."""
-    count = len(orientations)
-    products = (orientations[:, :, None] * orientations[:, None, :]).reshape(count, 16)
-    return (products @ _PRODUCTS).reshape(count, 3, 3)
+    return _products(orientations, orientations, _ROTATION).reshape(-1, 3, 3)
 
 
 def rotate(matrices: Array, vectors: Array) -> Array:
@@ -135,19 +209,14 @@ def rotate(matrices: Array, vectors: Array) -> Array:
     return rotated
 
 
+def cross(first: Array, second: Array) -> Array:
+    """Cross products of the rows of (n, 3)."""
+    return _products(first, second, _CROSS)
+
+
 def multiply(first: Array, second: Array) -> Array:
     """Hamilton products of (n, 4) quaternions: the rotation `second`, then `first`."""
-    w, x, y, z = first.T
-    a, b, c, d = second.T
-    return np.stack(
-        (
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        ),
-        axis=-1,
-    )
+    return _products(first, second, _PRODUCT)
 
 
 def compose(
@@ -180,66 +249,65 @@ class PlacedGeometry:
     orientation: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Core:
+    """Points of a frame, with a sphere around each, or a disc across an axis around each.
+
+    What is convex of a shape, for its box: a sphere is one point with a sphere, a capsule two; a
+    cylinder is two with discs; boxes, hulls and meshes are points with neither.
+
+    Attributes:
+        group: whose box it belongs to.
+        frame: whose points these are.
+        points: (n, 3), in the frame.
+        radius: of the spheres.
+        disc: (2, 3), two radii of the discs at a right angle.
+    """
+
+    group: int
+    frame: int
+    points: Array
+    radius: float = 0.0
+    disc: Array = field(default_factory=lambda: np.zeros((2, 3)))
+
+    def parts(self) -> Iterator[_Core]:
+        """The same with `TOGETHER` points each; the last point is there as often as it takes."""
+        for start in range(0, len(self.points), TOGETHER):
+            some = np.minimum(np.arange(start, start + TOGETHER), len(self.points) - 1)
+            yield replace(self, points=self.points[some])
+
+
 class Boxer:
     """Exact world boxes of groups of rigid frames' shapes, for many poses one after another.
 
-    What does not depend on the poses is worked out once. A shape is either a *core*, which is
-    a centre with half-axes, a radius around it and a disc across its third axis (spheres,
-    boxes, cylinders and capsules are such), or a set of points (hulls and meshes), or a plane.
+    What does not depend on the poses is worked out once.
 
     Args:
         shapes: the shapes, in any order.
         groups: per shape, the group whose box it belongs to.
-        count: how many groups there are. One without shapes gets a box of NaN.
+        count: how many groups there are. One without shapes gets an empty box: its lower
+            corner is at infinity, its upper one at minus infinity.
     """
 
     def __init__(self, shapes: Sequence[PlacedGeometry], groups: Sequence[int], count: int) -> None:
-        self.count = count
         pairs = list(zip(shapes, groups, strict=True))
-        points, solid = _gathered_points(pairs)
-        cores = [pair for pair in solid if pair[0].geometry.type != "plane"]
-        self.planes = [pair for pair in solid if pair[0].geometry.type == "plane"]
-        self._set_cores(cores)
-        self._set_points(points)
-        owners = [group for _, group in cores] + [group for _, group, _ in points]
-        self._order = np.argsort(owners, kind="stable").astype(np.intp)
-        self._groups, self._starts = np.unique(np.sort(owners), return_index=True)
-        self._in_order = bool(np.all(np.diff(self._order) == 1))
-        self._complete = len(self._groups) == count
-
-    def _set_cores(self, cores: list[tuple[PlacedGeometry, int]]) -> None:
-        self._core_frames = np.array([shape.frame for shape, _ in cores], dtype=np.intp)
-        halves = np.zeros((len(cores), 3))
-        self._radii = np.zeros((len(cores), 1))
-        self._discs = np.zeros((len(cores), 1))
-        for row, (shape, _) in enumerate(cores):
-            a, b, c = shape.geometry.size
-            match shape.geometry.type:
-                case "box":
-                    halves[row] = a / 2, b / 2, c / 2
-                case "sphere":
-                    self._radii[row] = a
-                case "capsule":
-                    halves[row, 2], self._radii[row] = b / 2, a
-                case "cylinder":
-                    halves[row, 2], self._discs[row] = b / 2, a
-        self._round = bool(self._discs.any())
-        local = rotation_matrices(_stacked([shape.orientation for shape, _ in cores], 4))
-        self._axes = local[:, :, 2]
-        centres = _stacked([shape.position for shape, _ in cores], 3)
-        # Columns: the centre, then the three half-axes; one product turns them all.
-        self._columns = np.concatenate((centres[:, :, None], local * halves[:, None, :]), axis=2)
-
-    def _set_points(self, points: list[tuple[int, int, Array]]) -> None:
-        counts = [len(rows) for _, _, rows in points]
-        frames = [frame for frame, _, _ in points]
-        self._points = (
-            np.concatenate([rows for _, _, rows in points]) if points else np.zeros((0, 3))
+        self._planes = [pair for pair in pairs if pair[0].geometry.type == "plane"]
+        self._count = count
+        cores = [part for core in _cores(pairs) for part in core.parts()]
+        cores.sort(key=lambda core: core.group)
+        self._groups, self._starts = np.unique(
+            np.array([core.group for core in cores], dtype=np.intp), return_index=True
         )
-        self._point_frames = np.repeat(np.array(frames, dtype=np.intp), counts)
-        self._point_starts = np.concatenate(([0], np.cumsum(counts)[:-1])).astype(np.intp)
+        self._frames = np.array([core.frame for core in cores], dtype=np.intp)
+        self._radii = np.array([core.radius for core in cores])
+        self._has_discs = any(core.disc.any() for core in cores)
+        # What turns with the frames: of each core its points, then two radii of its discs.
+        turning = [core.points for core in cores]
+        if self._has_discs:
+            turning = [np.vstack((core.points, core.disc)) for core in cores]
+        self._vectors = np.array(turning).reshape(len(cores), -1, 3).T.copy() if cores else None
 
-    def boxes(self, positions: Array, matrices: Array) -> tuple[Array, Array]:
+    def boxes(self, positions: Array, matrices: Array) -> Array:
         """The boxes at these poses of the frames.
 
         Args:
@@ -247,80 +315,73 @@ class Boxer:
             matrices: (frames, 3, 3) rotations.
 
         Returns:
-            The lower and the upper corners, (groups, 3) each.
+            (6, groups): the lower corners' x, y, z, then the upper corners'.
         """
-        low, high = self._shape_boxes(positions, matrices)
-        if len(low) and not self._in_order:
-            low, high = low[self._order], high[self._order]
-        if len(low) and len(self._starts) < len(low):
-            low = np.minimum.reduceat(low, self._starts)
-            high = np.maximum.reduceat(high, self._starts)
-        if not self._complete:
-            low, high = self._spread(low), self._spread(high)
-        for shape, group in self.planes:
-            _add_plane(low[group], high[group], shape, positions, matrices)
-        return low, high
+        boxes = self._of_groups(positions, matrices)
+        for shape, group in self._planes:
+            _add_plane(boxes[:, group], shape, positions, matrices)
+        return boxes
 
-    def _shape_boxes(self, positions: Array, matrices: Array) -> tuple[Array, Array]:
-        lows, highs = [], []
-        if len(self._core_frames):
-            turned = matrices[self._core_frames] @ self._columns
-            centres = turned[:, :, 0] + positions[self._core_frames]
-            extents = np.abs(turned[:, :, 1:]).sum(axis=2) + self._radii
-            if self._round:
-                along = rotate(matrices[self._core_frames], self._axes)
-                extents = extents + self._discs * np.sqrt(np.maximum(0.0, 1.0 - along * along))
-            lows.append(centres - extents)
-            highs.append(centres + extents)
-        if len(self._points):
-            points = rotate(matrices[self._point_frames], self._points)
-            points += positions[self._point_frames]
-            lows.append(np.minimum.reduceat(points, self._point_starts))
-            highs.append(np.maximum.reduceat(points, self._point_starts))
-        if len(lows) == 1:
-            return lows[0], highs[0]
-        if not lows:
-            return np.zeros((0, 3)), np.zeros((0, 3))
-        return np.concatenate(lows), np.concatenate(highs)
+    def _of_groups(self, positions: Array, matrices: Array) -> Array:
+        if self._vectors is None:
+            return self._spread(np.zeros((6, 0)))
+        low, high = self._of_cores(positions, matrices, self._vectors)
+        boxes = np.zeros((6, len(self._groups)))
+        np.minimum.reduceat(low, self._starts, axis=1, out=boxes[:3])
+        np.maximum.reduceat(high, self._starts, axis=1, out=boxes[3:])
+        return boxes if len(self._groups) == self._count else self._spread(boxes)
 
-    def _spread(self, rows: Array) -> Array:
-        every = np.full((self.count, 3), np.nan)
-        every[self._groups] = rows
+    def _of_cores(self, positions: Array, matrices: Array, vectors: Array) -> tuple[Array, Array]:
+        """The lower and the upper corners of the cores' boxes, (3, cores) each."""
+        # Copies, for what is not contiguous costs more than copying it.
+        turn = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
+        turned = np.einsum("ijn,jkn->ikn", turn, vectors)
+        origins = positions.take(self._frames, axis=0).T.copy()
+        low = turned[:, :TOGETHER].min(axis=1) + origins
+        high = turned[:, :TOGETHER].max(axis=1) + origins
+        reach = self._radii
+        if self._has_discs:
+            # A circle reaches as far along x as the x of two of its radii are long together.
+            sides = turned[:, TOGETHER:]
+            reach = reach + np.sqrt(np.einsum("ikn,ikn->in", sides, sides))
+        return low - reach, high + reach
+
+    def _spread(self, boxes: Array) -> Array:
+        """The boxes of all groups, those without shapes among them."""
+        every = np.repeat([[np.inf], [-np.inf]], 3, axis=0).repeat(self._count, axis=1)
+        every[:, self._groups] = boxes
         return every
 
 
-def _gathered_points(
-    pairs: list[tuple[PlacedGeometry, int]],
-) -> tuple[list[tuple[int, int, Array]], list[tuple[PlacedGeometry, int]]]:
-    """The point sets of each frame and group as one, reduced to its hull; and the other shapes.
+def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
+    """What the boxes of all shapes but planes are made of.
 
-    A box beside hulls on the same frame joins them by its corners.
+    The polyhedral shapes of a frame and a group become one set of points: those of its hull.
     """
-    with_points = {(shape.frame, group) for shape, group in pairs if len(shape.geometry.vertices)}
-    sets: dict[tuple[int, int], list[Array]] = {}
-    others = []
+    cores = []
+    polyhedra: dict[tuple[int, int], list[Array]] = {}
     for shape, group in pairs:
-        key = (shape.frame, group)
-        if len(shape.geometry.vertices) or (shape.geometry.type == "box" and key in with_points):
-            sets.setdefault(key, []).append(_corners(shape))
-        else:
-            others.append((shape, group))
-    return [
-        (frame, group, _extreme(np.concatenate(parts))) for (frame, group), parts in sets.items()
-    ], others
+        matrix = rotation_matrices(shape.orientation[None])[0]
+        a, b, c = shape.geometry.size
+        ends = _ENDS * b @ matrix.T + shape.position
+        match shape.geometry.type:
+            case "sphere":
+                cores.append(_Core(group, shape.frame, shape.position[None], radius=a))
+            case "capsule":
+                cores.append(_Core(group, shape.frame, ends, radius=a))
+            case "cylinder":
+                cores.append(_Core(group, shape.frame, ends, disc=a * matrix[:, :2].T))
+            case "box" | "hull" | "mesh" as kind:
+                corners = _CORNERS * (a, b, c) if kind == "box" else shape.geometry.vertices
+                placed = corners @ matrix.T + shape.position
+                polyhedra.setdefault((group, shape.frame), []).append(placed)
+    for (group, frame), sets in polyhedra.items():
+        cores.append(_Core(group, frame, _extreme(np.concatenate(sets))))
+    return cores
 
 
-_SIGNS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-
-
-def _corners(shape: PlacedGeometry) -> Array:
-    """The points of a polyhedral shape in its body's frame."""
-    vertices = shape.geometry.vertices
-    if shape.geometry.type == "box":
-        vertices = _SIGNS * np.array(shape.geometry.size)
-    matrix: Array = rotation_matrices(shape.orientation[None])[0]
-    points: Array = vertices @ matrix.T + shape.position
-    return points
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_ENDS = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]])
 
 
 def _extreme(points: Array) -> Array:
@@ -336,20 +397,17 @@ def _extreme(points: Array) -> Array:
     return corners
 
 
-def _add_plane(
-    low: Array, high: Array, shape: PlacedGeometry, positions: Array, matrices: Array
-) -> None:
-    """Widen a box in place by a half-space: endless, but for a side across an axis."""
+def _add_plane(box: Array, shape: PlacedGeometry, positions: Array, matrices: Array) -> None:
+    """Widen a box (6,) in place by a half-space: endless, but for a side across an axis."""
     local = rotation_matrices(shape.orientation[None])[0]
     normal = matrices[shape.frame] @ (local @ np.array(shape.geometry.size))
     origin = positions[shape.frame] + matrices[shape.frame] @ shape.position
-    low_plane, high_plane = np.full(3, -np.inf), np.full(3, np.inf)
+    if not np.isfinite(normal + origin).all():
+        box[:] = np.nan
+        return
+    low, high = np.full(3, -np.inf), np.full(3, np.inf)
     axis = int(np.argmax(np.abs(normal)))
     if abs(normal[axis]) > 1.0 - 1e-9:
-        (high_plane if normal[axis] > 0 else low_plane)[axis] = origin[axis]
-    low[:] = np.fmin(low, low_plane)
-    high[:] = np.fmax(high, high_plane)
-
-
-def _stacked(rows: list[Array], width: int) -> Array:
-    return np.stack(rows) if rows else np.zeros((0, width))
+        (high if normal[axis] > 0 else low)[axis] = origin[axis]
+    np.minimum(box[:3], low, out=box[:3])
+    np.maximum(box[3:], high, out=box[3:])

@@ -15,14 +15,13 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Iterable, Sequence
-from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from ssduck.geometry import Array, Geometry
-from ssduck.layout import Member, Part
-from ssduck.simulators import Contact, Frames, Simulator
+from ssduck.layout import Layout, Member
+from ssduck.simulators import Body, Contact, Frames, Simulator
 from ssduck.tables import TABLES, LiveTable
 
 FORGOTTEN_AFTER = 240
@@ -34,40 +33,39 @@ class Snapshot:
 
     Attributes:
         tables: by name.
-        members: the entities by row: sensors first, then bodies.
-        rows: the row of each entity's id.
         number: of the tick, from 1.
         time: of the tick, simulated seconds.
     """
 
     def __init__(self) -> None:
         self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
-        self.members: list[Member] = []
-        self.rows: dict[int, int] = {}
         self.number = 0
         self.time = 0.0
+        self._listed: Sequence[Member] = ()
+        self._layout = Layout((), watched=False)
+        # What cannot move is read once; None if that has to be done (again).
+        self._still: Frames | None = None
         self._asked: dict[str, int] = {}
+        self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
         self._warned: set[int] = set()
-        self._parts: list[Part] = []
-        self._frames: dict[Part, Frames] = {}
-        self._jointed: list[Member] = []
+
+    @property
+    def members(self) -> Sequence[Member]:
+        """The entities by row: sensors first, then bodies."""
+        return self._layout.members
+
+    @property
+    def rows(self) -> dict[int, int]:
+        """The row of each entity's id."""
+        return self._layout.rows
 
     # -- what is in the world -------------------------------------------------------------
 
-    def set_members(self, members: Iterable[Member], watched: bool) -> None:
-        """Lay the tables out for these entities.
-
-        Args:
-            members: in load order.
-            watched: whether bodies that cannot move by themselves may be moved by others.
-        """
-        self.members = sorted(members, key=lambda member: member.kind != "sensor")
-        self.rows = {member.id: row for row, member in enumerate(self.members)}
-        bodies = [member for member in self.members if member.body is not None]
-        self._jointed = [member for member in bodies if member.body and member.body.joints]
-        self._set_parts(bodies, watched)
-        listed = self.members
+    def _lay_out(self, layout: Layout) -> None:
+        """Make the tables anew for these entities."""
+        self._layout = layout
+        listed = layout.members
         self.tables["entities"].fill(
             len(listed),
             {
@@ -80,31 +78,14 @@ class Snapshot:
                 "visible": [member.body is not None for member in listed],
             },
         )
-        self._fill_links(bodies)
-        self._fill_joints(bodies)
-        self._fill_shapes(bodies)
+        self._fill_links(layout.bodies)
+        self._fill_joints(layout.bodies)
+        self._fill_shapes(layout.bodies)
+        self.tables["contacts"].fill(0, {})
         self.tables["ticks"].fill(1, {})
 
-    def _set_parts(self, bodies: Sequence[Member], watched: bool) -> None:
-        sensors = [member for member in self.members if member.sensor is not None]
-        first_link = _starts(bodies, [len(m.body.links) if m.body else 0 for m in bodies])
-        first_shape = _starts(bodies, [len(m.body.shapes) if m.body else 0 for m in bodies])
-        still = [] if watched else [m for m in bodies if m.body and not m.body.movable]
-        apart = {member.id for member in still}
-        self._parts = []
-        self._frames = {}
-        for some in (still, [member for member in bodies if member.id not in apart]):
-            ids = {member.id for member in some}
-            on_these = [sensor for sensor in sensors if sensor.mount[0] in ids]
-            self._parts.append(Part(some, on_these, self.rows, first_link, first_shape))
-
-    def _fill_links(self, bodies: Sequence[Member]) -> None:
-        links = [
-            (member.id, number, link)
-            for member in bodies
-            if member.body
-            for number, link in enumerate(member.body.links)
-        ]
+    def _fill_links(self, bodies: Sequence[tuple[int, Body]]) -> None:
+        links = [(id, n, link) for id, body in bodies for n, link in enumerate(body.links)]
         self.tables["links"].fill(
             len(links),
             {
@@ -116,20 +97,15 @@ class Snapshot:
             },
         )
 
-    def _fill_joints(self, bodies: Sequence[Member]) -> None:
-        joints = [(m.id, joint) for m in bodies if m.body for joint in m.body.joints]
+    def _fill_joints(self, bodies: Sequence[tuple[int, Body]]) -> None:
+        joints = [(id, joint) for id, body in bodies for joint in body.joints]
         columns = ("link", "name", "type", "lower", "upper", "max_effort", "max_velocity")
         values = {name: [getattr(joint, name) for _, joint in joints] for name in columns}
         values["entity"] = [entity for entity, _ in joints]
         self.tables["joints"].fill(len(joints), values)
 
-    def _fill_shapes(self, bodies: Sequence[Member]) -> None:
-        shapes = [
-            (member.id, number, shape)
-            for member in bodies
-            if member.body
-            for number, shape in enumerate(member.body.shapes)
-        ]
+    def _fill_shapes(self, bodies: Sequence[tuple[int, Body]]) -> None:
+        shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]
         geometries = [self._geometry_id(shape.geometry) for _, _, shape in shapes]
         self.tables["shapes"].fill(
             len(shapes),
@@ -166,62 +142,79 @@ class Snapshot:
 
     def ask(self, tables: Iterable[str]) -> bool:
         """Note that these tables are asked for; tells whether this tick lacks any of them."""
-        lacking = False
-        for name in ON_DEMAND.intersection(tables):
-            lacking = lacking or not self._is_read(name)
-            self._asked[name] = self.number
-        return lacking
-
-    def _is_read(self, name: str) -> bool:
-        asked = self._asked.get(name)
-        return asked is not None and self.number - asked < FORGOTTEN_AFTER
+        wanted = ON_DEMAND.intersection(tables)
+        self._asked |= dict.fromkeys(wanted, self.number)
+        return not wanted <= self._read
 
     def read_all_anew(self) -> None:
         """Read what cannot move once more with the next tick: it was moved by hand."""
-        self._frames.clear()
+        self._still = None
 
-    def take(self, simulator: Simulator) -> None:
-        """Read a tick: the entities, and the tables that were asked for."""
-        jointed = [member.body for member in self._jointed if member.body]
-        joints = simulator.read_joints(jointed) if self._is_read("joints") else None
-        contacts = list(simulator.read_contacts()) if self._is_read("contacts") else None
-        still, moving = self._parts
-        read = [moving] if still in self._frames else [still, moving]
-        frames = {part: simulator.read_frames(part.bodies) for part in read}
+    def take(self, simulator: Simulator, members: Sequence[Member]) -> None:
+        """Read a tick: the entities, and the tables that were asked for.
+
+        Args:
+            simulator: what knows where the members are.
+            members: the entities in load order; the same object as long as they are the same.
+        """
+        same = members is self._listed
+        layout = self._layout if same else Layout(members, simulator.watched)
+        coming = self.number + 1
+        wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
+        still = self._still if same else None
+        if still is None:
+            still = simulator.read_frames(layout.still.bodies)
+        moving = simulator.read_frames(layout.moving.bodies)
+        joints = contacts = None
+        if "joints" in wanted:
+            jointed = [body for _, body in layout.bodies if body.joints]
+            joints = simulator.read_joints(jointed)
+        if "contacts" in wanted:
+            contacts = list(simulator.read_contacts())
         # All of this tick is read before anything of the last one is overwritten.
-        self._frames.update(frames)
-        self.number += 1
-        self.time = simulator.time
-        self._write(read, joints, contacts)
-
-    def _write(
-        self, read: Sequence[Part], joints: Array | None, contacts: Sequence[Contact] | None
-    ) -> None:
-        entities = self.tables["entities"].reals("x", "zmax")
-        for part in read:
-            part.write_entities(self._frames[part], entities)
-        if self._is_read("links"):
-            for part in self._parts:
-                part.write_links(self._frames[part], self.tables["links"].reals("x", "zmax"))
-        if self._is_read("shapes"):
-            for part in self._parts:
-                part.write_shapes(self._frames[part], self.tables["shapes"].reals("x", "zmax"))
+        if not same:
+            self._lay_out(layout)
+            self._listed = members
+        self._read = frozenset(wanted)
+        self.number, self.time = coming, simulator.time
+        self._write_frames(still, moving, anew=still is not self._still)
+        self._still = still
         if joints is not None:
             self.tables["joints"].reals("position", "effort")[:] = joints.T
         if contacts is not None:
             self._write_contacts(contacts)
+        self._finish()
+
+    def _write_frames(self, still: Frames, moving: Frames, *, anew: bool) -> None:
+        """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""
+        layout = self._layout
+        entities = self.tables["entities"].reals("x", "zmax")
+        if anew:
+            layout.still.write_entities(still, entities)
+        layout.moving.write_entities(moving, entities)
+        parts = (layout.still, still), (layout.moving, moving)
+        if "links" in self._read:
+            for part, frames in parts:
+                part.write_links(frames, self.tables["links"].reals("x", "zmax"))
+        if "shapes" in self._read:
+            for part, frames in parts:
+                part.write_shapes(frames, self.tables["shapes"].reals("x", "zmax"))
+
+    def _finish(self) -> None:
+        """Date the tables that were written, and let their readers see it."""
         self.tables["ticks"]["wall_time"][:] = time.time()
-        for name in ("entities", "ticks", *filter(self._is_read, ON_DEMAND)):
+        for name in ("entities", "ticks", *self._read):
             table = self.tables[name]
             table["tick"][:] = self.number
             table["time"][:] = self.time
-            table.written()
+            if name != "ticks":  # whose numbers are known
+                table.written()
         if not self.tables["entities"].whole:
-            self._warn_of_unknown(entities)
+            self._warn_of_unknown(self.tables["entities"].reals("x", "zmax"))
 
     def _warn_of_unknown(self, numbers: Array) -> None:
         """Say once of each entity that the simulator has lost where it is."""
-        for row in np.flatnonzero(np.isnan(numbers).any(axis=0)):
+        for row in np.flatnonzero(np.isnan(numbers).any(axis=0)).tolist():
             member = self.members[row]
             if member.id not in self._warned:
                 self._warned.add(member.id)
@@ -233,7 +226,7 @@ class Snapshot:
 
     def _write_contacts(self, contacts: Sequence[Contact]) -> None:
         table = self.tables["contacts"]
-        ids = {member.body.handle: member.id for member in self.members if member.body}
+        ids = {body.handle: id for id, body in self._layout.bodies}
         rows = sorted(_contact_row(contact, ids) for contact in contacts)
         if len(rows) != table.count:
             table.fill(len(rows), {})
@@ -254,9 +247,3 @@ def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:
         a, b = b, a
         points, normal = (*contact.point_b, *contact.point_a), (-x, -y, -z)
     return (*a, *b, *points, *normal, contact.depth, contact.force)
-
-
-def _starts(bodies: Sequence[Member], counts: Sequence[int]) -> dict[int, int]:
-    """The row of each body's first entry, in a table that lists them body after body."""
-    firsts = accumulate(counts, initial=0)
-    return dict(zip((member.id for member in bodies), firsts, strict=False))

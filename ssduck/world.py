@@ -7,15 +7,19 @@ tells of itself is of the world's last tick, never of the simulator's present.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import weakref
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from ssduck.errors import (
+    ArgumentError,
     RemovedEntityError,
     SceneError,
     SelectScriptError,
@@ -57,12 +61,12 @@ class World(WorldSpellings):
         self.snapshot = Snapshot()
         self._queries = 0
         self._simulator = simulator
-        self._ids = iter(range(1, 2**62))
+        self._ids = count(1)
         self._members: list[Member] = []
+        # Ids count as worlds list: sensors first.
+        sensor_ids = [next(self._ids) for _ in sensors]
         self._update_members()
-        if sensors:
-            self._members = self._with_sensors(sensors)
-            self.snapshot.set_members(self._members, simulator.watched)
+        self._members = self._mounted(sensor_ids, sensors) + self._members
         self.tick()
 
     @classmethod
@@ -76,12 +80,16 @@ class World(WorldSpellings):
 
         simulator = pybullet.load(scene)
         try:
-            return cls(simulator, name=scene.name, sensors=scene.sensors, camera=scene.camera)
-        except SceneError as error:
+            world = cls(simulator, name=scene.name, sensors=scene.sensors, camera=scene.camera)
+        except BaseException as error:
             simulator.close()
-            raise SceneError(
-                f"{scene.path}: {error.message}", suggestions=error.suggestions
-            ) from error
+            if isinstance(error, SceneError):
+                message = f"{scene.path}: {error.message}"
+                raise SceneError(message, suggestions=error.suggestions) from error
+            raise
+        # A simulation takes tens of megabytes: it goes with the last handle of its world.
+        weakref.finalize(world, simulator.close)
+        return world
 
     @classmethod
     def attach(
@@ -100,14 +108,15 @@ class World(WorldSpellings):
 
         Args:
             client: the client's number, or an object that holds it as `_client`.
-            names: names by PyBullet body number; others are named as in their models, made
-                unique.
-            kinds: `"robot"` or `"kinbody"` by PyBullet body number; by default what has
-                movable joints is a robot.
+            names: names by PyBullet body number of bodies that are there now; others are named
+                as in their models, made unique.
+            kinds: `"robot"` or `"kinbody"` by such a number; by default what has movable joints
+                is a robot.
             name: what the world is called until it is bound to a variable.
 
         Raises:
             SimulatorError: the client is not connected.
+            SelectScriptError: a number is no body's, or a kind is none of these.
         """
         from ssduck.simulators import pybullet
 
@@ -122,6 +131,8 @@ class World(WorldSpellings):
 
     def step(self, count: int = 1) -> World:
         """Run that many steps of the simulator, then take a tick."""
+        if count < 0:
+            raise ValueError(f"a simulation cannot run {count} steps")
         with self.lock:
             self._check_not_held()
             self._simulator.step(count)
@@ -136,7 +147,7 @@ class World(WorldSpellings):
         with self.lock:
             self._check_not_held()
             self._update_members()
-            self.snapshot.take(self._simulator)
+            self.snapshot.take(self._simulator, self._members)
             return self
 
     def ask(self, tables: Iterable[str]) -> None:
@@ -201,7 +212,7 @@ class World(WorldSpellings):
         )
 
     def entity(self, id: int) -> Entity:
-        """The handle of an entity by its id; one that is gone can still be asked its name."""
+        """The handle of an entity that is there, by its id."""
         member = self.snapshot.members[self.snapshot.rows[id]]
         kind = Sensor if member.kind == "sensor" else Entity
         return kind(self, id, member.name, member.kind)
@@ -209,13 +220,17 @@ class World(WorldSpellings):
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
 
-    def place(self, id: int, position: Array, orientation: Array) -> None:
+    def place(self, entity: Entity, position: Array, orientation: Array) -> None:
         """Put a body's link frame there and take a tick; see `Entity.move`."""
         with self.lock:
             self._check_not_held()
-            member = next(member for member in self._members if member.id == id)
+            # Its number may be another body's by now.
+            self._update_members()
+            member = next((member for member in self._members if member.id == entity.id), None)
+            if member is None:
+                raise entity.removed()
             if member.body is None:
-                raise UnknownNameError(f"{member.name} is a sensor; move what it sits on")
+                raise ArgumentError(f"{entity.name} is a sensor; move what it sits on")
             self._simulator.place(member.body, position, orientation)
             self.snapshot.read_all_anew()
             self.tick()
@@ -226,33 +241,22 @@ class World(WorldSpellings):
         if changes is None:
             return
         came, gone = changes
-        gone_ids = {member.id for member in self._members if member.body in gone}
+        gone_bodies = set(gone)
+        gone_ids = {member.id for member in self._members if member.body in gone_bodies}
         self._members = [
             member
             for member in self._members
             if member.id not in gone_ids and member.mount[0] not in gone_ids
         ]
+        taken = {member.name for member in self._members}
         for body in came:
-            name = self._unique(body.name)
+            name = _unique(body.name, taken)
+            taken.add(name)
             self._members.append(Member(next(self._ids), name, body.kind, body=body))
-        self.snapshot.set_members(self._members, self._simulator.watched)
 
-    def _unique(self, name: str) -> str:
-        """The name, or the name and a number if there is one of that name already."""
-        known = {member.name for member in self._members}
-        if name not in known:
-            return name
-        return next(n for n in (f"{name}_{i}" for i in range(2, 2**62)) if n not in known)
-
-    def _with_sensors(self, specs: Sequence[SensorSpec]) -> list[Member]:
-        """The members and these sensors; ids count sensors first, as worlds list them."""
-        bodies = self._members
-        self._ids = iter(range(1, 2**62))
-        ids = [next(self._ids) for _ in specs]
-        bodies = [
-            Member(next(self._ids), member.name, member.kind, body=member.body) for member in bodies
-        ]
-        by_name = {member.name: member for member in bodies}
+    def _mounted(self, ids: Sequence[int], specs: Sequence[SensorSpec]) -> list[Member]:
+        """The sensors on the bodies that carry them."""
+        by_name = {member.name: member for member in self._members}
         sensors = []
         for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
             if spec.name in by_name:
@@ -262,7 +266,14 @@ class World(WorldSpellings):
             sensors.append(
                 Member(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
             )
-        return sensors + bodies
+        return sensors
+
+
+def _unique(name: str, taken: Container[str]) -> str:
+    """The name, or the name and a number if it is taken already."""
+    if name not in taken:
+        return name
+    return next(n for n in (f"{name}_{i}" for i in count(2)) if n not in taken)
 
 
 def _link_number(host: Member, spec: SensorSpec, index: int) -> int:
@@ -385,6 +396,7 @@ class Entity(EntitySpellings):
 
         Raises:
             ValueError: a number is not finite, or the orientation is all 0.
+            ArgumentError: it is a sensor.
             RemovedEntityError: it is no longer in its world.
         """
         place = _finite(self.position if position is None else position, 3, "position")
@@ -392,7 +404,7 @@ class Entity(EntitySpellings):
         length = float(np.linalg.norm(turn))
         if length < 1e-9:
             raise ValueError("orientation: w, x, y, z are all 0")
-        self.world.place(self.id, place, turn / length)
+        self.world.place(self, place, turn / length)
 
     def column(self, name: str) -> Any:
         """Its value in a column of the table of entities; None for an unknown one."""
@@ -401,22 +413,28 @@ class Entity(EntitySpellings):
     def _row(self) -> int:
         row = self.world.snapshot.rows.get(self.id)
         if row is None:
-            raise RemovedEntityError(f"{self.name!r} is no longer in world {self.world.name!r}")
+            raise self.removed()
         return row
 
+    def removed(self) -> RemovedEntityError:
+        """What to raise where it is no longer in its world."""
+        return RemovedEntityError(f"{self.name!r} is no longer in world {self.world.name!r}")
+
     def _numbers(self, first: str, last: str) -> list[float]:
-        row = self._row()
-        values: list[float] = (
-            self.world.snapshot.tables["entities"].reals(first, last)[:, row].tolist()
-        )
+        with self.world.lock:
+            column = self.world.snapshot.tables["entities"].reals(first, last)[:, self._row()]
+            values: list[float] = column.tolist()
         return values
 
     def _table(self, name: str) -> list[dict[str, Any]]:
-        self._row()
         with self.world.lock:
+            self._row()
             self.world.ask([name])
-            rows: list[dict[str, Any]] = self.world.snapshot.tables[name].arrow.to_pylist()
-        return [row for row in rows if row["entity"] == self.id]
+            self._row()  # asking may have taken a tick
+            table = self.world.snapshot.tables[name]
+            own = table.arrow.filter(pa.array(table["entity"] == self.id))
+            rows: list[dict[str, Any]] = own.to_pylist()
+        return rows
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Entity) and (self.world, self.id) == (other.world, other.id)

@@ -15,7 +15,7 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry import Array, PlacedGeometry
+from ssduck.geometry import Array, Indices, PlacedGeometry, cross
 from ssduck.scenes import Camera
 
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
@@ -71,12 +71,25 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Where n frames are and how they move: (n, 3) or (n, 4) each, w x y z."""
+    """Where n link frames are and how their links move, in the world.
+
+    Attributes:
+        positions: (n, 3), of the frames' origins.
+        matrices: (n, 3, 3), their orientations.
+        states: (n, 13): a point of the link (its centre of mass) x y z, the orientation of the
+            frame w x y z, the velocity of that point x y z, the angular velocity x y z.
+    """
 
     positions: Array
-    orientations: Array
-    linear: Array
-    angular: Array
+    matrices: Array
+    states: Array
+
+    def at(self, points: Array, links: Indices) -> Array:
+        """The states (n, 13) of these links, told of points (n, 3) of theirs."""
+        states = self.states.take(links, axis=0)
+        states[:, 7:10] += cross(states[:, 10:], points - states[:, :3])
+        states[:, :3] = points
+        return states
 
 
 @dataclass(frozen=True)
@@ -108,7 +121,7 @@ class Simulator(Protocol):
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         """Bodies that came and bodies that went since the last call; None if none did."""
 
-    def read_frames(self, bodies: Sequence[Body]) -> Frames:
+    def read_frames(self, bodies: tuple[Body, ...]) -> Frames:
         """All frames of these bodies, body after body, as they are now."""
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:

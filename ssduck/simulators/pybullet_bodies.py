@@ -1,0 +1,330 @@
+"""What a PyBullet body is made of: its links, its joints, and its shapes in their link frames.
+
+PyBullet tells of a shape where it is relative to the link's centre of mass; the pose of that in
+the link frame is `com`. It does not tell all: see `_Reader.shapes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ssduck.geometry import (
+    Array,
+    Geometry,
+    PlacedGeometry,
+    compose,
+    invert,
+    load_hulls,
+    load_mesh,
+    rotation_matrices,
+)
+from ssduck.simulators import Body, Joint, Kind, Link
+from ssduck.simulators.pybullet_console import pybullet
+
+Pose: TypeAlias = tuple[Array, Array]
+
+# The joint types by PyBullet's numbers; a point-to-point joint cannot come from a model file.
+_JOINT_TYPES = {
+    pybullet.JOINT_REVOLUTE: "revolute",
+    pybullet.JOINT_PRISMATIC: "prismatic",
+    pybullet.JOINT_SPHERICAL: "spherical",
+    pybullet.JOINT_PLANAR: "planar",
+    pybullet.JOINT_FIXED: "fixed",
+}
+# What getDynamicsInfo says of a body of links, which is what model files make.
+_MULTI_BODY = 2
+_SOFT_BODY = 3
+# Directions in which no corner of a mesh shares its extreme with others.
+_ASKEW = np.array([[0.62, 0.53, 0.58], [-0.71, 0.44, -0.55], [0.37, -0.82, 0.43]])
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """A body as it was read.
+
+    Attributes:
+        body: what it is made of.
+        com: poses of the links' centres of mass in the link frames, (links, 3) and (links, 4).
+        exact: whether all its shapes are what PyBullet uses; else boxes stand in for some.
+    """
+
+    body: Body
+    com: Pose
+    exact: bool
+
+
+def describe(client: int, handle: int, name: str | None, kind: Kind | None) -> Description:
+    """Read a body; `name` and `kind` say what the body itself would be asked for otherwise."""
+    return _Reader(client, handle).described(name, kind)
+
+
+def joint_of(info: tuple[Any, ...]) -> Joint:
+    """A joint from what getJointInfo tells; a range of nothing is PyBullet's for no limits."""
+    lower, upper = float(info[8]), float(info[9])
+    limited = lower <= upper
+    return Joint(
+        name=info[1].decode(errors="replace"),
+        type=_JOINT_TYPES.get(info[2], "fixed"),  # type: ignore[arg-type]
+        link=int(info[0]) + 1,
+        lower=lower if limited else None,
+        upper=upper if limited else None,
+        max_effort=float(info[10]) or None,
+        max_velocity=float(info[11]) or None,
+    )
+
+
+def wxyz(orientations: Array) -> Array:
+    """PyBullet's quaternions (n, 4) as ssduck's."""
+    return orientations[:, [3, 0, 1, 2]]
+
+
+def xyzw(orientations: Array) -> Array:
+    """Ssduck's quaternions (n, 4) as PyBullet's."""
+    return orientations[:, [1, 2, 3, 0]]
+
+
+class _Reader:
+    """One body of a client, while it is read."""
+
+    def __init__(self, client: int, handle: int) -> None:
+        self.client = client
+        self.handle = handle
+        self.link_name, self.name = (
+            text.decode(errors="replace") for text in pybullet.getBodyInfo(handle, client)
+        )
+        count = pybullet.getNumJoints(handle, client)
+        self.infos = [pybullet.getJointInfo(handle, index, client) for index in range(count)]
+        self.dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, count)]
+        self.type = self.dynamics[0][10]
+        self.com = self._com()
+        self.exact = True
+
+    def _com(self) -> Pose:
+        if self.type != _MULTI_BODY:
+            # PyBullet answers with what happened to be in memory. The frame of the centre of
+            # mass is the only one that it knows of these.
+            return np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
+        return (
+            np.array([dynamic[3] for dynamic in self.dynamics], dtype=np.float64),
+            wxyz(np.array([dynamic[4] for dynamic in self.dynamics], dtype=np.float64)),
+        )
+
+    def described(self, name: str | None, kind: Kind | None) -> Description:
+        joints = tuple(map(joint_of, self.infos))
+        jointed = any(joint.type != "fixed" for joint in joints)
+        parents = [-1] + [info[16] + 1 for info in self.infos]
+        names = [self.link_name] + [info[12].decode(errors="replace") for info in self.infos]
+        masses = [float(dynamic[0]) for dynamic in self.dynamics]
+        if self.type == _SOFT_BODY:
+            masses = [0.0]  # what PyBullet says is no number of kilograms
+        body = Body(
+            handle=self.handle,
+            name=name or self.name or f"body_{self.handle}",
+            kind=kind or ("robot" if jointed else "kinbody"),
+            movable=jointed or masses[0] > 0.0 or self.type == _SOFT_BODY,
+            links=tuple(map(Link, names, parents, masses)),
+            joints=joints,
+            shapes=tuple(shape for link in range(len(names)) for shape in self.shapes(link)),
+        )
+        return Description(body, self.com, self.exact)
+
+    # -- shapes ---------------------------------------------------------------------------
+
+    def shapes(self, link: int) -> Iterator[PlacedGeometry]:
+        """The collision shapes of a link in its link frame (link 0 is the base).
+
+        PyBullet gives back no triangles; of rigid and soft bodies no shapes at all; and asked
+        for a capsule between two points of an MJCF file it crashes. A link that may have one,
+        which is then drawn as a capsule too, is taken to have the shapes that are drawn. If
+        their box is not its own, that box is used.
+        """
+        if self.type == _MULTI_BODY and link not in self._drawn_capsules:
+            entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
+            known = [self._shape(link, index, entry) for index, entry in enumerate(entries)]
+            exact = [shape for some in known if some is not None for shape in some]
+            complete = None not in known and (len(known) > 0 or self._is_bare(link))
+        else:
+            exact = self._drawn(link)
+            complete = self._agree(exact, link)
+            exact = exact if complete else []
+        yield from exact
+        if not complete:
+            yield self._stand_in(link)
+
+    def _shape(self, link: int, index: int, entry: tuple[Any, ...]) -> list[PlacedGeometry] | None:
+        """What PyBullet tells of a shape: in general one; None if it does not tell."""
+        com = self._com_of(link)
+        local = np.array([entry[5]]), wxyz(np.array([entry[6]]))
+        position, orientation = compose(*com, *local)
+        primitive = _primitive(entry[2], entry[3])
+        if primitive is not None:
+            return [PlacedGeometry(link, primitive, position[0], orientation[0])]
+        if entry[2] != pybullet.GEOM_MESH:
+            return None
+        file = Path(entry[4].decode(errors="replace"))
+        if file.is_file():
+            pieces = self._from_file(link, file, tuple(map(float, entry[3])), local)
+            if pieces is not None:
+                return [
+                    PlacedGeometry(link, piece, position[0], orientation[0]) for piece in pieces
+                ]
+        vertices = self._hull_vertices(link, index)
+        if not len(vertices):
+            return None
+        return [PlacedGeometry(link, Geometry.hull(vertices), com[0][0], com[1][0])]
+
+    def _from_file(
+        self, link: int, file: Path, scale: tuple[float, ...], local: Pose
+    ) -> Sequence[Geometry] | None:
+        """A mesh as its file has it: hulls, or the surface of a concave one.
+
+        PyBullet makes one hull of each object in the file, and gives back the first only, and
+        that rounded to about a 10,000th of its size. Of a concave mesh it gives nothing; so a
+        mesh none of whose corners is among the link's is concave.
+        """
+        try:
+            mesh = load_mesh(file, scale)
+            hulls = load_hulls(file, scale)
+        except ValueError:
+            return None
+        corners = mesh.vertices[np.argmax(mesh.vertices @ _ASKEW.T, axis=0)]
+        corners = corners @ rotation_matrices(local[1])[0].T + local[0]
+        known = self._hull_vertices(link)
+        if len(known):
+            gaps = np.linalg.norm(corners[:, None] - known[None], axis=2).min(axis=1)
+            if gaps.max() < 2e-3 * float(np.ptp(mesh.vertices, axis=0).max()):
+                return hulls
+        return [mesh]
+
+    def _hull_vertices(self, link: int, index: int = -1) -> Array:
+        """Corners of a link's hulls in the frame of its centre of mass, all or of one shape.
+
+        PyBullet applies the index again to the objects in that shape's file, so that it is good
+        for meshes of one object, and for the first shape.
+        """
+        _, vertices = pybullet.getMeshData(
+            self.handle, link - 1, collisionShapeIndex=index, physicsClientId=self.client
+        )
+        return np.array(vertices, dtype=np.float64).reshape(-1, 3)
+
+    def _com_of(self, link: int) -> Pose:
+        return self.com[0][[link]], self.com[1][[link]]
+
+    # -- what PyBullet does not tell ---------------------------------------------------------
+
+    @cached_property
+    def _visuals(self) -> Sequence[tuple[Any, ...]]:
+        data: Sequence[tuple[Any, ...]] = pybullet.getVisualShapeData(
+            self.handle, physicsClientId=self.client
+        )
+        return data
+
+    @cached_property
+    def _drawn_capsules(self) -> set[int]:
+        return {entry[1] + 1 for entry in self._visuals if entry[2] == pybullet.GEOM_CAPSULE}
+
+    def _drawn(self, link: int) -> list[PlacedGeometry]:
+        """What is drawn of a link; nothing if part of it is a mesh."""
+        entries = [entry for entry in self._visuals if entry[1] == link - 1]
+        found = [(entry, _primitive(entry[2], entry[3])) for entry in entries]
+        shapes = [
+            PlacedGeometry(link, shape, np.array(entry[5]), wxyz(np.array([entry[6]]))[0])
+            for entry, shape in found
+            if shape is not None
+        ]
+        return shapes if len(shapes) == len(entries) else []
+
+    def _agree(self, shapes: Sequence[PlacedGeometry], link: int) -> bool:
+        """Whether PyBullet's box of a link is that of these shapes.
+
+        Its box of several is that of their boxes in the frame of the centre of mass, widened
+        there by at most 4 cm on each side and then turned.
+        """
+        if not shapes:
+            return self._is_bare(link)
+        if any(shape.geometry.type == "plane" for shape in shapes):
+            return False  # drawn planes have no normal
+        inverse = invert(*self._com_of(link))
+        lows, highs = [], []
+        for shape in shapes:
+            centre, turn = compose(*inverse, shape.position[None], shape.orientation[None])
+            half = np.abs(rotation_matrices(turn)[0]) @ _half_extents(shape.geometry)
+            lows.append(centre[0] - half)
+            highs.append(centre[0] + half)
+        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+        position, orientation = self._com_pose(link)
+        matrix = rotation_matrices(orientation)[0]
+        own_low, own_high = self._own_box(link)
+        shift = (own_low + own_high) / 2 - (position[0] + matrix @ ((low + high) / 2))
+        widened = (own_high - own_low) / 2 - np.abs(matrix) @ ((high - low) / 2)
+        widened = widened / np.abs(matrix).sum(axis=1)
+        return bool(
+            np.abs(shift).max() < 1e-3
+            and np.ptp(widened) < 1e-3
+            and widened.min() > -1e-4
+            and widened.max() < 0.041
+        )
+
+    def _stand_in(self, link: int) -> PlacedGeometry:
+        """A link's box as PyBullet has it now, for shapes that it does not give back."""
+        low, high = self._own_box(link)
+        position, orientation = self._com_pose(link)
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        world = low + corners * (high - low)
+        # Row vectors times R are those turned by the inverse of R.
+        local = (world - position) @ rotation_matrices(orientation)[0]
+        self.exact = False
+        com = self._com_of(link)
+        return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0])
+
+    def _is_bare(self, link: int) -> bool:
+        low, high = self._own_box(link)
+        return bool(np.ptp([low, high], axis=0).max() < 1e-9)
+
+    def _own_box(self, link: int) -> tuple[Array, Array]:
+        low, high = pybullet.getAABB(self.handle, link - 1, self.client)
+        return np.array(low), np.array(high)
+
+    def _com_pose(self, link: int) -> Pose:
+        if link == 0:
+            pose = pybullet.getBasePositionAndOrientation(self.handle, self.client)
+        else:
+            pose = pybullet.getLinkState(self.handle, link - 1, 0, 1, self.client)
+        return np.array([pose[0]]), wxyz(np.array([pose[1]]))
+
+
+def _primitive(kind: int, size: Sequence[float]) -> Geometry | None:
+    """The geometry of a shape by PyBullet's numbers; None for what is no primitive."""
+    a, b, c = size
+    if kind == pybullet.GEOM_BOX:
+        return Geometry.primitive("box", (a, b, c))
+    if kind == pybullet.GEOM_SPHERE:
+        return Geometry.primitive("sphere", (a, 0.0, 0.0))
+    if kind == pybullet.GEOM_CYLINDER:  # PyBullet gives height, radius
+        return Geometry.primitive("cylinder", (b, a, 0.0))
+    if kind == pybullet.GEOM_CAPSULE:
+        return Geometry.primitive("capsule", (b, a, 0.0))
+    if kind == pybullet.GEOM_PLANE:
+        return Geometry.primitive("plane", (a, b, c))
+    return None
+
+
+def _half_extents(shape: Geometry) -> Array:
+    """Of the box of a primitive in its own frame; a plane has none, hulls and meshes not here."""
+    a, b, c = shape.size
+    match shape.type:
+        case "box":
+            return np.array([a, b, c]) / 2
+        case "sphere":
+            return np.array([a, a, a])
+        case "cylinder":
+            return np.array([a, a, b / 2])
+        case "capsule":
+            return np.array([a, a, a + b / 2])
+    raise AssertionError(shape.type)

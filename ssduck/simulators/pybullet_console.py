@@ -1,0 +1,37 @@
+"""PyBullet, imported without a word, and its C code's messages kept off the terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+
+@contextmanager
+def captured() -> Iterator[list[str]]:
+    """Catch what C code prints meanwhile; at the end the list holds the lines."""
+    lines: list[str] = []
+    kept: dict[int, int] = {}
+    with tempfile.TemporaryFile() as sink:
+        try:
+            for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
+                if stream is not None:
+                    stream.flush()
+                with suppress(OSError):  # a daemon may have closed it
+                    kept[number] = os.dup(number)
+                    os.dup2(sink.fileno(), number)
+            yield lines
+        finally:
+            for number, copy in kept.items():
+                os.dup2(copy, number)
+                os.close(copy)
+            sink.seek(0)
+            lines += sink.read().decode(errors="replace").splitlines()
+
+
+with captured():  # it prints its build time
+    import pybullet
+
+__all__ = ["captured", "pybullet"]

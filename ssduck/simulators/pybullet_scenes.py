@@ -1,0 +1,112 @@
+"""Loading a scene's models into a PyBullet client."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from ssduck.errors import SceneError, nearest
+from ssduck.geometry import compose
+from ssduck.scenes import BodySpec, Scene
+from ssduck.simulators import Kind
+from ssduck.simulators.pybullet_bodies import joint_of, wxyz, xyzw
+from ssduck.simulators.pybullet_console import captured, pybullet
+
+
+def load_models(scene: Scene, client: int) -> tuple[dict[int, str], dict[int, Kind]]:
+    """Fill a new client with a scene.
+
+    Returns:
+        The names and the kinds that the scene gives, by PyBullet body number.
+
+    Raises:
+        SceneError: a model cannot be loaded: file, key and reason.
+    """
+    pybullet.setTimeStep(scene.timestep, client)
+    pybullet.setGravity(*scene.gravity, physicsClientId=client)
+    names: dict[int, str] = {}
+    kinds: dict[int, Kind] = {}
+    for index, spec in enumerate(scene.bodies):
+        # A model that is loaded by itself has no entry in a scene's file.
+        place = f"{scene.path}: body[{index}]." if spec.name else ""
+        for handle in _load_model(spec, place, client):
+            if spec.name:
+                names[handle] = spec.name
+            if spec.kind:
+                kinds[handle] = spec.kind
+            _set_joints(handle, spec, place, client)
+    # Contacts and rays of the first tick are of where things are now.
+    pybullet.performCollisionDetection(client)
+    return names, kinds
+
+
+def _load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
+    """Load a model file; an SDF or MJCF file may hold several bodies."""
+    file = str(spec.model)
+    suffix = spec.model.suffix.lower()
+    with captured() as lines:
+        try:
+            if suffix == ".urdf":
+                return (_load_urdf(spec, file, client),)
+            load = pybullet.loadSDF if suffix == ".sdf" else pybullet.loadMJCF
+            return cast("Sequence[int]", load(file, physicsClientId=client))
+        except pybullet.error as error:
+            failure = error
+    reason = " ".join(line.strip() for line in lines if line.strip()) or str(failure)
+    where = f"{place}urdf: " if place else ""
+    raise SceneError(f"{where}{file} cannot be loaded: {reason}") from failure
+
+
+def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
+    handle = pybullet.loadURDF(
+        file,
+        useFixedBase=spec.fixed,
+        # Cylinders stay cylinders; PyBullet would make prisms of them.
+        flags=pybullet.URDF_USE_IMPLICIT_CYLINDER,
+        physicsClientId=client,
+    )
+    # loadURDF's own position is that of the root's centre of mass or of its link frame
+    # according to its flags; placing the link frame here leaves no doubt.
+    dynamics = pybullet.getDynamicsInfo(handle, -1, client)
+    position, orientation = compose(
+        np.array([spec.position]),
+        np.array([spec.orientation]),
+        np.array([dynamics[3]]),
+        wxyz(np.array([dynamics[4]])),
+    )
+    pybullet.resetBasePositionAndOrientation(
+        handle, position[0].tolist(), xyzw(orientation)[0].tolist(), client
+    )
+    return int(handle)
+
+
+def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> None:
+    """Set the initial joint positions, and let motors hold joints with limits where they are.
+
+    Joints without limits are wheels and the like; their motors hold them at velocity 0.
+    """
+    count = pybullet.getNumJoints(handle, client)
+    joints = [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
+    settable = {joint.name: joint for joint in joints if joint.type in ("revolute", "prismatic")}
+    for name in spec.joints:
+        if name not in settable:
+            fixed = name in (joint.name for joint in joints)
+            reason = "cannot be set: it does not turn or slide" if fixed else "is not a joint"
+            raise SceneError(
+                f"{place}joints.{name}: {name!r} of {spec.model.name} {reason}",
+                suggestions=() if fixed else nearest(name, settable),
+            )
+    for name, joint in settable.items():
+        value = spec.joints.get(name, 0.0)
+        index = joint.link - 1
+        pybullet.resetJointState(handle, index, value, 0.0, client)
+        motor: dict[str, Any] = (
+            {"controlMode": pybullet.POSITION_CONTROL, "targetPosition": value}
+            if joint.lower is not None
+            else {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0}
+        )
+        pybullet.setJointMotorControl2(
+            handle, index, force=joint.max_effort or 0.0, physicsClientId=client, **motor
+        )
