@@ -139,7 +139,7 @@ def _read_obj(text: str) -> tuple[Array, list[Triangles]]:
     vertices: list[list[float]] = []
     objects: list[list[list[int]]] = [[]]
     for line in text.splitlines():
-        match line.split():
+        match line.partition("#")[0].split():
             case ["v", x, y, z, *_]:
                 vertices.append([float(x), float(y), float(z)])
             case ["f", *corners]:

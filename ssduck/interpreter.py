@@ -57,7 +57,9 @@ def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
     description = find_scene(scene)
     interpreter = Interpreter(database)
     try:
-        interpreter.add_variable(description.name, World.load(description))
+        world = World.load(description)
+        interpreter._own.append(world)  # noqa: SLF001  # it closes what is made here
+        interpreter.add_variable(description.name, world)
     except BaseException:
         interpreter.close()
         raise
@@ -80,12 +82,13 @@ class Interpreter:
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
         self._functions.update((command.name, command) for command in self._commands())
+        self._own: list[World] = []
         self._plans: dict[Query, list[Planned]] = {}
         self._relations: dict[Call, Query] = {}
 
     def close(self) -> None:
-        """Close the database and the worlds; a client that you made stays connected."""
-        for world in self._database.worlds:
+        """Close the database, and the world that `load` made; yours stay open."""
+        for world in self._own:
             world.close()
         self._database.close()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -106,23 +106,34 @@ def find_scene(name: str | Path) -> Scene:
     if str(name) in shipped:
         return read_scene(shipped[str(name)])
     path = Path(name)
-    if path.is_dir():
+    if _is(path, Path.is_dir):
         path = path / "scene.toml"
-    if not path.exists():
+        if not path.is_file():
+            raise SceneError(f"{path.parent} is a folder without a scene.toml")
+    if not _is(path, Path.is_file):
         raise UnknownNameError(
             f"there is no scene {str(name)!r}: neither a shipped one ({', '.join(shipped)}) "
             "nor a file of that name",
             suggestions=nearest(str(name), shipped),
         )
-    if path.suffix == ".toml":
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
         return read_scene(path)
-    if path.suffix in MODEL_SUFFIXES:
+    if suffix in MODEL_SUFFIXES:
         body = BodySpec(name=None, kind=None, model=path.resolve())
         return Scene(name=_identifier(path.stem), path=path, bodies=(body,))
     raise SceneError(
         f"{path}: cannot tell what this is; a scene ends in .toml, "
         f"a model in {', '.join(MODEL_SUFFIXES)}"
     )
+
+
+def _is(path: Path, check: Callable[[Path], bool]) -> bool:
+    """What the check says; a name that no file can have is no file's."""
+    try:
+        return check(path)
+    except OSError:
+        return False
 
 
 def read_scene(path: Path) -> Scene:
@@ -134,7 +145,8 @@ def read_scene(path: Path) -> Scene:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SceneError(f"{path}: {error}") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise SceneError(f"{path}: {reason}") from error
     return _scene(_Table(path, "", table))
 
 
@@ -144,22 +156,24 @@ def _scene(table: _Table) -> Scene:
     sensors = tuple(
         _sensor(entry, {str(body.name) for body in bodies}) for entry in table.tables("sensor")
     )
-    _check_unique(table.path, "sensor", [sensor.name for sensor in sensors])
+    _check_unique(table.path, "sensor", [sensor.name for sensor in sensors], bodies)
     camera = table.table("camera")
     scene = Scene(
-        name=table.text("name", _identifier(table.path.parent.name)),
+        name=table.text("name", _default_name(table.path)),
         path=table.path,
-        description=table.text("description", ""),
+        description=table.text("description", "", empty=True),
         gravity=_three(table.numbers("gravity", 3, Scene.gravity)),
         timestep=table.number("timestep", Scene.timestep, above=0.0),
         camera=Camera(
             _three(camera.numbers("eye", 3, Camera.eye)),
             _three(camera.numbers("target", 3, Camera.target)),
-            camera.number("fov", Camera.fov, above=0.0),
+            camera.number("fov", Camera.fov, above=0.0, below=180.0),
         ),
         bodies=bodies,
         sensors=sensors,
     )
+    if scene.camera.eye == scene.camera.target:
+        camera.fail("target", "the camera looks at where it is")
     if not scene.name.isidentifier():
         table.fail("name", f"{scene.name!r} is no name: letters, digits and _ only")
     camera.end()
@@ -178,8 +192,8 @@ def _body(table: _Table) -> BodySpec:
     model = (table.path.parent / table.text("urdf")).resolve()
     if not model.is_file():
         table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
-    if model.suffix not in MODEL_SUFFIXES:
-        table.fail("urdf", f"{model.name!r} does not end in {', '.join(MODEL_SUFFIXES)}")
+    if model.suffix.lower() != ".urdf":
+        table.fail("urdf", f"{model.name!r} does not end in .urdf")
     joints = table.table("joints")
     spec = BodySpec(
         name=table.text("name"),
@@ -210,10 +224,18 @@ def _sensor(table: _Table, bodies: set[str]) -> SensorSpec:
         orientation=_unit(table, "orientation"),
         period=table.number("period", 0.0, at_least=0.0),
         max_range=table.number("max_range", above=0.0),
-        settings={key: table.number(key) for key in sorted(SENSOR_SETTINGS[kind])},
+        settings={key: _setting(table, key) for key in sorted(SENSOR_SETTINGS[kind])},
     )
+    least, most = (spec.settings.get(key, 0.0) for key in ("min_angle", "max_angle"))
+    if least > most:
+        table.fail("min_angle", f"{least:g} is more than max_angle, which is {most:g}")
     table.end()
     return spec
+
+
+def _setting(table: _Table, key: str) -> float:
+    """A setting of a sensor's type: an angle may be negative, a size or a step not."""
+    return table.number(key, above=-math.inf if key.endswith("_angle") else 0.0)
 
 
 def _unit(table: _Table, key: str) -> Quaternion:
@@ -230,10 +252,19 @@ def _three(values: tuple[float, ...]) -> Vector:
     return (x, y, z)
 
 
-def _check_unique(path: Path, what: str, names: list[str | None]) -> None:
+def _check_unique(
+    path: Path, what: str, names: Sequence[str | None], others: Sequence[BodySpec] = ()
+) -> None:
+    taken = {body.name for body in others}
     for index, name in enumerate(names):
-        if name in names[:index]:
+        if name in taken or name in names[:index]:
             raise SceneError(f"{path}: {what}[{index}].name: {name!r} is there already")
+
+
+def _default_name(path: Path) -> str:
+    """What a scene is called by its file: `name.toml`, or `name/scene.toml`."""
+    place = path.resolve()
+    return _identifier(place.parent.name if place.name == "scene.toml" else place.stem)
 
 
 def _identifier(text: str) -> str:
@@ -264,8 +295,11 @@ class _Table:
             if key not in self.asked:
                 self.fail(key, "there is no such key", nearest(key, self.asked))
 
-    def text(self, key: str, default: str = _REQUIRED) -> str:
-        return self._get(key, default, lambda value: isinstance(value, str), "a text")  # type: ignore[no-any-return]
+    def text(self, key: str, default: str = _REQUIRED, *, empty: bool = False) -> str:
+        def fits(value: object) -> bool:
+            return isinstance(value, str) and (empty or value.strip() != "")
+
+        return self._get(key, default, fits, "a text")  # type: ignore[no-any-return]
 
     def flag(self, key: str, default: bool) -> bool:
         return self._get(key, default, lambda value: isinstance(value, bool), "true or false")  # type: ignore[no-any-return]
@@ -276,12 +310,15 @@ class _Table:
         default: float = _REQUIRED,
         above: float = -math.inf,
         at_least: float = -math.inf,
+        below: float = math.inf,
     ) -> float:
         value = float(self._get(key, default, _is_number, "a finite number"))
         if value <= above:
             self.fail(key, f"{value:g} is not above {above:g}")
+        if value >= below:
+            self.fail(key, f"{value:g} is not below {below:g}")
         if value < at_least:
-            self.fail(key, f"{value:g} is below {at_least:g}")
+            self.fail(key, f"{value:g} is less than {at_least:g}")
         return value
 
     def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
@@ -318,4 +355,5 @@ class _Table:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    # By comparison: math.isfinite cannot take an integer of 400 digits.
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e300 < value < 1e300

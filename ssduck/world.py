@@ -259,8 +259,6 @@ class World(WorldSpellings):
         by_name = {member.name: member for member in self._members}
         sensors = []
         for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
-            if spec.name in by_name:
-                raise SceneError(f"sensor[{index}].name: {spec.name!r} is a body's name already")
             host = by_name[spec.on]
             mount = (host.id, _link_number(host, spec, index))
             sensors.append(

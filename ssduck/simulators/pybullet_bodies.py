@@ -40,6 +40,8 @@ _JOINT_TYPES = {
 # What getDynamicsInfo says of a body of links, which is what model files make.
 _MULTI_BODY = 2
 _SOFT_BODY = 3
+# PyBullet's box of a link without shapes is smaller; it has a diagonal of 2 mm times sqrt(3).
+_BARE = 3.5e-3
 # Directions in which no corner of a mesh shares its extreme with others.
 _ASKEW = np.array([[0.62, 0.53, 0.58], [-0.71, 0.44, -0.55], [0.37, -0.82, 0.43]])
 
@@ -284,8 +286,10 @@ class _Reader:
         return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0])
 
     def _is_bare(self, link: int) -> bool:
+        """Whether a link has no shapes: its box is but a margin of 1 mm, turned, around its mass."""
         low, high = self._own_box(link)
-        return bool(np.ptp([low, high], axis=0).max() < 1e-9)
+        shift = (low + high) / 2 - self._com_pose(link)[0][0]
+        return bool((high - low).max() < _BARE and np.abs(shift).max() < 1e-6)
 
     def _own_box(self, link: int) -> tuple[Array, Array]:
         low, high = pybullet.getAABB(self.handle, link - 1, self.client)

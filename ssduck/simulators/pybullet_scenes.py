@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -10,9 +12,13 @@ import numpy as np
 from ssduck.errors import SceneError, nearest
 from ssduck.geometry import compose
 from ssduck.scenes import BodySpec, Scene
-from ssduck.simulators import Kind
+from ssduck.simulators import Joint, Kind
 from ssduck.simulators.pybullet_bodies import joint_of, wxyz, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
+
+_SETTABLE = ("revolute", "prismatic")
+# Stands before each of Bullet's messages, which do not end in a new line.
+_MARK = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
 
 
 def load_models(scene: Scene, client: int) -> tuple[dict[int, str], dict[int, Kind]]:
@@ -54,7 +60,8 @@ def _load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
             return cast("Sequence[int]", load(file, physicsClientId=client))
         except pybullet.error as error:
             failure = error
-    reason = " ".join(line.strip() for line in lines if line.strip()) or str(failure)
+    said = [part.strip() for part in _MARK.split(" ".join(lines)) if part.strip()]
+    reason = "; ".join(said) or str(failure)
     where = f"{place}urdf: " if place else ""
     raise SceneError(f"{where}{file} cannot be loaded: {reason}") from failure
 
@@ -85,21 +92,17 @@ def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
 def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> None:
     """Set the initial joint positions, and let motors hold joints with limits where they are.
 
-    Joints without limits are wheels and the like; their motors hold them at velocity 0.
+    A joint that the scene does not set is at 0, or at its limit next to 0. Joints without
+    limits are wheels and the like; their motors hold them at velocity 0.
     """
     count = pybullet.getNumJoints(handle, client)
     joints = [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
-    settable = {joint.name: joint for joint in joints if joint.type in ("revolute", "prismatic")}
-    for name in spec.joints:
-        if name not in settable:
-            fixed = name in (joint.name for joint in joints)
-            reason = "cannot be set: it does not turn or slide" if fixed else "is not a joint"
-            raise SceneError(
-                f"{place}joints.{name}: {name!r} of {spec.model.name} {reason}",
-                suggestions=() if fixed else nearest(name, settable),
-            )
-    for name, joint in settable.items():
-        value = spec.joints.get(name, 0.0)
+    for name, value in spec.joints.items():
+        _check_joint(name, value, joints, f"{place}joints.{name}: {spec.model.name}")
+    for joint in joints:
+        if joint.type not in _SETTABLE:
+            continue
+        value = spec.joints.get(joint.name, _next_to_zero(joint))
         index = joint.link - 1
         pybullet.resetJointState(handle, index, value, 0.0, client)
         motor: dict[str, Any] = (
@@ -110,3 +113,27 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> None:
         pybullet.setJointMotorControl2(
             handle, index, force=joint.max_effort or 0.0, physicsClientId=client, **motor
         )
+
+
+def _check_joint(name: str, value: float, joints: Sequence[Joint], place: str) -> None:
+    """Complain of a joint that cannot be set so."""
+    known = {joint.name: joint for joint in joints}
+    if name not in known:
+        raise SceneError(f"{place} has no such joint", suggestions=nearest(name, known))
+    joint = known[name]
+    if joint.type not in _SETTABLE:
+        raise SceneError(f"{place}: a {joint.type} joint has no position")
+    low, high = _range(joint)
+    if not low <= value <= high:
+        raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    if joint.lower is None or joint.upper is None:
+        return -math.inf, math.inf
+    return joint.lower, joint.upper
+
+
+def _next_to_zero(joint: Joint) -> float:
+    low, high = _range(joint)
+    return min(max(0.0, low), high)

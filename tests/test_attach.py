@@ -1,0 +1,183 @@
+"""A client that the user made and goes on using: bodies come, go and move behind ssduck's back."""
+
+from __future__ import annotations
+
+import pybullet
+import pytest
+from pybullet_utils.bullet_client import BulletClient
+
+import ssduck
+from ssduck.errors import RemovedEntityError, SelectScriptError, SimulatorError
+
+
+@pytest.fixture
+def make(client):
+    """Makes a box in the client."""
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+
+    def made(position=(0, 0, 0), mass=1.0):
+        return pybullet.createMultiBody(mass, shape, basePosition=position, physicsClientId=client)
+
+    return made
+
+
+def test_names_and_kinds_are_the_users_or_the_models(client, make, write):
+    urdf = '<robot name="cube"><link name="l"/></robot>'
+    path = str(write("cube.urdf", urdf))
+    first = pybullet.loadURDF(path, physicsClientId=client)
+    pybullet.loadURDF(path, physicsClientId=client)
+    named, plain = make(), make()
+    world = ssduck.World.attach(
+        client, names={named: "mine", first: "cube"}, kinds={named: "robot"}
+    )
+    assert [entity.name for entity in world] == ["cube", "cube_2", "mine", f"body_{plain}"]
+    assert world["mine"].kind == "robot"
+    assert world["cube_2"].kind == "kinbody"
+
+
+def test_what_has_movable_joints_is_a_robot(client, write):
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    for kind in ("revolute", "continuous", "prismatic", "fixed"):
+        urdf = (
+            f'<robot name="{kind}_one"><link name="a"/><link name="b"/><joint name="j" type="{kind}">'
+            f'<parent link="a"/><child link="b"/><axis xyz="0 0 1"/>{limit}</joint></robot>'
+        )
+        pybullet.loadURDF(str(write(f"{kind}.urdf", urdf)), physicsClientId=client)
+    world = ssduck.World.attach(client)
+    assert {entity.name: entity.kind for entity in world} == {
+        "revolute_one": "robot",
+        "continuous_one": "robot",
+        "prismatic_one": "robot",
+        "fixed_one": "kinbody",
+    }
+
+
+def test_an_empty_client_is_an_empty_world(client, make):
+    world = ssduck.World.attach(client)
+    assert len(world) == 0
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        assert ss.eval("SELECT id FROM sim;") == []
+        make()
+        world.tick()
+        assert len(ss.eval("SELECT id FROM sim;")) == 1
+
+
+def test_bodies_that_come_and_go(client, make):
+    first = make()
+    world = ssduck.World.attach(client, names={first: "first"})
+    ids = {"first": world["first"].id}
+    second = make((1, 0, 0))
+    assert len(world) == 1  # until the next tick
+    world.tick()
+    handle = world[f"body_{second}"]
+    assert handle.position == pytest.approx([1, 0, 0])
+    pybullet.removeBody(first, client)
+    world.tick()
+    assert [entity.name for entity in world] == [handle.name]
+    assert handle.id not in ids.values()
+
+
+def test_a_body_that_took_the_number_of_another(client, make):
+    """PyBullet gives numbers again at once; an equal box in the same place is another body."""
+    body = make((0, 0, 1))
+    world = ssduck.World.attach(client, names={body: "box"})
+    old = world["box"]
+    pybullet.removeBody(body, client)
+    assert make((0, 0, 1)) == body
+    world.tick()
+    (new,) = world
+    assert new.id != old.id
+    assert new != old
+    for act in (lambda: old.position, lambda: old.links, lambda: old.move([0, 0, 0])):
+        with pytest.raises(RemovedEntityError, match="'box' is no longer in world"):
+            act()
+    assert old.name == "box"
+
+
+def test_a_reset_simulation(client, make):
+    make()
+    world = ssduck.World.attach(client)
+    old = next(iter(world))
+    pybullet.resetSimulation(client)
+    make((5, 0, 0))
+    world.tick()
+    (new,) = world
+    assert new.id != old.id
+    assert new.position == pytest.approx([5, 0, 0])
+
+
+@pytest.mark.parametrize("mass", [0.0, 1.0])
+def test_bodies_that_are_moved_behind_our_back(client, make, mass):
+    """Even those that cannot move by themselves."""
+    body = make((0, 0, 0), mass)
+    world = ssduck.World.attach(client, names={body: "it"})
+    pybullet.resetBasePositionAndOrientation(body, [3, 2, 1], [0, 0, 0, 1], client)
+    assert world["it"].position == pytest.approx([0, 0, 0])
+    world.tick()
+    assert world["it"].position == pytest.approx([3, 2, 1])
+    assert world["it"].aabb[0] == pytest.approx([2.9, 1.9, 0.9])
+
+
+def test_two_worlds_on_one_client(client, make):
+    body = make()
+    worlds = [ssduck.World.attach(client, names={body: name}) for name in ("one", "other")]
+    make((1, 0, 0))
+    for world, name in zip(worlds, ("one", "other"), strict=True):
+        world.tick()
+        assert name in world
+        assert len(world) == 2
+    pybullet.removeBody(body, client)
+    for world in worlds:
+        world.tick()
+        assert len(world) == 1
+
+
+def test_a_client_object_will_do():
+    client = BulletClient(pybullet.DIRECT)
+    client.createMultiBody()
+    assert len(ssduck.World.attach(client)) == 1
+    client.disconnect()
+
+
+@pytest.mark.parametrize("client", [99, "no client", None])
+def test_what_is_no_client(client):
+    with pytest.raises(SimulatorError, match="no connected PyBullet client"):
+        ssduck.World.attach(client)
+
+
+def test_a_disconnected_client_is_no_client():
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.disconnect(client)
+    with pytest.raises(SimulatorError, match="no connected PyBullet client"):
+        ssduck.World.attach(client)
+
+
+@pytest.mark.parametrize("argument", ["names", "kinds"])
+def test_numbers_that_no_body_has(client, make, argument):
+    make()
+    value = {"names": "x", "kinds": "robot"}[argument]
+    with pytest.raises(SelectScriptError, match="no body 7"):
+        ssduck.World.attach(client, **{argument: {7: value}})
+
+
+def test_closing_leaves_the_users_client_connected(client, make):
+    make()
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach(client))
+    assert pybullet.isConnected(client)
+    assert pybullet.getNumBodies(client) == 1
+
+
+def test_time_counts_the_steps_of_the_world(client, make):
+    make()
+    pybullet.setTimeStep(0.01, client)
+    world = ssduck.World.attach(client)
+    assert world.time == 0.0
+    world.step(50)
+    assert world.time == pytest.approx(0.5)
+    pybullet.stepSimulation(client)
+    world.tick()
+    assert world.time == pytest.approx(0.5)
