@@ -473,12 +473,17 @@ def test_the_case_of_a_suffix_does_not_matter(write):
         assert ss.eval("SELECT id FROM CUP AS list;") == ["cup"]
 
 
+_AXES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
 def test_a_sdf_of_several_bodies(write):
     """Their names are the models', made unique."""
+    inertia = "".join(f"<{k}>{v}</{k}>" for k, v in zip(_AXES, (1, 0, 0, 1, 0, 1), strict=True))
     model = (
-        '<model name="crate"><link name="l"><pose>{} 0 0 0 0 0</pose><inertial><mass>1</mass><inertia>"
-        "<ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy><iyz>0</iyz><izz>1</izz></inertia></inertial>'
-        '<collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision></link></model>'
+        '<model name="crate"><pose>{} 0 0 0 0 0</pose><link name="l">'
+        f"<inertial><mass>1</mass><inertia>{inertia}</inertia></inertial>"
+        '<collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>'
+        "</link></model>"
     )
     text = f'<sdf version="1.6"><world name="w">{model.format(0)}{model.format(5)}</world></sdf>'
     with ssduck.load(write("crates.sdf", text)) as ss:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 
 import numpy as np
@@ -25,16 +26,25 @@ class Spy:
     def __getattr__(self, name):
         return getattr(self._simulator, name)
 
+    broken = ()
+
     def read_frames(self, bodies):
+        self._check("frames")
         self.read["frames"] += 1
         self.read["bodies"] += len(bodies)
         return self._simulator.read_frames(bodies)
 
+    def _check(self, what):
+        if what in self.broken:
+            raise SimulatorError("broken")
+
     def read_joints(self, bodies):
+        self._check("joints")
         self.read["joints"] += 1
         return self._simulator.read_joints(bodies)
 
     def read_contacts(self):
+        self._check("contacts")
         self.read["contacts"] += 1
         return self._simulator.read_contacts()
 
@@ -118,7 +128,9 @@ def test_tables_are_forgotten_after_a_while(spied):
     spy.read.clear()
     for _ in range(FORGOTTEN_AFTER + 10):
         world.tick()
-    assert FORGOTTEN_AFTER - 2 <= spy.read["contacts"] <= FORGOTTEN_AFTER
+    # The first of them is the tick that asking took.
+    assert spy.read["contacts"] == FORGOTTEN_AFTER - 1
+    assert set(world.snapshot.tables["contacts"]["tick"].tolist()) <= {FORGOTTEN_AFTER + 1}
     read = spy.read["contacts"]
     world.ask(["contacts"])
     assert spy.read["contacts"] == read + 1
@@ -163,6 +175,52 @@ def test_buffers_stay_where_they_are(attached, client):
     assert table.arrow.num_rows == 2
 
 
+def test_only_tables_whose_rows_change_are_made_anew(attached):
+    """Contacts come and go; the number of links does not."""
+    attached.ask(["links", "contacts", "shapes"])
+    attached.tick()
+    arrows = {name: table.arrow for name, table in attached.snapshot.tables.items()}
+    attached.step(100)  # the boxes fall onto the floor
+    changed = {n for n, table in attached.snapshot.tables.items() if table.arrow is not arrows[n]}
+    assert changed == {"contacts"}
+    resting = attached.snapshot.tables["contacts"]
+    arrow, count = resting.arrow, resting.count
+    attached.step()
+    assert count > 0
+    assert (resting.arrow is arrow) == (resting.count == count)
+
+
+def test_queries_see_whole_ticks_while_another_thread_steps(spied):
+    """All rows of an answer are of one tick, and say what its time makes them."""
+    world, _ = spied
+    done = threading.Event()
+
+    def run():
+        while not done.is_set():
+            world.step()
+
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            seen = set()
+            for _ in range(60):
+                rows = ss.sql(
+                    "SELECT e.tick, l.tick, e.time, e.vz, l.vz FROM entities e "
+                    "JOIN links l ON l.entity = e.id"
+                ).fetchall()
+                assert len(rows) == 3
+                assert len({tick for row in rows for tick in row[:2]}) == 1
+                assert len({row[2] for row in rows}) == 1
+                assert all(row[3] == row[4] for row in rows)
+                seen.add(rows[0][0])
+        finally:
+            done.set()
+            thread.join()
+    assert len(seen) > 1
+
+
 def test_ticks_are_numbered_and_timed(attached):
     first = attached.snapshot.number
     attached.step(24)
@@ -195,6 +253,26 @@ def test_poses_that_are_no_numbers_become_null_and_are_told_once(attached, clien
     assert attached["body_0"].position == pytest.approx([1, 2, 3])
 
 
+@pytest.mark.parametrize("what", ["position", "orientation", "velocity"])
+def test_nothing_that_follows_from_an_unknown_number_is_known(attached, client, what):
+    nan = float("nan")
+    if what == "velocity":
+        pybullet.resetBaseVelocity(1, [nan, 0, 0], [0, 0, 0], client)
+    else:
+        place, turn = [0, 0, 2], [0, 0, 0, 1]
+        (place if what == "position" else turn)[0] = nan
+        pybullet.resetBasePositionAndOrientation(1, place, turn, client)
+    with pytest.warns(UserWarning, match=r"^body_1: .* is NULL"):
+        attached.ask(["links", "shapes"])
+    entities, links, shapes = columns(attached, "entities", "links", "shapes")
+    boxed = "xmin" if what != "velocity" else "vx"
+    for table in (entities, links):
+        assert [row[boxed] is None for row in table] == [False, True, False]
+    assert [row["xmin"] is None for row in shapes] == [False, what != "velocity", False]
+    assert not any(v is not None and v != v for row in entities for v in row.values())  # noqa: PLR0124
+    assert [name for name, v in entities[0].items() if v is None] == ["parent"]
+
+
 def test_a_failed_read_leaves_the_last_tick_whole(client):
     own = pybullet.connect(pybullet.DIRECT)
     scene(own)
@@ -206,6 +284,51 @@ def test_a_failed_read_leaves_the_last_tick_whole(client):
         with pytest.raises(SimulatorError, match="disconnected"):
             act()
     assert columns(world, *TABLES) == before
+
+
+@pytest.mark.parametrize("broken", ["frames", "joints", "contacts"])
+def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
+    """Even if bodies came and went before it."""
+    scene(client)
+    spy = Spy(PyBulletSimulator(client, owned=False))
+    world = ssduck.World(spy)
+    world.ask(["links", "joints", "shapes", "contacts"])
+    before, names = columns(world, *TABLES), [e.name for e in world]
+    pybullet.removeBody(0, client)
+    pybullet.createMultiBody(1, basePosition=[5, 5, 5], physicsClientId=client)
+    pybullet.createMultiBody(1, basePosition=[6, 6, 6], physicsClientId=client)
+    spy.broken = (broken,)
+    for _ in range(2):
+        with pytest.raises(SimulatorError, match="broken"):
+            world.tick()
+        assert columns(world, *TABLES) == before
+        assert [e.name for e in world] == names
+    spy.broken = ()
+    world.tick()
+    assert [e.position[0] for e in world] == pytest.approx([0, 0, 5, 6])
+    assert [row["x"] for row in columns(world, "links")[0]] == pytest.approx([0, 0, 5, 6])
+
+
+def test_a_table_that_could_not_be_read_is_still_lacking(spied):
+    world, spy = spied
+    spy.broken = ("contacts",)
+    with pytest.raises(SimulatorError, match="broken"):
+        world.ask(["contacts"])
+    spy.broken = ()
+    number = world.snapshot.number
+    world.ask(["contacts"])
+    assert (world.snapshot.number, spy.read["contacts"]) == (number + 1, 1)
+
+
+def test_a_table_that_is_asked_for_while_a_query_runs_is_still_lacking(attached):
+    with (
+        attached.held(),
+        pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"),
+    ):
+        attached["body_0"].links  # noqa: B018
+    attached.step(20)
+    (link,) = attached["body_0"].links
+    assert link.position == attached["body_0"].position
 
 
 def test_a_query_holds_the_tick(attached):

@@ -7,10 +7,12 @@ import copy
 import numpy as np
 import pybullet
 import pytest
+from conftest import collision, joint, link, robot
+from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.errors import SelectScriptError, UnknownNameError
-from ssduck.scenes import Camera
+from ssduck.scenes import Camera, find_scene
 
 
 @pytest.fixture
@@ -172,3 +174,121 @@ def test_an_interpreter_closes_only_the_world_that_it_loaded(client):
     world.tick()
     with pytest.raises(SelectScriptError, match="closed"):
         kitchen.tick()
+
+
+# -- links, joints, sensors ------------------------------------------------------------------------
+
+LIMIT = '<limit lower="-3" upper="3" effort="5" velocity="2"/>'
+CARRIER = robot(
+    link("base", com=(0.1, 0.2, 0.3), rpy=(0.4, 0, 0), shapes=collision('<box size="1 1 1"/>')),
+    link("arm", com=(0, 0, 0.5), shapes=collision('<sphere radius="0.25"/>', xyz=(0, 0, 1))),
+    joint("turn", "revolute", "base", "arm", xyz=(0, 0, 1), axis=(0, 1, 0), limit=LIMIT),
+    name="carrier",
+)
+SCENE = """
+gravity = [0, 0, 0]
+timestep = 1e-6
+[[body]]
+name = "carrier"
+urdf = "carrier.urdf"
+position = [1, 2, 3]
+orientation = [0.5, 0.5, 0.5, 0.5]
+joints = { turn = 0.5 }
+[[sensor]]
+name = "on_the_arm"
+type = "range_finder"
+on = "carrier"
+link = "arm"
+position = [0.1, 0.2, 0.9]
+orientation = [0.8, 0, 0.6, 0]
+max_range = 1
+"""
+
+
+@pytest.fixture
+def carrier(write):
+    """A scene of a robot with a sensor on its arm."""
+    write("carrier.urdf", CARRIER)
+    world = ssduck.World.load(find_scene(write("room.toml", SCENE)))
+    yield world
+    world.close()
+
+
+def test_a_sensor_is_a_point_that_moves_with_its_link(carrier):
+    """Its pose by composition, its velocity by the change of its position."""
+    client = carrier._simulator.client
+    (handle,) = carrier._simulator._known
+    pybullet.resetBaseVelocity(handle, [1, 2, 3], [3, -2, 1], client)
+    pybullet.setJointMotorControl2(
+        handle, 0, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client
+    )
+    pybullet.resetJointState(handle, 0, 0.5, 4.0, client)
+    carrier.tick()
+    eye = carrier["on_the_arm"]
+    before = np.array(eye.position)
+    carrier.step()
+    arm = Rotation.from_quat(pybullet.getLinkState(handle, 0, 0, 1, client)[5])
+    place = pybullet.getLinkState(handle, 0, 0, 1, client)[4]
+    assert eye.position == pytest.approx(arm.apply([0.1, 0.2, 0.9]) + place, abs=1e-6)
+    turn = arm * Rotation.from_quat([0, 0.6, 0, 0.8])
+    assert (turn.inv() * Rotation.from_quat(np.roll(eye.orientation, -1))).magnitude() < 1e-6
+    assert (np.array(eye.position) - before) / 1e-6 == pytest.approx(eye.velocity[:3], abs=1e-3)
+    assert np.linalg.norm(eye.velocity[:3]) > 3
+    assert eye.velocity[3:] == pytest.approx(
+        pybullet.getLinkState(handle, 0, 1, 1, client)[7], abs=1e-6
+    )
+    assert eye.aabb == (eye.position, eye.position)
+
+
+def test_links_and_joints_of_a_robot(carrier):
+    robot = carrier["carrier"]
+    base, arm = robot.links
+    assert [base.name, arm.name] == ["base", "arm"]
+    assert base.position == robot.position == pytest.approx([1, 2, 3])
+    # The base's z is the world's x; the joint, 1 m along it, turns about the base's y, which is
+    # the world's z.
+    assert arm.position == pytest.approx([2, 2, 3], abs=1e-6)
+    centre = np.array([2 + np.cos(0.5), 2 + np.sin(0.5), 3])
+    assert np.array(arm.aabb) == pytest.approx(np.array([centre - 0.25, centre + 0.25]), abs=1e-6)
+    low, high = np.array(robot.aabb)
+    assert low == pytest.approx(np.minimum(base.aabb[0], arm.aabb[0]))
+    assert high == pytest.approx(np.maximum(base.aabb[1], arm.aabb[1]))
+    assert (base.mass, arm.mass, robot.mass) == (1.0, 1.0, 2.0)
+    (turn,) = robot.joints
+    assert (turn.name, turn.type, turn.lower, turn.upper) == ("turn", "revolute", -3.0, 3.0)
+    assert (turn.position, turn.velocity) == pytest.approx((0.5, 0.0))
+    assert carrier["on_the_arm"].links == carrier["on_the_arm"].joints == []
+
+
+def test_a_moved_robot_keeps_its_joints(carrier):
+    robot = carrier["carrier"]
+    robot.move([0, 0, 0], [1, 0, 0, 0])
+    assert robot.joints[0].position == pytest.approx(0.5)
+    assert robot.links[1].position == pytest.approx([0, 0, 1], abs=1e-6)
+    assert carrier["on_the_arm"].position == pytest.approx(
+        Rotation.from_rotvec([0, 0.5, 0]).apply([0.1, 0.2, 0.9]) + [0, 0, 1], abs=1e-6
+    )
+
+
+def test_contacts_are_of_where_things_are(kitchen):
+    """As loaded and after a move, without a step."""
+    kitchen.ask(["contacts"])
+    can = kitchen["can"]
+
+    def touching():
+        table = kitchen.snapshot.tables["contacts"].arrow
+        ids = zip(table["a"].to_pylist(), table["b"].to_pylist(), strict=True)
+        return {a + b - can.id for a, b in ids if can.id in (a, b)}
+
+    can.move(position=[0, 0, 50])
+    assert touching() == set()
+    x, y, _ = kitchen["table"].position
+    can.move(position=[x, y, kitchen["table"].aabb[1][2] - 0.01])
+    assert kitchen["table"].id in touching()
+
+
+@pytest.mark.parametrize("count", [-1, -240])
+def test_time_does_not_run_backwards(kitchen, count):
+    with pytest.raises(ValueError, match=f"cannot run {count} steps"):
+        kitchen.step(count)
+    assert kitchen.step(0).time == 0.0

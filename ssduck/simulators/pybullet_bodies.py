@@ -286,7 +286,7 @@ class _Reader:
         return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0])
 
     def _is_bare(self, link: int) -> bool:
-        """Whether a link has no shapes: its box is but a margin of 1 mm, turned, around its mass."""
+        """Whether a link has no shapes: its box is but a margin of 1 mm around its mass."""
         low, high = self._own_box(link)
         shift = (low + high) / 2 - self._com_pose(link)[0][0]
         return bool((high - low).max() < _BARE and np.abs(shift).max() < 1e-6)
