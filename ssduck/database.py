@@ -18,7 +18,7 @@ from sqlglot import exp
 from ssduck.errors import ArgumentError, SqlError
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.udfs import RELATIONS
-from ssduck.world import World
+from ssduck.world import UNNAMED, World
 
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
@@ -28,6 +28,8 @@ _TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 
 
+# What our prepared statements are called, in front of a number.
+_OURS = "ssduck statement "
 # No source can be called so, for it is no name.
 _PARAMETERS = "the parameters"
 
@@ -55,7 +57,7 @@ class Statement:
         types: Mapping[str, Literal["real", "integer"]],
     ) -> None:
         self._database = database
-        self._name = f"ssduck statement {next(self._numbers)}"
+        self._name = f"{_OURS}{next(self._numbers)}"
         self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
         self._row.fill(1, {})
         self._prepared_for = -1
@@ -84,6 +86,7 @@ class Statement:
         """Let DuckDB forget it."""
         if self._prepared_for == self._database.generation:
             self._database.run(self._deallocate)
+            self._prepared_for = -1
         if self._has_parameters:
             self._database.unshow(self._name)
 
@@ -98,10 +101,18 @@ def _as_column(part: exp.Expr) -> exp.Expr:
 
 @dataclass
 class _Bound:
-    """A world with a schema; `versions` are those of the tables that DuckDB has been shown."""
+    """A world in this database.
 
-    schema: str
+    Attributes:
+        world: the world.
+        key: what its buffers are called among DuckDB's temporary views.
+        schemas: its names here; the first is the one that ssduck's own statements use.
+        versions: those of the tables that DuckDB has been shown.
+    """
+
     world: World
+    key: str
+    schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
 
 
@@ -126,6 +137,7 @@ class Database:
         self._tracer = tracer
         self._lock = threading.RLock()
         self._bound: list[_Bound] = []
+        self._numbers = count(1)
         self.generation = 0
         self._asked_for_good: set[str] = set()
         # The data are small and the queries many: a second thread costs more than it gives.
@@ -136,8 +148,16 @@ class Database:
             self.run(relation.macro)
 
     def close(self) -> None:
-        """Close the connection."""
-        self._finalizer()
+        """Close the connection; a file keeps no views on worlds that are gone."""
+        with self._lock:
+            if not self._finalizer.alive:
+                return
+            for bound in self._bound:
+                for schema in bound.schemas:
+                    for table in TABLES:
+                        view = exp.table_(table, db=schema, quoted=True)
+                        self.run(exp.Drop(tables=[view], kind="VIEW", exists=True).sql("duckdb"))
+            self._finalizer()
 
     # -- statements -----------------------------------------------------------------------
 
@@ -164,7 +184,8 @@ class Database:
         """Hold all worlds at their tick, with these tables read, while statements run."""
         with ExitStack() as stack:
             stack.enter_context(self._lock)
-            for bound in self._bound:
+            # In one order in all databases, so that no two wait for each other.
+            for bound in sorted(self._bound, key=lambda bound: bound.world.serial):
                 stack.enter_context(bound.world.held(tables))
             for bound in self._bound:
                 self._show(bound)
@@ -194,6 +215,8 @@ class Database:
         try:
             yield
         except duckdb.Error as error:
+            if not self._finalizer.alive:
+                raise SqlError("the interpreter is closed") from error
             raise SqlError(str(error).strip()) from error
         except RuntimeError as error:  # so DuckDB tells of Ctrl-C
             if "interrupted" not in str(error).lower():
@@ -203,53 +226,87 @@ class Database:
     # -- worlds ---------------------------------------------------------------------------
 
     def bind(self, name: str, world: World) -> None:
-        """Make the schema of a world's tables; a world keeps the first name that it gets.
+        """Make the schema of that name that of a world's tables; it may have several.
 
         Raises:
-            ArgumentError: DuckDB has a schema of that name.
+            ArgumentError: DuckDB has a schema or a database of that name, or another world has
+                one that differs in case only, which DuckDB does not tell apart.
         """
         with self._lock:
-            if any(bound.world is world for bound in self._bound):
-                return
-            if name.lower() in _TAKEN:
-                raise ArgumentError(f"a world cannot be called {name!r}: DuckDB has that schema")
-            world.name = name
-            bound = _Bound(name, world)
-            self._show(bound)
-            schema = exp.table_(name, quoted=True)
-            self.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
-            for table in TABLES:
-                rows = exp.select("*").from_(exp.table_(_live(name, table), quoted=True))
-                view = exp.table_(table, db=name, quoted=True)
-                create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
-                self.run(create.sql("duckdb"))
-            self._bound = [other for other in self._bound if other.schema != name] + [bound]
+            self._check_schema(name)
+            for other in self._bound:
+                if name in other.schemas and other.world is not world:
+                    other.schemas.remove(name)
+            if world.name == UNNAMED:
+                world.name = name
+            bound = self._entry(world)
+            if name not in bound.schemas:
+                bound.schemas.append(name)
+                self._make_views(name, bound)
             self._set_search_path()
 
-    def ensure(self, world: World) -> None:
-        """Bind a world that no variable was bound to by Python, under a name like its own."""
+    def _check_schema(self, name: str) -> None:
+        ((database,),) = self.rows("SELECT current_database()")
+        if name.casefold() in _TAKEN or name.casefold() == database.casefold():
+            raise ArgumentError(
+                f"a world cannot be called {name!r}: DuckDB has a schema or database of that name"
+            )
+        for other in self._bound:
+            for schema in other.schemas:
+                if schema != name and schema.casefold() == name.casefold():
+                    raise ArgumentError(
+                        f"a world cannot be called {name!r}: there is {schema!r}, "
+                        "and SQL does not tell upper from lower case"
+                    )
+
+    def _entry(self, world: World) -> _Bound:
+        for bound in self._bound:
+            if bound.world is world:
+                return bound
+        bound = _Bound(world, f"world {next(self._numbers)}")
+        self._bound.append(bound)
+        self._show(bound)
+        return bound
+
+    def _make_views(self, name: str, bound: _Bound) -> None:
+        schema = exp.table_(name, quoted=True)
+        self.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
+        for table in TABLES:
+            rows = exp.select("*").from_(exp.table_(_live(bound.key, table), quoted=True))
+            view = exp.table_(table, db=name, quoted=True)
+            create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
+            self.run(create.sql("duckdb"))
+        self._forget_plans()
+
+    def schema_of(self, world: World) -> str:
+        """The schema of a world's tables; one is made for a world that has none here."""
         with self._lock:
-            if world not in self.worlds:
-                taken = {bound.schema for bound in self._bound}
+            bound = next((bound for bound in self._bound if bound.world is world), None)
+            if bound is None or not bound.schemas:
+                taken = {schema.casefold() for other in self._bound for schema in other.schemas}
                 names = (f"{world.name}_{number}" for number in count(2))
-                name = world.name if world.name not in taken else next(names)
-                while name in taken:
+                name = world.name
+                while name.casefold() in taken or name.casefold() in _TAKEN:
                     name = next(names)
                 self.bind(name, world)
+                bound = self._entry(world)
+            return bound.schemas[0]
 
     def _set_search_path(self) -> None:
         """The first world's tables go without its name."""
-        first = exp.to_identifier(self._bound[0].schema, quoted=True).sql("duckdb")
-        path = exp.Literal.string(f"main,{first}").sql("duckdb")
-        self.run(f"SET search_path = {path}")
+        first = next((bound.schemas[0] for bound in self._bound if bound.schemas), None)
+        if first is not None:
+            name = exp.to_identifier(first, quoted=True).sql("duckdb")
+            path = exp.Literal.string(f"main,{name}").sql("duckdb")
+            self.run(f"SET search_path = {path}")
 
     def _show(self, bound: _Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         for table, live in bound.world.snapshot.tables.items():
             if bound.versions.get(table) != live.version:
                 if table in bound.versions:
-                    self._forget_plans()
-                self.show(_live(bound.schema, table), live.arrow)
+                    self._forget_plans(table)
+                self.show(_live(bound.key, table), live.arrow)
                 bound.versions[table] = live.version
 
     def show(self, name: str, table: pa.Table) -> None:
@@ -260,19 +317,24 @@ class Database:
         """Let DuckDB forget a table."""
         self._connection.unregister(name)
 
-    def _forget_plans(self) -> None:
-        """Drop all prepared statements, a user's too: they would go on reading old buffers."""
-        names = self.rows("SELECT name FROM duckdb_prepared_statements()")
-        for (name,) in names:
-            self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
-        self.generation += 1
+    def _forget_plans(self, table: str = "entities") -> None:
+        """Drop prepared statements that would go on reading a table's old buffers.
+
+        Our own read the entities only. Of a user's it is not known, so that all are dropped if
+        any statement that DuckDB keeps names the table.
+        """
+        ours, theirs = table == "entities", table in self._asked_for_good
+        self.generation += ours
+        for (name,) in self.rows("SELECT name FROM duckdb_prepared_statements()"):
+            if ours if name.startswith(_OURS) else theirs:
+                self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
 
     @property
-    def worlds(self) -> list[World]:
-        """The worlds, the first one first."""
-        return [bound.world for bound in self._bound]
+    def worlds(self) -> dict[str, World]:
+        """The worlds by the schema that ssduck's statements use, the first one first."""
+        return {bound.schemas[0]: bound.world for bound in self._bound if bound.schemas}
 
 
-def _live(schema: str, table: str) -> str:
+def _live(key: str, table: str) -> str:
     """What a table's buffers are called among DuckDB's temporary views."""
-    return f"{schema}.{table} (live)"
+    return f"{key}: {table}"

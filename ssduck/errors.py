@@ -22,7 +22,7 @@ class Span:
 def nearest(name: str, known: Iterable[str], limit: int = 3) -> tuple[str, ...]:
     """The known names that are most alike to `name`, best first, case aside."""
     by_folded = {candidate.casefold(): candidate for candidate in sorted(known)}
-    found = difflib.get_close_matches(name.casefold(), list(by_folded), n=limit, cutoff=0.6)
+    found = difflib.get_close_matches(str(name).casefold(), list(by_folded), n=limit, cutoff=0.6)
     return tuple(by_folded[match] for match in found)
 
 

@@ -35,6 +35,10 @@ from ssduck.tree import (
     Unary,
 )
 
+# Larger results of ^ and * are refused: they are mistakes, and nothing could stop them.
+MOST_BITS = 1_000_000
+MOST_ELEMENTS = 10_000_000
+
 
 class Scope(Protocol):
     """What an evaluator needs of the interpreter."""
@@ -99,6 +103,9 @@ class Evaluator:
         except SelectScriptError as error:
             error.span = error.span or node.span
             raise
+        except (ValueError, ArithmeticError, MemoryError) as error:
+            # Of values that Python brought in, an array that is neither true nor false, say.
+            raise EvaluationError(f"{type(error).__name__}: {error}", span=node.span) from error
         if kept is not None:
             kept.append(value)
         return value
@@ -196,8 +203,12 @@ def apply(sign: str, left: Any, right: Any, span: Span | None = None) -> Any:
         EvaluationError: a division by zero, or a number too large.
         ArgumentError: values that the operator does not take.
     """
+    if _is_endless(sign, left, right):
+        raise EvaluationError(f"the result of {sign} is too large", span=span)
     try:
-        return _OPERATORS[sign](left, right)
+        value = _OPERATORS[sign](left, right)
+        if isinstance(value, complex):
+            raise EvaluationError(f"{sign} of these has no real value", span=span)
     except ZeroDivisionError as error:
         raise EvaluationError("division by zero", span=span) from error
     except OverflowError as error:
@@ -206,6 +217,19 @@ def apply(sign: str, left: Any, right: Any, span: Span | None = None) -> Any:
         raise ArgumentError(
             f"{sign} does not take {_kind(left)} and {_kind(right)}", span=span
         ) from error
+    return value
+
+
+def _is_endless(sign: str, left: Any, right: Any) -> bool:
+    """Whether a power or a repetition would take all time and memory there is."""
+    if sign == "^":
+        whole = isinstance(left, int) and isinstance(right, int)
+        return whole and abs(left) > 1 and right * left.bit_length() > MOST_BITS
+    if sign == "*":
+        for sequence, times in ((left, right), (right, left)):
+            if isinstance(sequence, str | list) and isinstance(times, int):
+                return len(sequence) * times > MOST_ELEMENTS
+    return False
 
 
 def apply_unary(sign: str, value: Any, span: Span | None = None) -> Any:

@@ -155,8 +155,8 @@ class Expressions:
         match node:
             case This() if self._own(node):
                 return self._this(node)
-            case tree.Literal(value=value):
-                return SqlValue(exp.convert(value), self.names.tag(node))
+            case tree.Literal():
+                return self._literal(node)
         if self.is_constant(node):
             return self._constant(node)
         match node:
@@ -185,6 +185,18 @@ class Expressions:
             case If(condition=condition, then=(then,), otherwise=(otherwise,)):
                 return self._choice(condition, then, otherwise)
         raise NotSqlError
+
+    def _literal(self, node: tree.Literal) -> SqlValue:
+        tag = self.names.tag(node)
+        match node.value:
+            case _ if tag.type == "any":  # a number too large for SQL
+                raise NotSqlError
+            case float(number):
+                text = repr(number)
+                # DuckDB takes a number for a DOUBLE, and not for a DECIMAL, by its exponent.
+                return SqlValue(exp.Literal.number(text if "e" in text else f"{text}e0"), tag)
+            case value:
+                return SqlValue(exp.convert(value), tag)
 
     def _this(self, node: This) -> SqlValue:
         alias = node.alias if node.alias is not None else self.only
@@ -227,7 +239,7 @@ class Expressions:
             def column(name: str) -> exp.Expr:
                 return _expanded(formula, values, name)
 
-            return SqlValue(None, entity.tag, column)
+            return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
         sql = _expanded(formula, values)
         if isinstance(sql, exp.Array):
             elements = tuple(SqlValue(part, Tag("real")) for part in sql.expressions)
@@ -236,6 +248,8 @@ class Expressions:
 
     def _argument(self, parameter: Parameter, node: Node) -> SqlValue:
         value = self.value(node)
+        if value.tag.nullable:
+            raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
         if value.tag.type == parameter.type:
             return value
         if parameter.type == "place" and value.tag.type == "entity":
@@ -243,8 +257,7 @@ class Expressions:
         if parameter.type == "place" and value.tag.type == "list" and value.tag.element in _NUMBERS:
             if value.tag.length != 3:
                 raise ArgumentError(
-                    f"{parameter.name} is to be {parameter.meaning}, not a list of "
-                    f"{value.tag.length if value.tag.length is not None else 'unknown length'}",
+                    f"{parameter.name} is to be {parameter.meaning}, not a list of another length",
                     span=node.span,
                 )
             index = {"x": 1, "y": 2, "z": 3}
@@ -282,9 +295,10 @@ class Expressions:
 
     def _arithmetic(self, kind: type[exp.Binary], node: Binary) -> SqlValue:
         left, right = self._number(node.left), self._number(node.right)
-        whole = left.tag.type == right.tag.type == "integer"
+        if left.tag.type == right.tag.type == "integer":
+            raise NotSqlError  # Python's integers have no end
         sql = kind(this=_wrapped(left.sql), expression=_wrapped(right.sql))
-        return SqlValue(exp.paren(sql), Tag("integer" if whole else "real"))
+        return SqlValue(exp.paren(sql), Tag("real"))
 
     def _quotient(self, node: Binary) -> SqlValue:
         """A division whose divisor cannot be 0; DuckDB would yield NULL, Python raises."""
@@ -295,6 +309,8 @@ class Expressions:
         return SqlValue(exp.paren(sql), Tag("real"))
 
     def _comparison(self, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
+        if left.tag.nullable or right.tag.nullable:
+            raise NotSqlError  # NULL is equal to nothing, not even to NULL
         kinds = left.tag.type, right.tag.type
         alike = (
             all(kind in _NUMBERS for kind in kinds)

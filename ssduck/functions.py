@@ -47,7 +47,7 @@ class Function:
         """
         try:
             return self.call(*(_copied(argument) for argument in arguments))
-        except SelectScriptError:
+        except (SelectScriptError, RecursionError):
             raise
         except Exception as error:
             raise FunctionError(f"{self.name}: {type(error).__name__}: {error}") from error
@@ -84,7 +84,8 @@ def _avg(values: list[Any]) -> Any:
 def _builtin(
     name: str, call: Callable[..., Any], about: str, usage: str, most: int = 1
 ) -> Function:
-    return Function(name, call, f"{about}\nUsage: {usage}", 1, most, builtin=True)
+    least = most - usage.count("[,")
+    return Function(name, call, f"{about}\nUsage: {usage}", least, most, builtin=True)
 
 
 _OF_LISTS = (

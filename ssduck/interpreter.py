@@ -16,10 +16,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
-from ssduck.adapters import ADAPTERS, Adapter
+from ssduck.adapters import ADAPTERS, Adapter, Rows
 from ssduck.database import Database
 from ssduck.errors import (
     ArgumentError,
+    EvaluationError,
+    FunctionError,
     ParseError,
     SelectScriptError,
     UnknownNameError,
@@ -30,13 +32,13 @@ from ssduck.expressions import sees_outside
 from ssduck.functions import BUILTINS, Function
 from ssduck.language import is_reserved, parse
 from ssduck.plan import Plan, Tag
-from ssduck.queries import Planned, elements_of, shapes_of, tag_of
+from ssduck.queries import Planned, shapes_of, tag_of
 from ssduck.result import Result
 from ssduck.scenes import find_scene
 from ssduck.translate import translate, unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS, Relation
-from ssduck.world import Entity, World
+from ssduck.world import World
 
 # So many queries keep their plans; then all are forgotten and made anew as they are needed.
 MOST_PLANS = 500
@@ -79,6 +81,7 @@ class Interpreter:
     ) -> None:
         self._database = Database(database, tracer)
         self._lock = threading.RLock()
+        self.schema_of = self._database.schema_of
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
         self._functions.update((command.name, command) for command in self._commands())
@@ -290,7 +293,7 @@ class Interpreter:
             return True
 
         def get_time() -> float:
-            worlds = self._database.worlds
+            worlds = list(self._database.worlds.values())
             if not worlds:
                 raise UnknownNameError("there is no world, so no simulated time")
             return worlds[0].time
@@ -310,7 +313,11 @@ class Interpreter:
         ]
 
     def _run_text(self, text: str) -> Any:
-        return self._run(parse(text))
+        try:
+            return self._run(parse(text))
+        except SelectScriptError as error:
+            error.locate(text)
+            raise
 
     # -- the scope of expressions (ssduck.evaluate.Scope) -----------------------------------
 
@@ -367,34 +374,30 @@ class Interpreter:
     def query(self, node: Query, outer: Evaluator) -> Any:
         """The value of a query; `outer` knows the rows of the queries around it."""
         adapter = _adapter(node)
+        with self._database.held():  # what it is made of is of one tick, too
+            return adapter.make(self._selected(node, outer, keyed=adapter.keyed))
+
+    def _selected(self, node: Query, outer: Evaluator, *, keyed: bool) -> Rows:
         values = [outer.value(source.value) for source in node.sources]
-        for value in values:
-            self.ensure_worlds(value)
         typed = _Typed(self, outer)
         planned = self._planned(node, values, typed)
-        if adapter.keyed:
+        if keyed:
             _check_columns(planned.plan)
         aliases = (shape.alias for shape in planned.plan.shapes)
         inner = outer.knowing(typed.values)
-        return adapter.make(planned.run(inner, dict(zip(aliases, values, strict=True))))
+        return planned.run(inner, dict(zip(aliases, values, strict=True)))
 
     def _planned(self, query: Query, values: Sequence[Any], typed: _Typed) -> Planned:
         """The query's plan for values of these types; made anew only for new types."""
-        shapes = shapes_of(query, values)
-        for planned in self._plans.get(query, ()):
+        shapes = shapes_of(query, values, self.schema_of)
+        for planned in tuple(self._plans.get(query, ())):
             if planned.plan.fits(shapes, typed):
                 return planned
-        if len(self._plans) >= MOST_PLANS:
+        if sum(map(len, self._plans.values())) >= MOST_PLANS:
             self._forget_plans()
         planned = Planned(translate(query, shapes, typed), self._database)
         self._plans.setdefault(query, []).append(planned)
         return planned
-
-    def ensure_worlds(self, value: Any) -> None:
-        """See to it that the worlds of a source's elements have tables."""
-        for element in elements_of(value):
-            if isinstance(element, World | Entity):
-                self._database.ensure(element if isinstance(element, World) else element.world)
 
     def _forget_plans(self) -> None:
         for planned in itertools.chain.from_iterable(self._plans.values()):
@@ -413,10 +416,11 @@ class Interpreter:
         values = [evaluator.value(argument) for argument in node.arguments]
         inner = evaluator.knowing(dict(zip(call.children(), values, strict=True)))
         typed = _Typed(self, inner)
-        planned = self._planned(query, (), typed)
-        if planned.plan.left:
-            raise ArgumentError(f"{node.name} does not take that", span=node.span)
-        return planned.run(inner.knowing(typed.values), {}).values[0][0]
+        with self._database.held():
+            planned = self._planned(query, (), typed)
+            if planned.plan.left:
+                raise ArgumentError(f"{node.name} does not take that", span=node.span)
+            return planned.run(inner.knowing(typed.values), {}).values[0][0]
 
 
 class _Typed:
@@ -435,22 +439,27 @@ class _Typed:
     def tag(self, node: Node) -> Tag:
         """The type of a constant part; its value is kept, so that it is computed once a run."""
         if node not in self.values:
-            self.values[node] = self._evaluator.value(node)
-            self._interpreter.ensure_worlds(self.values[node])
-        return tag_of(self.values[node])
+            try:
+                self.values[node] = self._evaluator.value(node)
+            except (ArgumentError, EvaluationError, FunctionError):
+                return Tag("any")  # it is an error only if a row comes to it
+        return tag_of(self.values[node], self._interpreter.schema_of)
 
 
 def _compiled(program: str | Program) -> Program:
+    if not isinstance(program, str | Program):
+        raise ArgumentError(f"a program is a text or what compile gave, not {program!r}")
     return parse(program) if isinstance(program, str) else program
 
 
 def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
     function = Function.of(name, call, f"{about}\nUsage: {name}({usage})")
-    return replace(function, builtin=True, least=max(function.least, usage == "value, ..."))
+    least = 1 if usage.endswith("...") else function.least
+    return replace(function, builtin=True, least=least)
 
 
 def _check_name(name: str, what: str) -> None:
-    if not name.isidentifier():
+    if not isinstance(name, str) or not name.isidentifier():
         raise ArgumentError(f"{name!r} cannot be {what}'s name: letters, digits and _ only")
     if is_reserved(name):
         raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")

@@ -200,7 +200,7 @@ class _Parser:
     # -- statements -----------------------------------------------------------------------
 
     def program(self) -> Program:
-        explain = self.take_words("EXPLAIN")
+        explain = _is(self.ahead(), TokenType.VAR) and self.take_words("EXPLAIN")
         statements = []
         while self.token is not None:
             if self.take(TokenType.SEMICOLON):

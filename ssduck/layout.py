@@ -88,6 +88,10 @@ class Part:
         members: the bodies, in order.
         layout: all entities, the sensors among them, and their rows.
         first: of each body's id, the rows of its first link and of its first shape.
+
+    Attributes:
+        bodies: the bodies.
+        sensors_on_links: whether a sensor moves with a link that is no base.
     """
 
     def __init__(
@@ -129,6 +133,7 @@ class Part:
         rows = [layout.rows[member.id] for member in (*members, *sensors)]
         self._rows = np.array(rows, dtype=np.intp)
         mounts = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
+        self.sensors_on_links = bool(np.setdiff1d(mounts, self._bases).size)
         self._told = np.concatenate((self._bases, mounts))
 
     # Rows x to zmax of the tables of entities and links: pose, velocities, box.

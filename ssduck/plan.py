@@ -25,12 +25,14 @@ class Tag:
         element: of a list, what its elements are.
         length: of a list, how many it has.
         schema: of an entity, the world that it is in.
+        nullable: of an entity, whether there may be none.
     """
 
     type: ValueType
     element: ValueType | None = None
     length: int | None = None
     schema: str | None = None
+    nullable: bool = False
 
 
 @dataclass(frozen=True)

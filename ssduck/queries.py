@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, cmp_to_key
-from typing import Any
+from typing import Any, TypeAlias
 
 from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
@@ -16,14 +16,24 @@ from ssduck.plan import Item, Output, Plan, Shape, Tag
 from ssduck.tree import Node, Query, Source
 from ssduck.world import Entity, World
 
+# Larger integers are not all numbers that a DOUBLE can be.
+_EXACT = 2**53
 
-def tag_of(value: Any) -> Tag:
-    """The type of a value, as far as SQL knows it."""
+SchemaOf: TypeAlias = Callable[[World], str]
+
+
+def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
+    """The type of a value, as far as SQL knows it.
+
+    Args:
+        value: any value.
+        schema_of: gives the schema of a world.
+    """
     match value:
         case bool():
             return Tag("flag")
         case int():
-            return Tag("integer" if abs(value) < 2**63 else "any")
+            return Tag("integer" if abs(value) < _EXACT else "any")
         case float():
             return Tag("real" if math.isfinite(value) else "any")
         case str():
@@ -31,30 +41,26 @@ def tag_of(value: Any) -> Tag:
         case None:
             return Tag("nothing")
         case Entity():
-            return Tag("entity", schema=value.world.name)
+            return Tag("entity", schema=schema_of(value.world))
         case list():
-            tag = _common(value)
+            tags = {tag_of(element, schema_of) for element in value}
+            if tags == {Tag("real"), Tag("integer")}:  # a list of numbers for distance, IN, ==
+                tags = {Tag("real")}
+            tag = tags.pop() if len(tags) == 1 else Tag("any")
             if tag.type in ("real", "integer", "text"):
-                return Tag("list", tag.type, len(value))
+                # A plan depends on whether it is a point, not on how long the list is.
+                return Tag("list", tag.type, 3 if len(value) == 3 else None)
     return Tag("any")
 
 
-def _common(values: Iterable[Any]) -> Tag:
-    """The type that all elements of a list have; integers among reals are reals."""
-    tags = {tag_of(value) for value in values}
-    if tags == {Tag("real"), Tag("integer")}:
-        return Tag("real")
-    return tags.pop() if len(tags) == 1 else Tag("any")
-
-
-def shapes_of(query: Query, values: Sequence[Any]) -> tuple[Shape, ...]:
+def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[Shape, ...]:
     """What the sources of a query are.
 
     Raises:
         ArgumentError: two sources have the same name.
     """
     shapes = [
-        _shape(source, value, index)
+        _shape(source, value, index, schema_of)
         for index, (source, value) in enumerate(zip(query.sources, values, strict=True))
     ]
     for index, shape in enumerate(shapes):
@@ -66,11 +72,12 @@ def shapes_of(query: Query, values: Sequence[Any]) -> tuple[Shape, ...]:
     return tuple(shapes)
 
 
-def _shape(source: Source, value: Any, index: int) -> Shape:
+def _shape(source: Source, value: Any, index: int, schema_of: SchemaOf) -> Shape:
     alias = source.alias or (f"source_{index + 1}" if index else "this")
     if isinstance(value, World):
-        return Shape(alias, value.name, None)
-    tag = _common(elements_of(value))
+        return Shape(alias, schema_of(value), None)
+    tags = {tag_of(element, schema_of) for element in elements_of(value)}
+    tag = tags.pop() if len(tags) == 1 else Tag("any")
     return Shape(alias, None, tag if tag.type in _LISTED else Tag("any"))
 
 
@@ -113,7 +120,7 @@ class Planned:
         plan = self.plan
         with self._database.held():
             fetched = self._fetched(_parameters(plan, outer, sources))
-            worlds = {world.name: world for world in self._database.worlds}
+            worlds = self._database.worlds
             once: dict[Node, list[Any]] = {**outer.once, **{node: [] for node in plan.once}}
             this_run = _Run(plan, outer, sources, worlds, once)
             outputs = plan.outputs
@@ -148,7 +155,8 @@ def _parameters(plan: Plan, outer: Evaluator, sources: Mapping[str, Any]) -> dic
     bound = {}
     for binding in plan.bindings:
         if binding.source is not None:
-            bound[binding.name] = [_plain(value) for value in elements_of(sources[binding.source])]
+            tag = next(shape.tag for shape in plan.shapes if shape.alias == binding.source)
+            bound[binding.name] = _listed(elements_of(sources[binding.source]), tag)
         elif binding.node is not None:
             bound[binding.name] = _bound_value(outer, binding.node, binding.column)
     return bound
@@ -163,11 +171,11 @@ def _bound_value(outer: Evaluator, node: Node, column: str | None) -> Any:
         raise
 
 
-def _plain(value: Any) -> Any:
-    """What stands for an element of a source in SQL."""
-    if isinstance(value, Entity):
-        return value.column("id")
-    return value if isinstance(value, bool | int | float | str) else 0
+def _listed(elements: Sequence[Any], tag: Tag | None) -> list[Any]:
+    """What stands for the elements of a source in SQL: of what SQL does not know, the count."""
+    if tag is not None and tag.type == "entity":
+        return [element.column("id") for element in elements]
+    return [0] * len(elements) if tag is None or tag.type == "any" else list(elements)
 
 
 @dataclass(frozen=True)

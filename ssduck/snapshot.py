@@ -163,8 +163,9 @@ class Snapshot:
         wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
         still = self._still if same else None
         if still is None:
-            still = simulator.read_frames(layout.still.bodies)
-        moving = simulator.read_frames(layout.moving.bodies)
+            still = simulator.read_frames(layout.still.bodies, links_move=True)
+        links_move = "links" in wanted or layout.moving.sensors_on_links
+        moving = simulator.read_frames(layout.moving.bodies, links_move=links_move)
         joints = contacts = None
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
@@ -202,11 +203,11 @@ class Snapshot:
 
     def _finish(self) -> None:
         """Date the tables that were written, and let their readers see it."""
-        self.tables["ticks"]["wall_time"][:] = time.time()
+        self.tables["ticks"]["wall_time"].fill(time.time())
         for name in ("entities", "ticks", *self._read):
             table = self.tables[name]
-            table["tick"][:] = self.number
-            table["time"][:] = self.time
+            table["tick"].fill(self.number)
+            table["time"].fill(self.time)
             if name != "ticks":  # whose numbers are known
                 table.written()
         if not self.tables["entities"].whole:

@@ -25,7 +25,7 @@ from ssduck.tree import (
     Query,
     This,
 )
-from ssduck.udfs import RELATIONS
+from ssduck.udfs import RELATIONS, ValueType
 
 
 def translate(query: Query, shapes: Sequence[Shape], names: Names) -> Plan:
@@ -41,6 +41,17 @@ def translate(query: Query, shapes: Sequence[Shape], names: Names) -> Plan:
             supported.
     """
     return _Translator(query, tuple(shapes), names).plan()
+
+
+_MOST_ROWS = 2**62
+_SQL_TYPES: dict[ValueType, str] = {
+    "entity": "BIGINT",
+    "integer": "BIGINT",
+    "real": "DOUBLE",
+    "text": "VARCHAR",
+    "flag": "BOOLEAN",
+    "any": "BIGINT",
+}
 
 
 class _Translator:
@@ -118,9 +129,13 @@ class _Translator:
 
     def _order(self) -> list[exp.Expr]:
         """ORDER BY: the query's keys, then the order of the sources' elements."""
-        keys = [(self._item(key.value), key.descending) for key in self.query.order]
+        # What is the same for all rows orders nothing; to SQL a number would be a column's.
+        wanted = [
+            key for key in self.query.order if not self.sql.is_constant(self._resolved(key.value))
+        ]
+        keys = [(self._item(key.value), key.descending) for key in wanted]
         ordered: list[exp.Expr] = []
-        if any(item.output is None for item, _ in keys):
+        if any(item.output is None or item.output.schema is not None for item, _ in keys):
             self.result.order = keys
         else:
             for item, descending in keys:
@@ -138,8 +153,13 @@ class _Translator:
         if self.query.limit is None:
             return
         match self.query.limit:
-            case tree.Literal(value=int(number)) if not plan.conditions and not plan.order:
-                plan.select = plan.select.limit(int(number))
+            case tree.Literal(value=number) if (
+                type(number) is int
+                and number < _MOST_ROWS
+                and not plan.conditions
+                and not plan.order
+            ):
+                plan.select = plan.select.limit(number)
             case limit:
                 plan.limit = limit
 
@@ -148,7 +168,9 @@ class _Translator:
         alias = exp.to_identifier(self.sql.aliases[shape.alias])
         if shape.tag is None:
             return exp.table_("entities", db=shape.schema, alias=alias)
-        rows = self.sql.parameter(shape.alias, Binding("", source=shape.alias))
+        given = self.sql.parameter(shape.alias, Binding("", source=shape.alias))
+        # Without its type DuckDB would take the smallest that fits.
+        rows = exp.cast(given, f"{_SQL_TYPES[shape.tag.type]}[]", dialect="duckdb")
         numbers = exp.func("generate_subscripts", rows, exp.Literal.number(1))
         if shape.tag.type == "any":
             numbered = exp.select(exp.alias_(numbers, "n"))

@@ -213,7 +213,7 @@ _LISTED = (
         "distance",
         (
             Parameter("a", "place", "an entity or a point [x, y, z]"),
-            Parameter("b", "place", "another"),
+            Parameter("b", "place", "an entity or a point [x, y, z]"),
         ),
         "real",
         "sqrt((a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2)",

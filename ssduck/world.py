@@ -7,6 +7,7 @@ tells of itself is of the world's last tick, never of the simulator's present.
 from __future__ import annotations
 
 import threading
+import time
 import weakref
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -33,6 +34,12 @@ from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.simulators import Kind, Simulator
 from ssduck.snapshot import Snapshot
 
+# What a world is called before it gets a name.
+UNNAMED = "world"
+_serials = count()
+# Seconds that a step waits while another thread wants to ask.
+_TURN = 1e-4
+
 
 class World(WorldSpellings):
     """One simulation and its current tick.
@@ -45,21 +52,26 @@ class World(WorldSpellings):
         name: what the world is called until it is bound to a variable.
         sensors: the sensors on its bodies, in load order.
         camera: the view that `render` draws if it is given none.
+
+    Attributes:
+        serial: the order in which worlds were made, and in which several are held.
     """
 
     def __init__(
         self,
         simulator: Simulator,
         *,
-        name: str = "world",
+        name: str = UNNAMED,
         sensors: Sequence[SensorSpec] = (),
         camera: Camera | None = None,
     ) -> None:
         self.name = name
         self.camera = camera or Camera()
         self.lock = threading.RLock()
+        self.serial = next(_serials)
         self.snapshot = Snapshot()
         self._queries = 0
+        self._waiting = 0
         self._simulator = simulator
         self._ids = count(1)
         self._members: list[Member] = []
@@ -98,7 +110,7 @@ class World(WorldSpellings):
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
         *,
-        name: str = "world",
+        name: str = UNNAMED,
     ) -> World:
         """A world around a PyBullet client that you made and go on using.
 
@@ -133,6 +145,8 @@ class World(WorldSpellings):
         """Run that many steps of the simulator, then take a tick."""
         if count < 0:
             raise ValueError(f"a simulation cannot run {count} steps")
+        if self._waiting:
+            time.sleep(_TURN)  # locks are not fair: a thread that only steps would keep it
         with self.lock:
             self._check_not_held()
             self._simulator.step(count)
@@ -154,18 +168,27 @@ class World(WorldSpellings):
         """See to it that the current tick has these tables; takes a fresh one if it has not."""
         with self.lock:
             if self.snapshot.ask(tables):
-                self.tick()
+                if self._simulator.watched:
+                    self._check_not_held()
+                # Under a query nothing has moved in a world that ssduck alone steps.
+                self._update_members()
+                self.snapshot.take(self._simulator, self._members)
 
     @contextmanager
     def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
         """Hold the world at its tick, with these tables read, while a query runs."""
-        with self.lock:
+        self._waiting += 1
+        self.lock.acquire()
+        self._waiting -= 1
+        try:
             self.ask(tables)
             self._queries += 1
             try:
                 yield
             finally:
                 self._queries -= 1
+        finally:
+            self.lock.release()
 
     def _check_not_held(self) -> None:
         if self._queries:
@@ -194,8 +217,11 @@ class World(WorldSpellings):
     def __len__(self) -> int:
         return len(self.snapshot.members)
 
-    def __contains__(self, name: object) -> bool:
-        return any(member.name == name for member in self.snapshot.members)
+    def __contains__(self, thing: object) -> bool:
+        """Whether it has an entity of that name, or that entity."""
+        if isinstance(thing, Entity):
+            return thing.world is self and thing.id in self.snapshot.rows
+        return any(member.name == thing for member in self.snapshot.members)
 
     def __getitem__(self, name: str) -> Entity:
         """The entity of that name.

@@ -99,13 +99,70 @@ def test_two_worlds_are_two_schemas(ss, sim):
     world.close()
 
 
-def test_a_world_bound_twice_keeps_its_schema(sim):
-    interpreter, _, _ = sim
+def test_a_world_bound_twice_has_two_schemas(sim):
+    interpreter, client, shape = sim
     interpreter.eval("other = sim;")
     assert interpreter.eval("SELECT count([1]) FROM other AS list;") == [1, 1, 1]
     interpreter.add_variable("third", interpreter.call_variable("sim"))
-    with pytest.raises(ssduck.SelectScriptError):
-        interpreter.sql("FROM third.entities")
+    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    interpreter.call_variable("sim").tick()
+    assert (
+        len(interpreter.sql("FROM third.entities"))
+        == len(interpreter.sql("FROM sim.entities"))
+        == 4
+    )
+
+
+def test_a_name_is_rebound_in_both_languages(sim):
+    interpreter, _, _ = sim
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        interpreter.add_variable("second", kitchen)
+        interpreter.add_variable("sim", kitchen)
+        assert len(interpreter.eval("SELECT id FROM sim;")) == len(kitchen)
+        assert len(interpreter.sql("FROM sim.entities")) == len(kitchen)
+
+
+def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
+    interpreter, _, _ = sim
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        with pytest.raises(ssduck.SelectScriptError, match="upper from lower case"):
+            interpreter.add_variable("Sim", kitchen)
+    assert len(interpreter.eval("SELECT id FROM sim;")) == 3
+
+
+def test_a_world_in_two_interpreters(sim):
+    first, _, _ = sim
+    world = first.call_variable("sim")
+    with ssduck.Interpreter() as second:
+        second.add_variable("other", world)
+        for ss, name in ((first, "sim"), (second, "other")):
+            assert len(ss.eval(f"SELECT obj FROM {name} AS list;")) == 3
+            assert len(ss.sql(f"FROM {name}.entities")) == 3
+    world.tick()
+    assert len(first.eval("SELECT obj FROM sim AS list;")) == 3
+
+
+def test_interpreters_with_the_same_worlds_do_not_wait_for_each_other(sim):
+    one, _, _ = sim
+    with ssduck.load("kitchen") as two:
+        kitchen, boxes = two.call_variable("kitchen"), one.call_variable("sim")
+        one.add_variable("kitchen", kitchen)
+        with ssduck.Interpreter() as other:
+            other.add_variable("kitchen", kitchen)
+            other.add_variable("sim", boxes)
+
+            def ask(ss):
+                for _ in range(100):
+                    ss.eval("SELECT id FROM sim;")
+
+            threads = [threading.Thread(target=ask, args=(ss,), daemon=True) for ss in (one, other)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(30)
+            assert not any(thread.is_alive() for thread in threads)
 
 
 def test_a_world_that_takes_anothers_name(sim):
@@ -224,6 +281,48 @@ def test_many_texts_do_not_pile_up(ss, monkeypatch):
     assert len(ss._plans) <= 10
     (statements,) = ss.sql("SELECT count(*) FROM duckdb_prepared_statements()").fetchone()
     assert statements <= 10
+
+
+def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    running = threading.Event()
+    running.set()
+
+    def step():
+        while running.is_set():
+            world.step()
+
+    stepper = threading.Thread(target=step)
+    stepper.start()
+    own = "(SELECT z FROM sim LIMIT 1 AS value)"
+    try:
+        answers = interpreter.compile(f"SELECT z(this) == {own} FROM sim AS list;")
+        assert all(all(interpreter.eval(answers)) for _ in range(150))
+    finally:
+        running.clear()
+        stepper.join()
+    assert world.time > 0.1
+
+
+def test_a_forgotten_plan_is_made_anew(sim):
+    """Here while it runs: the function that it calls makes another world known."""
+    interpreter, _, _ = sim
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        interpreter.add_function("low", lambda: interpreter.add_variable("more", kitchen) and 0.5)
+        for _ in range(3):
+            assert interpreter.eval("SELECT x FROM sim WHERE x(this) > low() AS list;") == [
+                1.0,
+                2.0,
+            ]
+
+
+def test_a_function_may_look_at_links_and_joints():
+    with ssduck.load("kitchen") as ss:
+        ss.add_function("axes", lambda e: len(e.joints))
+        assert ss.eval("SELECT axes FROM kitchen WHERE id(this) == 'barrett_4918' AS value;") > 10
 
 
 def test_threads_may_step_and_ask(sim):

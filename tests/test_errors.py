@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pybullet
 import pytest
 
@@ -30,6 +31,7 @@ def broken(value):
 def ss():
     with ssduck.load("kitchen") as interpreter:
         interpreter.add_function("broken", broken, "Raises.")
+        interpreter.add_variable("array", np.zeros(3))
         interpreter.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
         yield interpreter
 
@@ -142,7 +144,7 @@ MISTAKES = [
         "SELECT id FROM kitchen WHERE distance([1, 2], this) < 1;",
         ArgumentError,
         "[1, 2]",
-        "not a list of 2",
+        "not a list of another length",
         [],
     ),
     ("'a' < 1;", ArgumentError, "'a' < 1", "< does not take a text and a number", []),
@@ -183,6 +185,14 @@ MISTAKES = [
         [],
     ),
     ("sqrt(-1);", FunctionError, "sqrt(-1)", "sqrt: ValueError", []),
+    ("2 ^ 99999999999;", EvaluationError, "2 ^ 99999999999", "too large", []),
+    ("'a' * 1000000000000;", EvaluationError, "'a' * 1000000000000", "too large", []),
+    ("(-8) ^ 0.5;", EvaluationError, "(-8) ^ 0.5", "no real value", []),
+    ("SELECT to(id, [1]) FROM kitchen;", ArgumentError, None, "cannot be called by that", []),
+    ("print();", ArgumentError, "print()", "print takes", []),
+    ("pow(2);", ArgumentError, "pow(2)", "pow takes 2 arguments, not 1", []),
+    ("help(3);", UnknownNameError, "help(3)", "no function 3", []),
+    ("IF(array; 1; 2);", EvaluationError, "IF(array; 1; 2)", "ValueError", []),
     ("v{5.0} = 3;", UnsupportedError, "v{5.0} = 3", "history", []),
     ("SELECT id FROM kitchen{2.0};", UnsupportedError, "kitchen{2.0}", "history", []),
     ("SELECT id FROM kitchen GROUP BY type;", UnsupportedError, "type", "GROUP BY", []),
@@ -215,7 +225,8 @@ def test_mistakes(ss, program, kind, offending, words, suggestions):
         assert place == f"  line {error.line}, column {error.column}"
         assert line[mark.index("^") : mark.rindex("^") + 1] == offending
     # The session goes on, and no variable has changed.
-    assert ss._variables == variables
+    assert ss._variables.keys() == variables.keys()
+    assert all(ss._variables[name] is value for name, value in variables.items())
     assert ss.eval("1 + 1;") == 2
 
 
@@ -232,6 +243,19 @@ def test_errors_are_the_builtin_ones_that_a_user_expects():
     assert issubclass(EvaluationError, ArithmeticError)
     assert issubclass(SimulatorError, RuntimeError)
     assert issubclass(UnsupportedError, NotImplementedError)
+
+
+def test_an_error_in_eval_is_told_in_its_own_text(ss):
+    with pytest.raises(EvaluationError) as caught:
+        ss.eval("eval('c = 1; 1 / 0');")
+    assert caught.value.text == "c = 1; 1 / 0"
+    assert (caught.value.line, caught.value.column) == (1, 8)
+
+
+@pytest.mark.parametrize("program", [5, None, ["1;"]])
+def test_what_is_no_program(ss, program):
+    with pytest.raises(ArgumentError, match="a program is a text"):
+        ss.eval(program)
 
 
 def test_a_failed_program_changes_no_variable(ss):
@@ -284,7 +308,7 @@ def test_worlds_cannot_take_duckdbs_schemas(ss, name):
     world = ssduck.load("kitchen").call_variable("kitchen")
     with (
         ssduck.Interpreter() as fresh,
-        pytest.raises(ArgumentError, match="DuckDB has that schema"),
+        pytest.raises(ArgumentError, match="DuckDB has a schema"),
     ):
         fresh.add_variable(name, world)
     world.close()

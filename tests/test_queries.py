@@ -193,6 +193,32 @@ PROGRAMS = [
         ["table"],
     ),
     ("SELECT x.this FROM x=[4, 5], y=kitchen WHERE x.this == 5 AND y.this == table AS list;", [5]),
+    # numbers are Python's: integers without end, floats that are no decimals
+    ("SELECT this * this FROM [50000, 3000000000] AS list;", [2500000000, 9000000000000000000]),
+    ("SELECT this + 9223372036854775807 FROM [1] AS list;", [9223372036854775808]),
+    ("SELECT -this FROM [-2147483648] AS list;", [2147483648]),
+    ("SELECT this FROM [1, 2.5] AS list;", [1, 2.5]),
+    ("SELECT this * 0.1 + 0.2 == 0.3 FROM [1] AS list;", [False]),
+    ("f = 0.1; SELECT this * f + 0.2 == 0.3 FROM [1] AS list;", [False]),
+    ("SELECT type(str(0.1)) FROM [1] AS list;", ssduck.SelectScriptError),
+    ("SELECT 99999999999999999999 FROM [1] AS list;", [99999999999999999999]),
+    ("SELECT this == 9007199254740993 FROM [9007199254740992.0] AS list;", [False]),
+    # constants
+    ("SELECT this FROM [3, 1, 2] ORDER BY 1 AS list;", [3, 1, 2]),
+    ("o = 'a'; SELECT this FROM [3, 1, 2] ORDER BY o, this AS list;", [1, 2, 3]),
+    ("k = 0; SELECT this FROM [1] WHERE k != 0 AND this > 1 / k AS list;", []),
+    ("k = 0; k != 0 AND 1 / k > 2;", False),
+    # what may be nothing
+    (
+        "SELECT id FROM kitchen WHERE NOT (robot(this) == obj(this)) LIMIT 1 AS list;",
+        ["fridge_webcam"],
+    ),
+    ("SELECT id FROM kitchen WHERE robot(this) == sensor(this) LIMIT 1 AS list;", ["kitchen"]),
+    ("SELECT volume(robot(this)) FROM kitchen;", ssduck.SelectScriptError),
+    ("SELECT id FROM kitchen WHERE robot(this) AS list;", ROBOTS),
+    # worlds as collections
+    ("SELECT obj(this) IN kitchen FROM kitchen LIMIT 1 AS list;", [True]),
+    ("'can' IN kitchen AND NOT 'cann' IN kitchen;", True),
     ("SELECT 1 FROM kitchen LIMIT 2 AS list;", [1, 1]),
     ("SELECT id(table) FROM kitchen LIMIT 1 AS list;", ["table"]),
 ]

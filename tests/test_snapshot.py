@@ -28,11 +28,12 @@ class Spy:
 
     broken = ()
 
-    def read_frames(self, bodies):
+    def read_frames(self, bodies, *, links_move):
         self._check("frames")
         self.read["frames"] += 1
         self.read["bodies"] += len(bodies)
-        return self._simulator.read_frames(bodies)
+        self.read["links"] += links_move and any(len(body.links) > 1 for body in bodies)
+        return self._simulator.read_frames(bodies, links_move=links_move)
 
     def _check(self, what):
         if what in self.broken:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from ssduck.adapters.base import Adapter, Rows
+from ssduck.errors import ArgumentError
 
 
 def _dicts(rows: Rows) -> list[dict[Any, Any]]:
     if isinstance(rows.names, list):
-        return [
-            dict(zip(names, values, strict=True))
-            for names, values in zip(rows.names, rows.values, strict=True)
-        ]
+        try:
+            return [
+                dict(zip(names, values, strict=True))
+                for names, values in zip(rows.names, rows.values, strict=True)
+            ]
+        except TypeError as error:
+            raise ArgumentError(f"a column cannot be called by that: {error}") from error
     return [dict(zip(rows.names, values, strict=True)) for values in rows.values]
 
 

@@ -121,8 +121,14 @@ class Simulator(Protocol):
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         """Bodies that came and bodies that went since the last call; None if none did."""
 
-    def read_frames(self, bodies: tuple[Body, ...]) -> Frames:
-        """All frames of these bodies, body after body, as they are now."""
+    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:
+        """All frames of these bodies, body after body, as they are now.
+
+        Args:
+            bodies: the same object as long as they are the same.
+            links_move: whether velocities of links other than bases are asked for; else they
+                may be NaN.
+        """
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""

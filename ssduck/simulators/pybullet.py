@@ -21,6 +21,7 @@ import numpy.typing as npt
 from ssduck.errors import SelectScriptError, SimulatorError
 from ssduck.geometry import (
     Array,
+    Indices,
     compose,
     invert,
     multiply,
@@ -36,7 +37,8 @@ from ssduck.simulators.pybullet_scenes import load_models
 T = TypeVar("T")
 
 _flatten = chain.from_iterable
-# Of a link's state: pose of the centre of mass, linear and angular velocity.
+# Of a link's state: pose of the centre of mass; and linear and angular velocity.
+_pose = itemgetter(0, 1)
 _pose_and_twist = itemgetter(0, 1, 6, 7)
 
 
@@ -123,11 +125,11 @@ class PyBulletSimulator:
         """Simulated seconds: the steps that ssduck has run, in the client's time step."""
         return self._time_before + self._steps * self._timestep
 
-    def read_frames(self, bodies: tuple[Body, ...]) -> Frames:
+    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:
         """All frames of these bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
             self._layout = bodies, _Layout(bodies, [self._known[b.handle].com for b in bodies])
-        return self._call(lambda: self._layout[1].read(self.client))
+        return self._call(lambda: self._layout[1].read(self.client, links_move))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
@@ -258,7 +260,9 @@ class _Layout:
         self._linked = [body.handle for body in bodies if len(body.links) > 1]
         self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
         counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
-        self._order = _order(counts)
+        # By whether the links' velocities are read: how many numbers the answers have, and
+        # where each frame's are.
+        self._orders = {links_move: _order(counts, links_move) for links_move in (False, True)}
         positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
         orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
         self._link_from_com = invert(positions, orientations)[1]
@@ -266,15 +270,25 @@ class _Layout:
         self._origins = -positions  # from the centres of mass, in the link frames' axes
         self._shifted = bool(positions.any())
 
-    def read(self, client: int) -> Frames:
+    def read(self, client: int, links_move: bool) -> Frames:
+        links = map(
+            pybullet.getLinkStates,
+            self._linked,
+            self._links,
+            repeat(int(links_move)),
+            repeat(1),  # with forward kinematics: without, links lag the base by a step
+            repeat(client),
+        )
         # Through iterators in C: a loop in Python would cost as much as the calls.
         answers = chain(
             map(pybullet.getBasePositionAndOrientation, self._handles, repeat(client)),
             map(pybullet.getBaseVelocity, self._handles, repeat(client)),
-            map(_pose_and_twist, _flatten(self._link_states(client))),
+            map(_pose_and_twist if links_move else _pose, _flatten(links)),
+            _UNKNOWN,
         )
-        numbers = np.fromiter(_flatten(_flatten(answers)), np.float64, self._order.size)
-        states = numbers.take(self._order)
+        count, order = self._orders[links_move]
+        numbers = np.fromiter(_flatten(_flatten(answers)), np.float64, count)
+        states = numbers.take(order)
         if self._turned:
             states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
         matrices = rotation_matrices(states[:, 3:7])
@@ -283,27 +297,29 @@ class _Layout:
             positions = positions + rotate(matrices, self._origins)
         return Frames(positions, matrices, states)
 
-    def _link_states(self, client: int) -> Iterator[Sequence[tuple[Any, ...]]]:
-        # With forward kinematics: without, links lag the base by a step.
-        get = pybullet.getLinkStates
-        return map(get, self._linked, self._links, repeat(1), repeat(1), repeat(client))
+
+# An answer like the others, of one number.
+_UNKNOWN = (((np.nan,),),)
 
 
-def _order(counts: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Where each frame's 13 numbers are among the answers, (frames, 13).
+def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
+    """How many numbers the answers have, and where each frame's 13 are, (frames, 13).
 
-    The answers are the bases' poses, the bases' velocities, and the links' states; a pose is
-    x y z and the quaternion x y z w.
+    The answers are the bases' poses, the bases' velocities, the links' states with or without
+    velocities, and an unknown number; a pose is x y z and the quaternion x y z w.
     """
     bases = len(counts)
     total = int(counts.sum())
     is_base = np.zeros(total, dtype=bool)
     is_base[np.cumsum(counts) - counts] = True
-    order = np.zeros((total, 13), dtype=np.intp)
+    width = 13 if links_move else 7
+    order = np.full((total, 13), -1, dtype=np.intp)  # from the end: the unknown one
     order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
     order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
-    order[~is_base] = 13 * (bases + np.arange(total - bases)[:, None]) + np.arange(13)
-    return order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
+    links = 13 * bases + width * np.arange(total - bases)[:, None]
+    order[~is_base, :width] = links + np.arange(width)
+    answered = 13 * bases + width * (total - bases) + 1
+    return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
 # -- the two ways to a simulator --------------------------------------------------------------
