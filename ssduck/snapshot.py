@@ -150,6 +150,8 @@ class Snapshot:
         """Read what cannot move once more with the next tick: it was moved by hand."""
         self._still = None
 
+    # A simulation that explodes has infinite numbers; it is told of in `_finish`.
+    @np.errstate(invalid="ignore")
     def take(self, simulator: Simulator, members: Sequence[Member]) -> None:
         """Read a tick: the entities, and the tables that were asked for.
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from collections import Counter
 
 import numpy as np
 import pybullet
 import pytest
+from conftest import joint, link, robot
 
 import ssduck
 from ssduck.errors import SimulatorError
@@ -32,7 +34,8 @@ class Spy:
         self._check("frames")
         self.read["frames"] += 1
         self.read["bodies"] += len(bodies)
-        self.read["links"] += links_move and any(len(body.links) > 1 for body in bodies)
+        if links_move and any(len(body.links) > 1 for body in bodies):
+            self.read["links"] += 1
         return self._simulator.read_frames(bodies, links_move=links_move)
 
     def _check(self, what):
@@ -161,6 +164,25 @@ def test_a_body_that_cannot_move_is_read_once(spied):
     assert spy.read["bodies"] == 5 * 2
 
 
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+
+
+def test_velocities_of_links_are_read_if_they_are_asked_for(client, write):
+    model = robot(link("a"), link("b"), joint("j", "revolute", "a", "b", limit=LIMIT))
+    pybullet.loadURDF(str(write("two.urdf", model)), physicsClientId=client)
+    pybullet.resetBaseVelocity(0, [1, 2, 3], [0, 0, 0], client)
+    spy = Spy(PyBulletSimulator(client, owned=True))
+    world = ssduck.World(spy)
+    assert spy.read["links"] == 0
+    assert world["model"].velocity == pytest.approx([1, 2, 3, 0, 0, 0])
+    world.ask(["links"])
+    assert spy.read["links"] == 1
+    rows = columns(world, "links")[0]
+    assert [[row[axis] for axis in ("vx", "vy", "vz")] for row in rows] == pytest.approx(
+        np.array([[1, 2, 3]] * 2)
+    )
+
+
 def test_buffers_stay_where_they_are(attached, client):
     """DuckDB is shown them once: the same Arrow table, the same memory."""
     table = attached.snapshot.tables["entities"]
@@ -272,6 +294,45 @@ def test_nothing_that_follows_from_an_unknown_number_is_known(attached, client, 
     assert [row["xmin"] is None for row in shapes] == [False, what != "velocity", False]
     assert not any(v is not None and v != v for row in entities for v in row.values())  # noqa: PLR0124
     assert [name for name, v in entities[0].items() if v is None] == ["parent"]
+
+
+INF = float("inf")
+EXPLODED = [
+    ([0, 0, 0], [0, 0, 0, 1], [INF, 0, 0], [0, 0, 1]),
+    ([0, 0, 0], [0, 0, 0, 1], [0, 0, 0], [0, -INF, 1]),
+    ([INF, 0, 0], [0, 0, 0, 1], [0, 0, 0], [0, 0, 0]),
+    ([0, 0, 0], [INF, 0, 0, 1], [0, 0, 0], [0, 0, 0]),
+]
+
+
+@pytest.mark.parametrize(("place", "turn", "linear", "angular"), EXPLODED)
+@pytest.mark.parametrize("com", [0.0, 0.1])
+def test_a_simulation_that_exploded_is_told_of_and_nothing_else_is(
+    client, place, turn, linear, angular, com
+):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_CYLINDER, radius=0.1, height=1, physicsClientId=client
+    )
+    for height in (0, 5):
+        pybullet.createMultiBody(
+            1.0,
+            shape,
+            basePosition=[0, 0, height],
+            baseInertialFramePosition=[com, 0, 0],
+            physicsClientId=client,
+        )
+    world = ssduck.World.attach(client)
+    sane = columns(world, "entities")[0][1]
+    pybullet.resetBasePositionAndOrientation(0, place, turn, client)
+    pybullet.resetBaseVelocity(0, linear, angular, client)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        world.tick()
+    assert all("body_0: the simulator gives" in str(warning.message) for warning in told)
+    lost, other = columns(world, "entities")[0]
+    unusual = [v for v in lost.values() if v is None or v in (INF, -INF)]
+    assert len(unusual) > 1  # parent is unknown anyway
+    assert {**other, "tick": 0} == {**sane, "tick": 0}
 
 
 def test_a_failed_read_leaves_the_last_tick_whole(client):
