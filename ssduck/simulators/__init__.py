@@ -3,7 +3,7 @@
 A simulator describes its bodies once (what they are made of) and then answers, tick after
 tick, where their frames are. Frame 0 of a body is its base link, frame i + 1 its link i.
 Positions and orientations are those of the link frames (not of the centres of mass), in the
-world; orientations are w, x, y, z; velocities are of the link frames' origins.
+world; orientations are w, x, y, z.
 """
 
 from __future__ import annotations

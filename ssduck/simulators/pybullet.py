@@ -88,7 +88,7 @@ class PyBulletSimulator:
         """
         if self._described and not self.watched:
             return None
-        handles = self._call(self._handles)
+        handles = self._call(lambda: _handles(self.client))
         tags = self._call(lambda: self._tags_of(handles))
         if self._listed == (handles, tags):
             return None
@@ -103,10 +103,6 @@ class PyBulletSimulator:
         # They were said of the bodies of that time, not of later ones of the same numbers.
         self._names, self._kinds, self._described = {}, {}, True
         return [one.body for one in new.values()], gone
-
-    def _handles(self) -> list[int]:
-        count = pybullet.getNumBodies(self.client)
-        return list(map(pybullet.getBodyUniqueId, range(count), repeat(self.client)))
 
     def _tags_of(self, handles: Sequence[int]) -> list[int]:
         get = pybullet.getUserDataId
@@ -241,6 +237,12 @@ class PyBulletSimulator:
             raise SimulatorError(f"PyBullet: {error}") from error
 
 
+def _handles(client: int) -> list[int]:
+    """The numbers of the client's bodies."""
+    count = pybullet.getNumBodies(client)
+    return list(map(pybullet.getBodyUniqueId, range(count), repeat(client)))
+
+
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
         names = ", ".join(body.name for body in bodies[:5])
@@ -349,8 +351,7 @@ def attach(
     number = getattr(client, "_client", client)
     if not isinstance(number, int) or not pybullet.isConnected(number):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
-    count = pybullet.getNumBodies(number)
-    handles = [pybullet.getBodyUniqueId(index, number) for index in range(count)]
+    handles = _handles(number)
     for handle in (*(names or {}), *(kinds or {})):
         if handle not in handles:
             listed = ", ".join(map(str, handles)) or "none"
