@@ -8,6 +8,7 @@ import decimal
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 from pathlib import Path
 
 import pybullet
@@ -283,10 +284,9 @@ def test_many_texts_do_not_pile_up(ss, monkeypatch):
     assert statements <= 10
 
 
-def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
-    interpreter, client, _ = sim
-    world = interpreter.call_variable("sim")
-    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+@contextmanager
+def stepping(world):
+    """Another thread steps the world all the time."""
     running = threading.Event()
     running.set()
 
@@ -296,13 +296,21 @@ def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
 
     stepper = threading.Thread(target=step)
     stepper.start()
-    own = "(SELECT z FROM sim LIMIT 1 AS value)"
     try:
-        answers = interpreter.compile(f"SELECT z(this) == {own} FROM sim AS list;")
-        assert all(all(interpreter.eval(answers)) for _ in range(150))
+        yield
     finally:
         running.clear()
         stepper.join()
+
+
+def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    own = "(SELECT z FROM sim LIMIT 1 AS value)"
+    answers = interpreter.compile(f"SELECT z(this) == {own} FROM sim AS list;")
+    with stepping(world):
+        assert all(all(interpreter.eval(answers)) for _ in range(150))
     assert world.time > 0.1
 
 
@@ -330,21 +338,9 @@ def test_threads_may_step_and_ask(sim):
     interpreter, client, _ = sim
     world = interpreter.call_variable("sim")
     pybullet.setGravity(0, 0, -10, physicsClientId=client)
-    running = threading.Event()
-    running.set()
-
-    def step():
-        while running.is_set():
-            world.step()
-
-    stepper = threading.Thread(target=step)
-    stepper.start()
-    try:
+    with stepping(world):
         answers = [interpreter.eval("SELECT z FROM sim AS list;") for _ in range(200)]
         tables = [interpreter.sql("SELECT z FROM links").fetchall() for _ in range(100)]
-    finally:
-        running.clear()
-        stepper.join()
     assert all(len(set(answer)) == 1 and len(answer) == 3 for answer in answers)
     assert all(len(set(rows)) == 1 for rows in tables)
     assert len({answer[0] for answer in answers}) > 1
