@@ -9,6 +9,7 @@ exactly (ssduck.geometry).
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, repeat
@@ -191,7 +192,9 @@ class PyBulletSimulator:
     def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
         """A colour picture by PyBullet's software renderer, (height, width, 3)."""
         view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
-        lens = pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, 50.0)
+        # A view much deeper than the scene leaves too little depth apart: shadows get rings.
+        depth = 3.0 * math.dist(camera.eye, camera.target)
+        lens = pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
         picture = self._call(
             lambda: pybullet.getCameraImage(
                 width,
