@@ -281,15 +281,14 @@ class Database:
     def schema_of(self, world: World) -> str:
         """The schema of a world's tables; one is made for a world that has none here."""
         with self._lock:
-            bound = next((bound for bound in self._bound if bound.world is world), None)
-            if bound is None or not bound.schemas:
+            bound = self._entry(world)
+            if not bound.schemas:
                 taken = {schema.casefold() for other in self._bound for schema in other.schemas}
                 names = (f"{world.name}_{number}" for number in count(2))
                 name = world.name
                 while name.casefold() in taken or name.casefold() in _TAKEN:
                     name = next(names)
                 self.bind(name, world)
-                bound = self._entry(world)
             return bound.schemas[0]
 
     def _set_search_path(self) -> None:

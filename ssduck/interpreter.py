@@ -284,10 +284,10 @@ class Interpreter:
 
     def _commands(self) -> list[Function]:
         def clear(name: str | None = None) -> bool:
-            if name is not None:
+            if name is None:
+                kept = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+            else:
                 self.variable(name)
-            kept = {n: v for n, v in self._variables.items() if isinstance(v, World)}
-            if name is not None:
                 kept = {n: v for n, v in self._variables.items() if n != name}
             self._variables = kept
             return True

@@ -111,23 +111,22 @@ class Planned:
             self._statement.forget()
 
     def run(self, outer: Evaluator, sources: Mapping[str, Any]) -> Rows:
-        """The rows of the query.
+        """The rows of the query; the caller holds the worlds.
 
         Args:
             outer: knows the variables, and the rows of the queries around this one.
             sources: the value of each source, by alias.
         """
         plan = self.plan
-        with self._database.held():
-            fetched = self._fetched(_parameters(plan, outer, sources))
-            worlds = self._database.worlds
-            once: dict[Node, list[Any]] = {**outer.once, **{node: [] for node in plan.once}}
-            this_run = _Run(plan, outer, sources, worlds, once)
-            outputs = plan.outputs
-            if outputs is not None:  # nothing is left to Python
-                values = [tuple(this_run.output(o, row) for o in outputs) for row in fetched]
-                return Rows(values, tuple(map(str, plan.names)))
-            return _finished(this_run, [_Row(this_run, values) for values in fetched])
+        fetched = self._fetched(_parameters(plan, outer, sources))
+        worlds = self._database.worlds
+        once: dict[Node, list[Any]] = {**outer.once, **{node: [] for node in plan.once}}
+        this_run = _Run(plan, outer, sources, worlds, once)
+        outputs = plan.outputs
+        if outputs is not None:  # nothing is left to Python
+            values = [tuple(this_run.output(o, row) for o in outputs) for row in fetched]
+            return Rows(values, tuple(map(str, plan.names)))
+        return _finished(this_run, [_Row(this_run, values) for values in fetched])
 
     def _fetched(self, parameters: dict[str, Any]) -> list[tuple[Any, ...]]:
         # A buffer of numbers has no place for an unknown one.
