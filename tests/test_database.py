@@ -310,8 +310,8 @@ def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
     own = "(SELECT z FROM sim LIMIT 1 AS value)"
     answers = interpreter.compile(f"SELECT z(this) == {own} FROM sim AS list;")
     with stepping(world):
-        assert all(all(interpreter.eval(answers)) for _ in range(150))
-    assert world.time > 0.1
+        while world.time < 0.1:  # as slow as the machine may be
+            assert all(interpreter.eval(answers))
 
 
 def test_a_forgotten_plan_is_made_anew(sim):
