@@ -28,10 +28,10 @@ QUESTIONS = {
 def by_hand(ss: ssduck.Interpreter, program: str) -> Callable[[], object]:
     """The SQL that a program becomes, sent to the same connection by hand."""
     database = ss._database
-    (query,) = ss.compile(program).statements
+    (query,) = ss.compile(program).tree.statements
     assert isinstance(query, Query)
     ss.eval(program)
-    (planned,) = ss._plans[query]
+    (planned,) = ss._planner._plans[query]
     plan = planned.plan
     table = ss.call_variable("table")
     parameters = {binding.name: table.column(binding.column or "id") for binding in plan.bindings}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import math
 import re
 import threading
 import weakref
@@ -9,14 +11,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, Literal, NoReturn, TypeAlias, cast
 
 import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck.errors import ArgumentError, SqlError
+from ssduck.errors import ArgumentError, LimitError, SqlError
+from ssduck.functions import Function
+from ssduck.limits import Limits, Meter
 from ssduck.tables import TABLES, Column, LiveTable
+from ssduck.types import Signature, converter
 from ssduck.udfs import RELATIONS
 from ssduck.world import UNNAMED, World
 
@@ -91,6 +96,15 @@ class Statement:
             self._database.unshow(self._name)
 
 
+def _usable(value: Any) -> Any:
+    """A value that SQL gives back as it is: it would make nothing of a NaN."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        raise ValueError("no value for SQL")
+    if isinstance(value, list):
+        return [_usable(element) for element in value]
+    return value
+
+
 def _as_column(part: exp.Expr) -> exp.Expr:
     return (
         exp.column(part.name, table=_PARAMETERS, quoted=True)
@@ -122,12 +136,16 @@ class Database:
     Args:
         path: a DuckDB file, or `":memory:"`.
         tracer: is told each statement before it runs.
+        limits: what SQL may use.
 
     Attributes:
+        meter: how much of its limits the running program has used.
         generation: counts up when prepared statements lose their validity.
     """
 
-    def __init__(self, path: str, tracer: Callable[[str], None] | None) -> None:
+    def __init__(
+        self, path: str, tracer: Callable[[str], None] | None, limits: Limits | None = None
+    ) -> None:
         try:
             self._connection = duckdb.connect(path)
         except duckdb.Error as error:
@@ -136,6 +154,10 @@ class Database:
         self._finalizer = weakref.finalize(self, self._connection.close)
         self._tracer = tracer
         self._lock = threading.RLock()
+        self.meter = Meter(limits or Limits())
+        self._functions: set[str] = set()
+        # What a function raised while SQL called it: DuckDB keeps but its words.
+        self._raised: list[BaseException] = []
         self._bound: list[_Bound] = []
         self._numbers = count(1)
         self.generation = 0
@@ -144,8 +166,21 @@ class Database:
         self.run("SET threads = 1")
         # It would be drawn on standard output, amid what a program prints there.
         self.run("SET enable_progress_bar = false")
+        # A name that no table has is an error, not a variable of the caller's.
+        self.run("SET python_enable_replacements = false")
         for relation in RELATIONS.values():
             self.run(relation.macro)
+        self._confine(self.meter.limits)
+
+    def _confine(self, limits: Limits) -> None:
+        if limits.memory is not None:
+            memory = exp.Literal.string(f"{limits.memory}B").sql("duckdb")
+            self.run(f"SET memory_limit = {memory}")
+            # What does not fit is an error, and no file in the working directory.
+            self.run("SET temp_directory = ''")
+        if not limits.files:
+            self.run("SET enable_external_access = false")
+            self.run("SET lock_configuration = true")
 
     def close(self) -> None:
         """Close the connection; a file keeps no views on worlds that are gone."""
@@ -163,7 +198,13 @@ class Database:
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """All rows of a statement that the translator wrote; the caller holds the worlds."""
-        rows: list[tuple[Any, ...]] = self._execute(sql, parameters).fetchall()
+        with self._told(sql):
+            result = self._connection.execute(sql, parameters)
+            most = self.meter.limits.rows
+            rows: list[tuple[Any, ...]] = (
+                result.fetchall() if most is None else result.fetchmany(most + 1)
+            )
+        self.meter.check_rows(len(rows))
         return rows
 
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
@@ -194,34 +235,89 @@ class Database:
     def _arrow(self, sql: str, parameters: Parameters) -> pa.Table:
         with self._told(sql):
             relation = self._connection.sql(sql, params=parameters)
-            return relation.to_arrow_table() if relation is not None else pa.table({})
+            if relation is None:
+                return pa.table({})
+            most = self.meter.limits.rows
+            table = (relation if most is None else relation.limit(most + 1)).to_arrow_table()
+        self.meter.check_rows(table.num_rows)
+        return table
 
     def run(self, sql: str) -> None:
         """Run a statement of ssduck's own."""
-        self._execute(sql, None).fetchall()
-
-    def _execute(self, sql: str, parameters: Parameters) -> duckdb.DuckDBPyConnection:
-        """Start a statement; results stream, so that the caller fetches all of it at once."""
         with self._told(sql):
-            if parameters is None:
-                return self._connection.execute(sql)
-            return self._connection.execute(sql, parameters)
+            self._connection.execute(sql).fetchall()
 
     @contextmanager
     def _told(self, sql: str) -> Iterator[None]:
-        """Tell the tracer of a statement; DuckDB's errors become ssduck's."""
+        """Tell the tracer of a statement, and end it in time; DuckDB's errors become ssduck's."""
         if self._tracer is not None:
             self._tracer(sql)
+        timer = self._timer()
         try:
             yield
         except duckdb.Error as error:
-            if not self._finalizer.alive:
-                raise SqlError("the interpreter is closed") from error
-            raise SqlError(str(error).strip()) from error
+            self._complain(error)
         except RuntimeError as error:  # so DuckDB tells of Ctrl-C
             if "interrupted" not in str(error).lower():
                 raise
+            self._complain(error)
+        finally:
+            if timer is not None:
+                timer.cancel()
+
+    def _timer(self) -> threading.Timer | None:
+        remaining = self.meter.remaining
+        if remaining is None:
+            return None
+        timer = threading.Timer(remaining, self._connection.interrupt)
+        timer.daemon = True
+        timer.start()
+        return timer
+
+    def _complain(self, error: Exception) -> NoReturn:
+        raised = self._raised.copy()
+        self._raised.clear()
+        for cause in raised:
+            if isinstance(cause, KeyboardInterrupt | LimitError):
+                raise cause from None
+        if not self._finalizer.alive:
+            raise SqlError("the interpreter is closed", is_final=True) from error
+        self.meter.check_time()
+        if isinstance(error, RuntimeError | duckdb.InterruptException):
             raise KeyboardInterrupt from error
+        if isinstance(error, duckdb.OutOfMemoryException):
+            raise LimitError(f"the query takes more memory than there is: {error}") from error
+        raise SqlError(str(error).strip()) from error
+
+    # -- functions ------------------------------------------------------------------------
+
+    def add_function(self, signature: Signature, function: Function) -> None:
+        """Make a user's function one of SQL; replaces one of that signature."""
+        if signature.name in self._functions:
+            self._connection.remove_function(signature.name)
+        converters = [converter(tag, self.worlds) for tag in signature.parameters]
+        raised = self._raised  # the function must not keep this object alive
+
+        def call(*arguments: Any) -> Any:
+            try:
+                values = [
+                    value if convert is None else convert(value)
+                    for convert, value in zip(converters, arguments, strict=True)
+                ]
+                return _usable(function(values))
+            except BaseException as error:
+                raised[:] = [error]
+                raise
+
+        kinds = [
+            inspect.Parameter(f"a{i}", inspect.Parameter.POSITIONAL_ONLY)
+            for i in range(len(converters))
+        ]
+        call.__signature__ = inspect.Signature(kinds)  # type: ignore[attr-defined]
+        types: list[Any] = [tag.sql_type for tag in signature.parameters]
+        result = signature.result.sql_type
+        self._connection.create_function(signature.name, call, types, result)
+        self._functions.add(signature.name)
 
     # -- worlds ---------------------------------------------------------------------------
 

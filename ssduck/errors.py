@@ -113,7 +113,11 @@ class FunctionError(SelectScriptError, RuntimeError):
 
 
 class UnsupportedError(SelectScriptError, NotImplementedError):
-    """A construct of the language that this version does not run."""
+    """What this version, or another engine whose SQL is wanted, does not run."""
+
+
+class LimitError(SelectScriptError, RuntimeError):
+    """A program would use more than the interpreter's limits allow, or search without end."""
 
 
 class SceneError(SelectScriptError, ValueError):
@@ -129,4 +133,12 @@ class SimulatorError(SelectScriptError, RuntimeError):
 
 
 class SqlError(SelectScriptError, RuntimeError):
-    """DuckDB refused a statement; its own error is the cause."""
+    """DuckDB refused a statement; its own error is the cause.
+
+    Attributes:
+        is_final: whether no other statement could do better.
+    """
+
+    def __init__(self, message: str, *, is_final: bool = False) -> None:
+        super().__init__(message)
+        self.is_final = is_final

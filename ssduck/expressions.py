@@ -1,22 +1,34 @@
 """Expressions of a query as SQL, through sqlglot.
 
 A part becomes SQL when its types are known and SQL means the same by it; for everything else
-`NotSqlError` is raised, and the part is left to Python.
+`NotSqlError` is raised, and the part is left to Python. What SQL could fail at (an overflow, a
+division by zero, an index out of range) is SQL unless the plan is to be cautious; if it does
+fail, the query runs again by a cautious plan, and Python has the last word.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from sqlglot import exp
 
-from ssduck import tree
+from ssduck import subqueries, tree
+from ssduck.dependencies import IMPURE, free_aliases, is_impure
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
-from ssduck.plan import Binding, Names, Shape, Tag
-from ssduck.tables import TABLES
+from ssduck.plan import Binding
+from ssduck.sqlvalues import (
+    Context,
+    NotSqlError,
+    SqlValue,
+    column_tag,
+    failure,
+    or_failure,
+    wrapped,
+)
 from ssduck.tree import (
     Assignment,
+    Bare,
     Binary,
     Call,
     Given,
@@ -26,125 +38,104 @@ from ssduck.tree import (
     Name,
     Node,
     Query,
-    Source,
     This,
     Unary,
 )
-from ssduck.udfs import RELATIONS, Parameter, Relation, ValueType
+from ssduck.types import ANY, EXACT, FLAG, INTEGER, REAL, TEXT, Tag, merged
+from ssduck.udfs import RELATIONS, Parameter, Relation
 
-# Calls that do something: they are made row by row, in order.
-IMPURE = frozenset(("print", "eval", "clear", "var", "help", "getTime", "to"))
-
-
-class NotSqlError(Exception):
-    """A part that is left to Python."""
-
-
-@dataclass(frozen=True)
-class SqlValue:
-    """A part as SQL, its type, and for an entity how to get at its columns."""
-
-    given: exp.Expr | None
-    tag: Tag
-    column: Callable[[str], exp.Expr] | None = None
-    elements: tuple[SqlValue, ...] | None = None
-
-    @property
-    def sql(self) -> exp.Expr:
-        """The value; of an entity its id."""
-        if self.given is not None:
-            return self.given
-        assert self.column is not None
-        return self.column("id")
-
-
-_NUMBERS = ("real", "integer")
-_COLUMN_TYPES: dict[str, ValueType] = {
-    column.name: column.type
-    for column in TABLES["entities"]
-    if column.type in ("real", "integer", "text", "flag")
-}
 _COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 _ARITHMETIC = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
+# Of these values none is equal to one of another kind.
+_APART = ("text", "list", "number")
+# Functions of reals that C has, so that SQL and Python agree to the last digit.
+_OF_REALS = ("sin", "cos", "tan", "atan", "sqrt")
+MOST_EXPONENT = 64
 
 
 class Expressions:
-    """The expressions of one query, over the columns of its sources.
+    """The expressions of one query, over the elements of its sources.
 
     Args:
-        shapes: what the sources are.
-        names: variables, functions, and the types of what is constant in the query.
+        context: what all expressions of the statement share.
+        around: the expressions of the query around this one.
 
     Attributes:
-        bindings: the parameters that the expressions need.
-        constants: what does not depend on rows, with its type.
+        rows: the current element of each source, by alias.
+        only: the alias of the only source.
+        locals: the state variables of a hierarchical query.
     """
 
-    def __init__(self, shapes: Sequence[Shape], names: Names) -> None:
-        self.shapes = {shape.alias: shape for shape in shapes}
-        self.names = names
-        self.only = shapes[0].alias if len(shapes) == 1 else None
-        self.aliases = _sql_aliases(self.shapes)
-        self.bindings: list[Binding] = []
-        self.constants: dict[Node, Tag] = {}
+    def __init__(self, context: Context, around: Expressions | None = None) -> None:
+        self.context = context
+        self.names = context.names
+        self.around = around
+        self.rows: dict[str, SqlValue] = {}
+        self.only: str | None = None
+        self.locals: Mapping[str, SqlValue] = around.locals if around else {}
 
-    def column(self, alias: str, name: str) -> exp.Expr:
-        """A column of a source."""
-        return exp.column(name, table=exp.to_identifier(self.aliases[alias]))
+    def inside(self) -> Expressions:
+        """The expressions of a query nested in this one."""
+        return Expressions(self.context, self)
 
-    def parameter(self, stem: str, wanted: Binding) -> exp.Expr:
-        """A parameter for that binding: the same one for the same."""
-        for binding in self.bindings:
-            if replace(binding, name="") == wanted:
-                return exp.Parameter(this=exp.var(binding.name))
-        stem = stem if stem.isidentifier() else "value"
-        taken = {binding.name.lower() for binding in self.bindings}
-        candidates = (stem if n == 1 else f"{stem}_{n}" for n in range(1, len(taken) + 2))
-        name = next(name for name in candidates if name.lower() not in taken)
-        self.bindings.append(replace(wanted, name=name))
-        return exp.Parameter(this=exp.var(name))
+    def risk(self) -> None:
+        """Leave to Python what could fail in SQL, if the plan is to be cautious."""
+        if self.context.cautious:
+            raise NotSqlError
+
+    # -- what does not depend on rows -------------------------------------------------------
+
+    def element(self, alias: str | None) -> SqlValue | None:
+        """The current element of a source of this query or of one around it in SQL."""
+        name = self.only if alias is None else alias
+        if name is not None and name in self.rows:
+            return self.rows[name]
+        # `this` alone is never that of a query further out.
+        return self.around.element(alias) if self.around and alias is not None else None
 
     def is_constant(self, node: Node) -> bool:
-        """Whether it is the same for all rows, and can be evaluated without a query of its own.
-
-        A nested query that sees no row of this one is constant; a relation outside it is not:
-        it becomes part of the SQL.
-        """
+        """Whether it is the same for all rows of the statement."""
         match node:
-            case This(alias=alias) if alias is not None and alias not in self.shapes:
-                if not self.names.has_source(alias):
-                    raise UnknownNameError(
-                        f"there is no source {alias!r} here",
-                        span=node.span,
-                        suggestions=nearest(alias, self.shapes) or list(self.shapes)[:3],
-                    )
-                return True
             case This():
+                return self._is_outside(node)
+            case Bare() | Assignment():
                 return False
+            case Name(name=name):
+                deferred = self.context.list_in(name)
+                if deferred is not None:
+                    return self.is_constant(deferred)
+                return name not in self.context.changing
             case Query():
-                return not free_aliases(node) & {None, *self.shapes} and not _is_impure(node)
+                return (
+                    all(self._sees_nothing(alias) for alias in free_aliases(node))
+                    and not is_impure(node)
+                    and not any(self._is_changing(part) for part in node.walk())
+                )
             case Call(name=name) if name in RELATIONS or name in IMPURE:
-                return False
-            case Assignment():
                 return False
         return all(self.is_constant(child) for child in node.children())
 
-    def _own(self, node: This) -> bool:
-        return node.alias is None or node.alias in self.shapes
-
-    def row(self, alias: str) -> SqlValue:
-        """The current element of a source."""
-        shape = self.shapes[alias]
-        if shape.tag is None or shape.tag.type == "entity":
-            schema = shape.schema if shape.tag is None else shape.tag.schema
-            return SqlValue(
-                self.column(alias, "id"),
-                Tag("entity", schema=schema),
-                lambda name: self.column(alias, name),
+    def _is_outside(self, node: This) -> bool:
+        if node.alias is None or self.element(node.alias) is not None:
+            return False
+        if not self.names.has_source(node.alias):
+            known = list(self.rows)
+            raise UnknownNameError(
+                f"there is no source {node.alias!r} here",
+                span=node.span,
+                suggestions=nearest(node.alias, known) or known[:3],
             )
-        if shape.tag.type == "any":
-            return SqlValue(self.column(alias, "n"), shape.tag)
-        return SqlValue(self.column(alias, "value"), shape.tag)
+        return True
+
+    def _sees_nothing(self, alias: str | None) -> bool:
+        return alias is not None and self.element(alias) is None
+
+    def _is_changing(self, node: Node) -> bool:
+        if not isinstance(node, Name):
+            return False
+        return node.name in self.context.changing or self.context.list_in(node.name) is not None
+
+    # -- values -----------------------------------------------------------------------------
 
     def value(self, node: Node) -> SqlValue:
         """A part as SQL.
@@ -153,43 +144,53 @@ class Expressions:
             NotSqlError: it is left to Python.
         """
         match node:
-            case This() if self._own(node):
+            case This() if node.alias is None or self.element(node.alias) is not None:
                 return self._this(node)
             case tree.Literal():
                 return self._literal(node)
+            case Name(name=name) if name in self.locals:
+                return self.locals[name]
+            case Name(name=name) if (deferred := self.context.list_in(name)) is not None:
+                return self.value(deferred)
+            case Query():
+                return self._query(node)
         if self.is_constant(node):
             return self._constant(node)
         match node:
-            case Call(name=name) if name in RELATIONS:
-                return self._relation(RELATIONS[name], node)
             case Call():
-                self.names.check_call(node)
-                raise NotSqlError
+                return self._call(node)
             case Unary(operator="NOT", operand=operand):
-                return SqlValue(
-                    exp.Not(this=_wrapped(self.truth(self.value(operand)))), Tag("flag")
-                )
+                return SqlValue(exp.Not(this=wrapped(self.truth(self.value(operand)))), FLAG)
             case Unary(operator=sign, operand=operand):
                 inner = self._number(operand)
-                return (
-                    SqlValue(exp.Neg(this=_wrapped(inner.sql)), inner.tag) if sign == "-" else inner
-                )
+                if sign == "+":
+                    return inner
+                return replace(inner, given=exp.Neg(this=wrapped(inner.sql)), elements=None)
             case Binary():
                 return self._binary(node)
-            case Index(base=base, indices=(tree.Literal(value=int() as index),)):
-                elements = self.value(base).elements or ()
-                if 0 <= index < len(elements):
-                    return elements[index]
+            case Index():
+                return self._index(node)
             case ListOf(items=items):
-                return self._list([self.value(item) for item in items])
+                return self.list_of([self.value(item) for item in items])
             case If(condition=condition, then=(then,), otherwise=(otherwise,)):
                 return self._choice(condition, then, otherwise)
         raise NotSqlError
 
+    def _query(self, node: Query) -> SqlValue:
+        """A nested query: a part of the statement, else a constant if it sees no row of it."""
+        try:
+            if is_impure(node):
+                raise NotSqlError
+            return subqueries.value(self, node)
+        except NotSqlError:
+            if not self.is_constant(node):
+                raise
+        return self._constant(node)
+
     def _literal(self, node: tree.Literal) -> SqlValue:
         tag = self.names.tag(node)
         match node.value:
-            case _ if tag.type == "any":  # a number too large for SQL
+            case _ if not tag.is_sql:  # a number too large for SQL
                 raise NotSqlError
             case float(number):
                 text = repr(number)
@@ -199,34 +200,97 @@ class Expressions:
                 return SqlValue(exp.convert(value), tag)
 
     def _this(self, node: This) -> SqlValue:
-        alias = node.alias if node.alias is not None else self.only
-        if alias is None:
+        value = self.element(node.alias)
+        if value is None:
+            told = ", ".join(f"{name}.this" for name in self.rows)
             raise ArgumentError(
-                f"'this' alone is ambiguous here; write one of "
-                f"{', '.join(f'{name}.this' for name in self.shapes)}",
-                span=node.span,
+                f"'this' alone is ambiguous here; write one of {told}", span=node.span
             )
-        value = self.row(alias)
         if value.tag.type == "any":
             raise NotSqlError
         return value
 
     def _constant(self, node: Node) -> SqlValue:
-        tag = self.constants.setdefault(node, self.names.tag(node))
-        if tag.type == "any":
+        tag = self.context.constants.setdefault(node, self.names.tag(node))
+        if not tag.is_sql or tag.type == "record":
             raise NotSqlError
         stem = node.name if isinstance(node, Name | Given) else "value"
         if tag.type != "entity":
-            return SqlValue(self.parameter(stem, Binding("", node, type=tag.type)), tag)
+            parameter = self.context.parameter(stem, Binding("", node, tag=tag))
+            if tag.type == "list":
+                parameter = exp.cast(parameter, tag.sql_type, dialect="duckdb")
+            return SqlValue(parameter, tag)
 
         def column(name: str) -> exp.Expr:
-            wanted = Binding("", node, name, type=_COLUMN_TYPES[name])
-            return self.parameter(f"{stem}_{name}", wanted)
+            wanted = Binding("", node, name, tag=column_tag(name))
+            return self.context.parameter(f"{stem}_{name}", wanted)
 
         return SqlValue(None, tag, column)  # its columns become parameters as they are asked for
 
-    def _relation(self, relation: Relation, node: Call) -> SqlValue:
+    # -- calls ------------------------------------------------------------------------------
+
+    def _call(self, node: Call) -> SqlValue:
         self.names.check_call(node)
+        if node.name in RELATIONS:
+            return self._relation(RELATIONS[node.name], node)
+        if node.name in IMPURE:
+            raise NotSqlError
+        if node.name == "count" and isinstance(node.arguments[0], Query):
+            return subqueries.counted(self, node.arguments[0])
+        values = [self.value(argument) for argument in node.arguments]
+        builtin = self._builtin(node.name, values)
+        if builtin is not None:
+            return builtin
+        signature = self.names.signature(node.name, tuple(value.tag for value in values))
+        if signature is None or any(value.tag.nullable or value.wide for value in values):
+            raise NotSqlError
+        self.risk()
+        self.context.signatures.add(signature)
+        arguments = [
+            exp.cast(value.sql.copy(), tag.sql_type, dialect="duckdb")
+            for value, tag in zip(values, signature.parameters, strict=True)
+        ]
+        return SqlValue(
+            exp.Anonymous(
+                this=exp.to_identifier(signature.name, quoted=True), expressions=arguments
+            ),
+            signature.result,
+        )
+
+    def _builtin(self, name: str, values: list[SqlValue]) -> SqlValue | None:
+        """A function of the language that SQL has too."""
+        match name, values:
+            case "count", [SqlValue(tag=Tag(type="list")) as value]:
+                return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
+            case "abs", [SqlValue(tag=Tag(type="real" | "integer")) as value] if not value.wide:
+                return SqlValue(exp.func("abs", value.sql.copy()), value.tag)
+            case name, [value] if name in _OF_REALS and value.tag.is_number and not value.wide:
+                self.risk()
+                return SqlValue(exp.Anonymous(this=name, expressions=[_double(value)]), REAL)
+            case "floor" | "ceil", [SqlValue(tag=Tag(type="real")) as value]:
+                self.risk()
+                whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
+                return SqlValue(exp.cast(whole, "BIGINT"), INTEGER, wide=True)
+            case "str", [SqlValue(tag=Tag(type="text")) as value]:
+                return value
+            case "str", [SqlValue(tag=Tag(type="integer")) as value]:
+                return SqlValue(exp.cast(value.sql.copy(), "VARCHAR"), TEXT)
+            case "sum", [SqlValue(tag=Tag(type="list", element=Tag(type="integer"))) as value]:
+                self.risk()
+                total = exp.cast(_of_list("sum", value), "BIGINT")
+                nothing = exp.Literal.number(0)
+                return SqlValue(exp.Coalesce(this=total, expressions=[nothing]), INTEGER, wide=True)
+            case "sum", [SqlValue(tag=Tag(type="list", element=Tag(type="real"))) as value]:
+                zero = exp.cast(exp.Literal.number(0), "DOUBLE")
+                return SqlValue(exp.Coalesce(this=_of_list("sum", value), expressions=[zero]), REAL)
+            case "min" | "max", [SqlValue(tag=Tag(type="list", element=Tag() as element)) as v] if (
+                element.type in ("real", "integer", "text")
+            ):
+                self.risk()
+                return SqlValue(or_failure(_of_list(name, v), element), element)
+        return None
+
+    def _relation(self, relation: Relation, node: Call) -> SqlValue:
         count = len(node.arguments)
         values = {
             parameter.name: self._argument(parameter, argument)
@@ -242,9 +306,12 @@ class Expressions:
             return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
         sql = _expanded(formula, values)
         if isinstance(sql, exp.Array):
-            elements = tuple(SqlValue(part, Tag("real")) for part in sql.expressions)
-            return SqlValue(sql, Tag("list", "real", len(elements)), elements=elements)
-        return SqlValue(sql, Tag(relation.result, "real" if relation.result == "list" else None))
+            elements = tuple(SqlValue(part, REAL) for part in sql.expressions)
+            length = 3 if len(elements) == 3 else None
+            return SqlValue(sql, Tag("list", REAL, length), elements=elements)
+        return SqlValue(
+            sql, Tag("list", REAL) if relation.result == "list" else Tag(relation.result)
+        )
 
     def _argument(self, parameter: Parameter, node: Node) -> SqlValue:
         value = self.value(node)
@@ -254,24 +321,23 @@ class Expressions:
             return value
         if parameter.type == "place" and value.tag.type == "entity":
             return value
-        if parameter.type == "place" and value.tag.type == "list" and value.tag.element in _NUMBERS:
+        element = value.tag.element
+        if parameter.type == "place" and value.tag.type == "list" and element and element.is_number:
             if value.tag.length != 3:
+                if not self.is_constant(node) and value.elements is None:
+                    raise NotSqlError  # of a list in a row, SQL does not know the length
                 raise ArgumentError(
                     f"{parameter.name} is to be {parameter.meaning}, not a list of another length",
                     span=node.span,
                 )
             index = {"x": 1, "y": 2, "z": 3}
-            return SqlValue(
-                value.sql,
-                value.tag,
-                lambda name: exp.func(
-                    "list_extract", value.sql.copy(), exp.Literal.number(index[name])
-                ),
-            )
+            return replace(value, column=lambda name: _element_at(value, index[name]))
         raise ArgumentError(
-            f"{parameter.name} is to be {parameter.meaning}, not {_worded(value.tag)}",
+            f"{parameter.name} is to be {parameter.meaning}, not {value.tag.words}",
             span=node.span,
         )
+
+    # -- operators --------------------------------------------------------------------------
 
     def _binary(self, node: Binary) -> SqlValue:
         sign = node.operator
@@ -279,93 +345,246 @@ class Expressions:
             left, right = (self.truth(self.value(side)) for side in (node.left, node.right))
             joined: exp.Expr
             if sign == "XOR":
-                joined = exp.NEQ(this=_wrapped(left), expression=_wrapped(right))
+                joined = exp.NEQ(this=wrapped(left), expression=wrapped(right))
             else:
                 joined = exp.and_(left, right) if sign == "AND" else exp.or_(left, right)
-            return SqlValue(exp.paren(joined), Tag("flag"))
-        if sign in _ARITHMETIC:
-            return self._arithmetic(_ARITHMETIC[sign], node)
-        if sign == "/":
-            return self._quotient(node)
+            return SqlValue(exp.paren(joined), FLAG)
+        if sign in ("==", "!="):
+            emptiness = subqueries.emptiness(self, node)
+            if emptiness is not None:
+                return SqlValue(emptiness, FLAG)
+        if sign == "IN" and isinstance(node.right, Query):
+            found = subqueries.membership(self, node.left, node.right)
+            if found is not None:
+                return SqlValue(found, FLAG)
+        left_value, right_value = self.value(node.left), self.value(node.right)
         if sign in _COMPARISONS:
-            return self._comparison(sign, self.value(node.left), self.value(node.right))
+            return self.comparison(sign, left_value, right_value)
         if sign == "IN":
-            return self._membership(self.value(node.left), self.value(node.right))
+            return self._membership(left_value, right_value)
+        if sign == "+" and left_value.tag.type == right_value.tag.type == "text":
+            joined = exp.DPipe(this=wrapped(left_value.sql), expression=wrapped(right_value.sql))
+            return SqlValue(exp.paren(joined), TEXT)
+        if sign == "+" and left_value.tag.type == right_value.tag.type == "list":
+            return self._concatenation(left_value, right_value)
+        return self._arithmetic(node, left_value, right_value)
+
+    def _arithmetic(self, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
+        sign = node.operator
+        for value in (left, right):
+            if not value.tag.is_number or value.tag.nullable:
+                raise NotSqlError
+        kinds = {left.tag.type, right.tag.type}
+        tag = Tag("number") if "number" in kinds and "real" not in kinds else REAL
+        if kinds == {"integer"}:
+            tag = INTEGER
+        elif left.wide or right.wide:
+            raise NotSqlError  # rounded in another place than Python does
+        if sign in _ARITHMETIC:
+            return self._sum(_ARITHMETIC[sign], left, right, tag)
+        if sign == "/":
+            if left.wide or right.wide:
+                raise NotSqlError
+            return self._quotient(node, left, right)
+        if sign == "%" and "number" not in kinds:
+            return self._remainder(node, left, right, tag)
+        if sign == "^" and "number" not in kinds:
+            return self._power(node, left, tag)
         raise NotSqlError
 
-    def _arithmetic(self, kind: type[exp.Binary], node: Binary) -> SqlValue:
-        left, right = self._number(node.left), self._number(node.right)
-        if left.tag.type == right.tag.type == "integer":
-            raise NotSqlError  # Python's integers have no end
-        sql = kind(this=_wrapped(left.sql), expression=_wrapped(right.sql))
-        return SqlValue(exp.paren(sql), Tag("real"))
+    def _sum(self, kind: type[exp.Binary], left: SqlValue, right: SqlValue, tag: Tag) -> SqlValue:
+        if tag == INTEGER:
+            self.risk()  # Python's integers have no end
+        sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
+        return SqlValue(exp.paren(sql), tag, wide=tag == INTEGER)
 
-    def _quotient(self, node: Binary) -> SqlValue:
-        """A division whose divisor cannot be 0; DuckDB would yield NULL, Python raises."""
-        if not (isinstance(node.right, tree.Literal) and node.right.value):
+    def _quotient(self, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
+        divided = exp.Div(
+            this=wrapped(left.sql), expression=wrapped(right.sql), typed=False, safe=False
+        )
+        return SqlValue(self._unless_zero(node, right, divided, REAL), REAL)
+
+    def _remainder(self, node: Binary, left: SqlValue, right: SqlValue, tag: Tag) -> SqlValue:
+        """Python's: it has the sign of the divisor."""
+        a, b = wrapped(left.sql), wrapped(right.sql)
+        rest = exp.paren(exp.Mod(this=a, expression=b))
+        zero = exp.Literal.number(0)
+        apart = exp.NEQ(
+            this=exp.paren(exp.LT(this=rest, expression=zero)),
+            expression=exp.paren(exp.LT(this=b.copy(), expression=zero.copy())),
+        )
+        nonzero = exp.NEQ(this=rest.copy(), expression=zero.copy())
+        shifted = exp.Add(this=rest.copy(), expression=b.copy())
+        case = exp.case().when(exp.and_(nonzero, apart), shifted).else_(rest.copy())
+        return SqlValue(self._unless_zero(node, right, case, tag), tag, wide=left.wide)
+
+    def _unless_zero(self, node: Binary, right: SqlValue, sql: exp.Expr, tag: Tag) -> exp.Expr:
+        """Fail where the divisor is 0; SQL would yield nothing there."""
+        if isinstance(node.right, tree.Literal) and node.right.value:
+            return exp.paren(sql)
+        self.risk()
+        is_zero = exp.EQ(this=wrapped(right.sql.copy()), expression=exp.Literal.number(0))
+        return exp.case().when(is_zero, failure(tag)).else_(sql)
+
+    def _power(self, node: Binary, left: SqlValue, tag: Tag) -> SqlValue:
+        """With a small whole exponent; of other powers SQL has other ideas."""
+        match node.right:
+            case tree.Literal(value=exponent) if (
+                type(exponent) is int and 0 <= exponent <= MOST_EXPONENT
+            ):
+                self.risk()
+                power = exp.Pow(this=_double(left), expression=exp.Literal.number(exponent))
+                beyond: float = EXACT if tag == INTEGER else 1.7976931348623157e308
+                too_large = exp.GT(
+                    this=exp.func("abs", power.copy()), expression=exp.Literal.number(repr(beyond))
+                )
+                whole: exp.Expr = exp.cast(power, "BIGINT") if tag == INTEGER else power
+                return SqlValue(exp.case().when(too_large, failure(tag)).else_(whole), tag)
+        raise NotSqlError
+
+    def _concatenation(self, left: SqlValue, right: SqlValue) -> SqlValue:
+        tag = merged((left.tag, right.tag))
+        if tag is None or not tag.comes_back:
             raise NotSqlError
-        left, right = self._number(node.left), self._number(node.right)
-        sql = exp.Div(this=_wrapped(left.sql), expression=right.sql, typed=False, safe=False)
-        return SqlValue(exp.paren(sql), Tag("real"))
+        sql = exp.Anonymous(this="list_concat", expressions=[left.sql.copy(), right.sql.copy()])
+        elements = None
+        if left.elements is not None and right.elements is not None:
+            elements = left.elements + right.elements
+        return SqlValue(sql, replace(tag, length=None), elements=elements)
 
-    def _comparison(self, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
+    def comparison(self, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
+        """One of the six comparisons."""
         if left.tag.nullable or right.tag.nullable:
             raise NotSqlError  # NULL is equal to nothing, not even to NULL
-        kinds = left.tag.type, right.tag.type
-        alike = (
-            all(kind in _NUMBERS for kind in kinds)
-            or kinds == ("text", "text")
-            or (sign in ("==", "!=") and kinds in (("entity", "entity"), ("flag", "flag")))
-            or (sign in ("==", "!=") and kinds == ("list", "list") and _numeric(left, right))
+        kinds = tuple("number" if v.tag.is_number else v.tag.type for v in (left, right))
+        equality = sign in ("==", "!=")
+        if equality and kinds[0] != kinds[1] and all(kind in _APART for kind in kinds):
+            return SqlValue(exp.convert(sign == "!="), FLAG)
+        alike = kinds in (("number", "number"), ("text", "text")) or (
+            equality and self._may_be_equal(left.tag, right.tag)
         )
-        if not alike or left.tag.schema != right.tag.schema:
+        if kinds == ("number", "number") and (left.wide or right.wide):
+            alike = left.tag.type == right.tag.type == "integer"
+        if not alike:
             raise NotSqlError
         kind = _COMPARISONS[sign]
-        return SqlValue(kind(this=_wrapped(left.sql), expression=_wrapped(right.sql)), Tag("flag"))
+        return SqlValue(kind(this=wrapped(left.sql), expression=wrapped(right.sql)), FLAG)
+
+    def _may_be_equal(self, left: Tag, right: Tag) -> bool:
+        both = merged((left, right))
+        return both is not None and both.type in ("entity", "flag", "list") and both.is_sql
 
     def _membership(self, left: SqlValue, right: SqlValue) -> SqlValue:
+        if left.tag.nullable or right.tag.nullable:
+            raise NotSqlError
         if left.tag.type == right.tag.type == "text":
-            return SqlValue(exp.func("contains", right.sql, left.sql), Tag("flag"))
-        fits = right.tag.type == "list" and (
-            (left.tag.type in _NUMBERS and right.tag.element in _NUMBERS)
-            or (left.tag.type == "text" and right.tag.element == "text")
-        )
-        if not fits:
+            return SqlValue(exp.func("contains", right.sql, left.sql), FLAG)
+        if right.tag.type != "list":
             raise NotSqlError
-        return SqlValue(exp.func("list_contains", right.sql, left.sql), Tag("flag"))
+        if right.tag.element is None:
+            return SqlValue(exp.false(), FLAG)
+        if right.elements is not None:
+            found = [self.comparison("==", left, element).sql for element in right.elements]
+            return SqlValue(exp.paren(exp.or_(*found)), FLAG)
+        both = merged((left.tag, right.tag.element))
+        if both is None or not both.is_sql or left.wide:
+            raise NotSqlError
+        if left.tag.is_number != right.tag.element.is_number:
+            raise NotSqlError
+        return SqlValue(exp.func("list_contains", right.sql, left.sql), FLAG)
 
-    def _list(self, values: list[SqlValue]) -> SqlValue:
-        kinds = {value.tag.type for value in values}
-        if len(kinds) != 1 or not kinds <= {"real", "text", "flag", "integer"}:
+    # -- lists ------------------------------------------------------------------------------
+
+    def list_of(self, values: Sequence[SqlValue]) -> SqlValue:
+        """A list that is written out."""
+        tag = merged(value.tag for value in values)
+        if any(value.tag.nullable or value.wide for value in values):
             raise NotSqlError
-        sql = exp.Array(expressions=[value.sql.copy() for value in values])
-        return SqlValue(sql, Tag("list", kinds.pop(), len(values)), elements=tuple(values))
+        elements = tuple(values)
+        if tag is None:
+            return SqlValue(
+                exp.cast(exp.Array(expressions=[]), "INTEGER[]"), Tag("list"), elements=()
+            )
+        length = 3 if len(values) == 3 else None
+        if not tag.is_sql or tag.type == "record":
+            if all(value.tag.is_sql for value in values):  # its elements can be reached
+                return SqlValue(None, Tag("list", ANY, length), elements=elements)
+            raise NotSqlError
+        sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in values])
+        if tag.type == "list":
+            sql = exp.cast(sql, f"{tag.sql_type}[]", dialect="duckdb")
+        return SqlValue(sql, Tag("list", tag, length), elements=elements)
+
+    def _index(self, node: Index) -> SqlValue:
+        value = self.value(node.base)
+        for index in node.indices:
+            value = self._at(value, index)
+        return value
+
+    def _at(self, value: SqlValue, index: Node) -> SqlValue:
+        match index:
+            case tree.Literal(value=str() as key) if key in value.fields:
+                return value.fields[key]
+            case tree.Literal(value=number) if type(number) is int and value.elements is not None:
+                if -len(value.elements) <= number < len(value.elements):
+                    return value.elements[number]
+        element = value.tag.element
+        if value.tag.type != "list" or element is None or value.tag.nullable:
+            raise NotSqlError
+        place = self._number(index)
+        if place.tag.type != "integer" or not element.is_sql:
+            raise NotSqlError
+        self.risk()
+        negative = exp.LT(this=wrapped(place.sql), expression=exp.Literal.number(0))
+        behind = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))
+        place_from_one = exp.case().when(negative, place.sql.copy()).else_(behind)
+        found = exp.Anonymous(this="list_extract", expressions=[value.sql.copy(), place_from_one])
+        return SqlValue(or_failure(found, element), element)
 
     def _choice(self, condition: Node, then: Node, otherwise: Node) -> SqlValue:
         first, second = self.value(then), self.value(otherwise)
         if first.tag != second.tag or first.tag.type == "entity":
             raise NotSqlError
         case = exp.case().when(self.truth(self.value(condition)), first.sql).else_(second.sql)
-        return SqlValue(case, first.tag)
+        return SqlValue(case, first.tag, wide=first.wide or second.wide)
 
     def _number(self, node: Node) -> SqlValue:
         value = self.value(node)
-        if value.tag.type not in _NUMBERS:
+        if not value.tag.is_number or value.tag.nullable:
             raise NotSqlError
         return value
 
     def truth(self, value: SqlValue) -> exp.Expr:
-        """A value as a condition: numbers are true unless 0, texts unless empty."""
+        """A value as a condition: numbers are true unless 0, texts and lists unless empty."""
+        zero = exp.Literal.number(0)
         match value.tag.type:
             case "flag":
                 return value.sql
-            case "real" | "integer":
-                return exp.NEQ(this=_wrapped(value.sql), expression=exp.Literal.number(0))
-            case "text":
-                return exp.NEQ(this=_wrapped(value.sql), expression=exp.Literal.string(""))
+            case "real" | "integer" | "number" if not value.tag.nullable:
+                return exp.NEQ(this=wrapped(value.sql), expression=zero)
+            case "text" if not value.tag.nullable:
+                return exp.NEQ(this=wrapped(value.sql), expression=exp.Literal.string(""))
+            case "list" if not value.tag.nullable:
+                if value.elements is not None:
+                    return exp.convert(bool(value.elements))
+                return exp.GT(this=exp.func("len", value.sql.copy()), expression=zero)
             case "entity":
                 return exp.Not(this=exp.Is(this=value.sql, expression=exp.Null()))
         raise NotSqlError
+
+
+def _of_list(function: str, value: SqlValue) -> exp.Expr:
+    return exp.Anonymous(this=f"list_{function}", expressions=[value.sql.copy()])
+
+
+def _double(value: SqlValue) -> exp.Expr:
+    return value.sql.copy() if value.tag.type == "real" else exp.cast(value.sql.copy(), "DOUBLE")
+
+
+def _element_at(value: SqlValue, place: int) -> exp.Expr:
+    if value.elements is not None:
+        return value.elements[place - 1].sql
+    return exp.func("list_extract", value.sql.copy(), exp.Literal.number(place))
 
 
 def _expanded(
@@ -383,74 +602,10 @@ def _expanded(
         if not isinstance(part, exp.Column):
             return part
         if not part.table:
-            return _wrapped(values[part.name].sql.copy())
+            return wrapped(values[part.name].sql.copy())
         column = values[part.table].column
         assert column is not None, f"{part.table} has no columns"
         return column(name if name is not None and part.name == "name" else part.name)
 
     expanded: exp.Expr = formula.copy().transform(put_in)
     return exp.paren(expanded) if isinstance(expanded, exp.Connector) else expanded
-
-
-def _sql_aliases(names: Iterable[str]) -> dict[str, str]:
-    """What sources are called in SQL, which does not tell upper from lower case."""
-    aliases: dict[str, str] = {}
-    for name in names:
-        taken = {alias.casefold() for alias in aliases.values()}
-        alike = sum(name.casefold() == other.casefold() for other in aliases)
-        alias = f"{name} {alike + 1}" if name.casefold() in taken else name
-        aliases[name] = alias
-    return aliases
-
-
-def _wrapped(sql: exp.Expr) -> exp.Expr:
-    """In parentheses where it is not a single term."""
-    return (
-        exp.paren(sql)
-        if isinstance(sql, exp.Binary | exp.Unary) and not isinstance(sql, exp.Paren)
-        else sql
-    )
-
-
-def _numeric(left: SqlValue, right: SqlValue) -> bool:
-    return left.tag.element in _NUMBERS and right.tag.element in _NUMBERS
-
-
-def free_aliases(node: Node) -> set[str | None]:
-    """The aliases whose `this` a part mentions, and that no query in it has as a source."""
-    if isinstance(node, This):
-        return {node.alias}
-    found: set[str | None] = set()
-    for child in node.children():
-        if not (isinstance(node, Query) and isinstance(child, Source)):
-            found |= free_aliases(child)
-    if isinstance(node, Query):
-        found -= {None, *(source.alias for source in node.sources)}
-        for source in node.sources:  # a source sees what is around the query
-            found |= free_aliases(source)
-    return found
-
-
-def sees_outside(query: Query) -> bool:
-    """Whether a nested query sees rows of the queries around it."""
-    return bool(free_aliases(query))
-
-
-def _is_impure(node: Node) -> bool:
-    return any(
-        isinstance(part, Assignment) or (isinstance(part, Call) and part.name in IMPURE - {"to"})
-        for part in node.walk()
-    )
-
-
-def _worded(tag: Tag) -> str:
-    words: dict[ValueType, str] = {
-        "entity": "an entity",
-        "real": "a number",
-        "integer": "a number",
-        "text": "a text",
-        "flag": "True or False",
-        "list": "a list",
-        "nothing": "nothing",
-    }
-    return words.get(tag.type, "such a value")

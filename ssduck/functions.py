@@ -7,9 +7,15 @@ import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ssduck.errors import FunctionError, SelectScriptError
+from ssduck.evaluate import apply, hashable
+from ssduck.hints import Hints, hints_of
+
+# A double has no digits beyond these, before or behind the point.
+MOST_DIGITS = 400
 
 
 @dataclass(frozen=True)
@@ -23,6 +29,7 @@ class Function:
         least: how many arguments it takes at least.
         most: how many at most; None for any number.
         builtin: whether it comes with the language.
+        hints: the types that its signature tells of; None if SQL cannot call it.
     """
 
     name: str
@@ -31,13 +38,14 @@ class Function:
     least: int
     most: int | None
     builtin: bool = False
+    hints: Hints | None = None
 
     @classmethod
     def of(cls, name: str, call: Callable[..., Any], help: str | None = None) -> Function:
         """A user's function; its arity is that of its signature."""
         least, most = _arity(call)
         text = help if help is not None else inspect.getdoc(call) or f"Usage: {name}(...)"
-        return cls(name, call, text, least, most)
+        return cls(name, call, text, least, most, hints=hints_of(call))
 
     def __call__(self, arguments: Sequence[Any]) -> Any:
         """Call it.
@@ -46,7 +54,9 @@ class Function:
             FunctionError: it raised; the original is the cause.
         """
         try:
-            return self.call(*(_copied(argument) for argument in arguments))
+            if self.builtin:  # these change nothing that they are given
+                return self.call(*arguments)
+            return self.call(*map(_copied, arguments))
         except (SelectScriptError, RecursionError):
             raise
         except Exception as error:
@@ -54,6 +64,11 @@ class Function:
 
 
 def _copied(value: Any) -> Any:
+    """A copy of a list or a dict, and of what is in it; handles stay what they are."""
+    if type(value) is list:
+        return [_copied(element) for element in value]
+    if type(value) is dict:
+        return {key: _copied(element) for key, element in value.items()}
     return copy.deepcopy(value) if isinstance(value, list | dict) else value
 
 
@@ -69,12 +84,11 @@ def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
 
 
 def _uniq(values: list[Any]) -> list[Any]:
-    """Without repetitions, in order of first appearance; values need not be hashable."""
-    kept: list[Any] = []
+    """Without repetitions, in order of first appearance."""
+    kept: dict[Any, Any] = {}
     for value in values:
-        if value not in kept:
-            kept.append(value)
-    return kept
+        kept.setdefault(hashable(value), value)
+    return list(kept.values())
 
 
 def _avg(values: list[Any]) -> Any:
@@ -86,6 +100,12 @@ def _builtin(
 ) -> Function:
     least = most - usage.count("[,")
     return Function(name, call, f"{about}\nUsage: {usage}", least, most, builtin=True)
+
+
+def _round(number: float, digits: int | None = None) -> float:
+    if digits is not None and abs(digits) > MOST_DIGITS:
+        raise ValueError(f"{digits} digits are more than a number has")
+    return round(number, digits)
 
 
 _OF_LISTS = (
@@ -116,8 +136,8 @@ _OF_NUMBERS = tuple(
 )
 
 _OTHERS = (
-    _builtin("round", round, "Returns a rounded number.", "round(number[, digits]) -> number", 2),
-    _builtin("pow", pow, "Returns a power.", "pow(base, exponent) -> number", 2),
+    _builtin("round", _round, "Returns a rounded number.", "round(number[, digits]) -> number", 2),
+    _builtin("pow", partial(apply, "^"), "Returns a power.", "pow(base, exponent) -> number", 2),
     _builtin(
         "atan2", math.atan2, "Returns the angle of (x, y) in radians.", "atan2(y, x) -> float", 2
     ),
@@ -125,6 +145,8 @@ _OTHERS = (
     _builtin("int", int, "Returns a value as an integer.", "int(value) -> int"),
     _builtin("float", float, "Returns a value as a float.", "float(value) -> float"),
 )
+
+AGGREGATES: dict[str, Function] = {function.name: function for function in _OF_LISTS}
 
 BUILTINS: dict[str, Function] = {
     function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS

@@ -8,40 +8,39 @@ it is evaluated in Python on the rows that come back (`ssduck.queries`).
 
 from __future__ import annotations
 
-import itertools
+import inspect
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 from ssduck.adapters import ADAPTERS, Adapter, Rows
 from ssduck.database import Database
+from ssduck.dialects import in_dialect
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
-    FunctionError,
-    ParseError,
+    LimitError,
     SelectScriptError,
     UnknownNameError,
     nearest,
 )
-from ssduck.evaluate import Evaluator
-from ssduck.expressions import sees_outside
+from ssduck.evaluate import Deferred, Frame
+from ssduck.explain import told
 from ssduck.functions import BUILTINS, Function
 from ssduck.language import is_reserved, parse
-from ssduck.plan import Plan, Tag
-from ssduck.queries import Planned, shapes_of, tag_of
+from ssduck.limits import Limits, Meter
+from ssduck.planner import Planner
 from ssduck.result import Result
+from ssduck.rows import check_columns, formed
 from ssduck.scenes import find_scene
-from ssduck.translate import translate, unknown_function
+from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS, Relation
 from ssduck.world import World
-
-# So many queries keep their plans; then all are forgotten and made anew as they are needed.
-MOST_PLANS = 500
 
 
 def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
@@ -68,26 +67,60 @@ def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
     return interpreter
 
 
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """A program that was parsed; running it again parses nothing.
+
+    Attributes:
+        text: how it was written.
+        tree: what it means.
+    """
+
+    text: str
+    tree: Program
+    _interpreter: Interpreter
+
+    def sql(self, dialect: str = "duckdb") -> str:
+        """The SQL of the query that the program ends with, the values of variables put in.
+
+        Args:
+            dialect: one of sqlglot's: `"duckdb"`, `"postgres"`, `"sqlite"` …
+
+        Raises:
+            UnsupportedError: a part is left to Python, or is nothing that dialect has.
+        """
+        return self._interpreter._sql_of(self.tree, dialect)  # noqa: SLF001  # one room
+
+
 class Interpreter:
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
         database: a DuckDB file, or `":memory:"`.
         tracer: is told each SQL statement before it runs.
+        limits: what programs and SQL may use; for what comes from elsewhere,
+            `Limits.strict()`.
+        row_by_row: whether every query runs row by row in Python, to compare with.
     """
 
     def __init__(
-        self, database: str = ":memory:", *, tracer: Callable[[str], None] | None = None
+        self,
+        database: str = ":memory:",
+        *,
+        tracer: Callable[[str], None] | None = None,
+        limits: Limits | None = None,
+        row_by_row: bool = False,
     ) -> None:
-        self._database = Database(database, tracer)
+        self._limits = limits or Limits()
+        self._database = Database(database, tracer, self._limits)
         self._lock = threading.RLock()
-        self.schema_of = self._database.schema_of
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
         self._functions.update((command.name, command) for command in self._commands())
         self._own: list[World] = []
-        self._plans: dict[Query, list[Planned]] = {}
+        self._planner = Planner(self._database, self, self._limits, row_by_row=row_by_row)
         self._relations: dict[Call, Query] = {}
+        self._texts: list[str] = []
 
     def close(self) -> None:
         """Close the database, and the world that `load` made; yours stay open."""
@@ -103,15 +136,15 @@ class Interpreter:
 
     # -- programs -------------------------------------------------------------------------
 
-    def compile(self, text: str) -> Program:
+    def compile(self, text: str) -> Compiled:
         """Parse a program; running the result again parses nothing.
 
         Raises:
             ParseError: with the place of the first thing that is wrong.
         """
-        return parse(text)
+        return Compiled(text, parse(text), self)
 
-    def eval(self, program: str | Program) -> Any:
+    def eval(self, program: str | Compiled) -> Any:
         """Run a program.
 
         Args:
@@ -123,11 +156,11 @@ class Interpreter:
         Raises:
             SelectScriptError: with the place; the variables are as they were before.
         """
-        compiled = _compiled(program)
-        with self._undone_on_failure(compiled):
+        compiled = _tree(program)
+        with self._running(compiled):
             return self._run(compiled)
 
-    def explain(self, program: str | Program) -> str:
+    def explain(self, program: str | Compiled) -> str:
         """The SQL of the queries in a program's last statement, and what is left to Python.
 
         The statements before it are run for their variables, which are then as before.
@@ -135,18 +168,19 @@ class Interpreter:
         Raises:
             SelectScriptError: as `eval` does.
         """
-        compiled = _compiled(program)
-        with self._undone_on_failure(compiled):
-            before = dict(self._variables)
-            told = self._explained(compiled)
-            self._variables = before
-            return told
+        compiled = _tree(program)
+        with self._running(compiled):
+            return self._explained(compiled)
 
     @contextmanager
-    def _undone_on_failure(self, program: Program) -> Iterator[None]:
+    def _running(self, program: Program) -> Iterator[None]:
         """Whatever fails in here leaves the variables as they were, and says where it failed."""
         with self._lock:
             before = dict(self._variables)
+            outermost = not self._texts
+            if outermost:
+                self._database.meter = Meter(self._limits)
+            self._texts.append(program.text)
             try:
                 yield
             except BaseException as error:
@@ -154,36 +188,52 @@ class Interpreter:
                 if isinstance(error, SelectScriptError):
                     error.locate(program.text)
                 if isinstance(error, RecursionError):
-                    raise ParseError("the program is nested too deeply") from error
+                    raise EvaluationError("the program is nested too deeply") from error
                 raise
+            finally:
+                self._texts.pop()
 
     def _run(self, program: Program) -> Any:
         if program.explain:
             return self._explained(program)
-        evaluator = Evaluator(self)
+        return self._valued(program, Frame(self))
+
+    def _valued(self, program: Program, frame: Frame) -> Any:
         value = None
         for node in program.statements:
-            value = evaluator.value(node)
+            self.step()
+            value = frame.value(node)
         return value
 
-    def _explained(self, program: Program) -> str:
-        evaluator = Evaluator(self)
-        for statement in program.statements[:-1]:
-            evaluator.value(statement)
-        queries = [
-            node
-            for statement in program.statements[-1:]
-            for node in statement.walk()
-            if isinstance(node, Query) and not sees_outside(node)
-        ]
-        return "\n\n".join(self._told(program.text, query, evaluator) for query in queries)
+    # -- what a program becomes -------------------------------------------------------------
 
-    def _told(self, text: str, query: Query, evaluator: Evaluator) -> str:
-        values = [evaluator.value(source.value) for source in query.sources]
-        plan = self._planned(query, values, _Typed(self, evaluator)).plan
-        lines = [plan.select.sql(dialect="duckdb", pretty=True)]
-        lines += [f"-- left to Python: {text[n.span.start : n.span.end]}" for n in plan.left]
-        return "\n".join(lines)
+    def _explained(self, program: Program) -> str:
+        with self._rehearsed(program) as frame:
+            plan_of = partial(self._planner.plan, frame=frame)
+            return "\n\n".join(
+                told(program.text, statement, plan_of) for statement in program.statements[-1:]
+            )
+
+    def _sql_of(self, program: Program, dialect: str) -> str:
+        with self._running(program), self._rehearsed(program) as frame:
+            query = program.statements[-1] if program.statements else None
+            if not isinstance(query, Query):
+                raise ArgumentError("the program does not end with a query")
+            plan, values = self._planner.written(query, frame)
+            return in_dialect(query, plan, values, dialect)
+
+    @contextmanager
+    def _rehearsed(self, program: Program) -> Iterator[Frame]:
+        """Run all statements but the last, for the variables that it sees, and undo them."""
+        before = dict(self._variables)
+        frame = Frame(self)
+        try:
+            for statement in program.statements[:-1]:
+                frame.value(statement)
+            with self._database.held():
+                yield frame
+        finally:
+            self._variables = before
 
     # -- variables and functions ----------------------------------------------------------
 
@@ -200,7 +250,7 @@ class Interpreter:
         with self._lock:
             if isinstance(value, World):
                 self._database.bind(name, value)
-                self._forget_plans()
+                self._planner.forget()
             self._variables[name] = value
         return value
 
@@ -234,7 +284,7 @@ class Interpreter:
             raise ArgumentError(f"{name}: {function!r} is no function")
         with self._lock:
             self._functions[name] = Function.of(name, function, help)
-            self._forget_plans()
+            self._planner.forget()
 
     def help(self, name: str | None = None) -> Any:
         """The names of all functions, or the help of one.
@@ -278,7 +328,10 @@ class Interpreter:
         Raises:
             SqlError: DuckDB refuses it.
         """
-        return Result(self._database.table(text, parameters))
+        with self._lock:
+            if not self._texts:
+                self._database.meter = Meter(self._limits)
+            return Result(self._database.table(text, parameters))
 
     # -- functions that need the interpreter ------------------------------------------------
 
@@ -309,15 +362,26 @@ class Interpreter:
             _command("clear", clear, "Forgets a variable, or all but the worlds.", "[name]"),
             _command("getTime", get_time, "Returns the simulated time in seconds.", ""),
             _command("print", show, "Prints its arguments and returns the last.", "value, ..."),
-            _command("eval", self._run_text, "Runs a program that is given as text.", "text"),
+            _command("eval", lambda text: text, "Runs a program that is given as text.", "text"),
         ]
 
-    def _run_text(self, text: str) -> Any:
+    def _run_text(self, text: Any, frame: Frame) -> Any:
+        """The value of a text in the scope of a frame: it sees the rows that it stands in."""
+        if not self._limits.eval:
+            raise LimitError("eval is switched off here")
+        if not isinstance(text, str):
+            raise ArgumentError(f"eval takes a text, not {text!r}")
+        self._texts.append(text)
         try:
-            return self._run(parse(text))
+            program = parse(text)
+            if program.explain:
+                return self._explained(program)
+            return self._valued(program, frame)
         except SelectScriptError as error:
             error.locate(text)
             raise
+        finally:
+            self._texts.pop()
 
     # -- the scope of expressions (ssduck.evaluate.Scope) -----------------------------------
 
@@ -325,29 +389,52 @@ class Interpreter:
         """The value of a variable, or an UnknownNameError with the nearest names."""
         if name in self._variables:
             return self._variables[name]
-        if name in self._known_functions():
+        if name in RELATIONS or name in self._functions:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
         raise UnknownNameError(
-            f"there is no variable {name!r}",
-            suggestions=nearest(name, [*self._variables, *self._known_functions()]),
+            f"there is no variable {name!r}", suggestions=nearest(name, self.names())
         )
 
     def has_variable(self, name: str) -> bool:
         """Whether there is a variable of that name."""
         return name in self._variables
 
+    def names(self) -> list[str]:
+        """The names of all variables and functions."""
+        return [*self._variables, *self._known_functions()]
+
     def assign(self, name: str, value: Any) -> None:
         """Set a variable."""
         self._variables[name] = value
 
-    def call(self, node: Call, evaluator: Evaluator) -> Any:
+    def deferred(self, node: Node) -> Deferred:
+        """A list of the running program for the query that uses it."""
+        return Deferred(node, self._texts[-1])
+
+    def step(self) -> None:
+        """Count a step; a LimitError if the time is up."""
+        self._database.meter.step()
+
+    def function(self, name: str) -> Function | None:
+        """A function that is no relation."""
+        return self._functions.get(name)
+
+    def is_users(self, name: str) -> bool:
+        """Whether that is a user's function."""
+        function = self._functions.get(name)
+        return function is not None and not function.builtin
+
+    def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call outside SQL."""
-        self.check_call(node)
+        self.step()
         if node.name in RELATIONS:
-            return self._relation(node, evaluator)
-        arguments = [evaluator.value(argument) for argument in node.arguments]
+            return self._relation(node, arguments)
+        if node.name == "eval":
+            return self._run_text(arguments[0], frame)
+        if node.name not in self._functions:
+            raise unknown_function(node, self._known_functions())
         return self._functions[node.name](arguments)
 
     def check_call(self, node: Call) -> None:
@@ -371,85 +458,32 @@ class Interpreter:
                 span=node.span,
             )
 
-    def query(self, node: Query, outer: Evaluator) -> Any:
-        """The value of a query; `outer` knows the rows of the queries around it."""
+    def query(self, node: Query, frame: Frame) -> Any:
+        """The value of a query; `frame` knows the rows of the queries around it."""
         adapter = _adapter(node)
+        make = _made(adapter, node, frame)
+        check = check_columns if adapter.keyed else _unchecked
         with self._database.held():  # what it is made of is of one tick, too
-            return adapter.make(self._selected(node, outer, keyed=adapter.keyed))
+            return formed(self._planner.run(node, frame, check), make)
 
-    def _selected(self, node: Query, outer: Evaluator, *, keyed: bool) -> Rows:
-        values = [outer.value(source.value) for source in node.sources]
-        typed = _Typed(self, outer)
-        planned = self._planned(node, values, typed)
-        if keyed:
-            _check_columns(planned.plan)
-        aliases = (shape.alias for shape in planned.plan.shapes)
-        inner = outer.knowing(typed.values)
-        return planned.run(inner, dict(zip(aliases, values, strict=True)))
-
-    def _planned(self, query: Query, values: Sequence[Any], typed: _Typed) -> Planned:
-        """The query's plan for values of these types; made anew only for new types."""
-        shapes = shapes_of(query, values, self.schema_of)
-        for planned in tuple(self._plans.get(query, ())):
-            if planned.plan.fits(shapes, typed):
-                return planned
-        if sum(map(len, self._plans.values())) >= MOST_PLANS:
-            self._forget_plans()
-        planned = Planned(translate(query, shapes, typed), self._database)
-        self._plans.setdefault(query, []).append(planned)
-        return planned
-
-    def _forget_plans(self) -> None:
-        for planned in itertools.chain.from_iterable(self._plans.values()):
-            planned.forget()
-        self._plans.clear()
-        self._relations.clear()
-
-    def _relation(self, node: Call, evaluator: Evaluator) -> Any:
+    def _relation(self, node: Call, values: list[Any]) -> Any:
         """A relation outside a query: a query of one row, without sources."""
         query = self._relations.get(node)
         if query is None:
             names = [Given(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
             asked = Call(node.span, node.name, tuple(names), node.name_span)
             query = self._relations[node] = Query(node.span, (asked,), ())
-        (call,) = query.items
-        values = [evaluator.value(argument) for argument in node.arguments]
-        inner = evaluator.knowing(dict(zip(call.children(), values, strict=True)))
-        typed = _Typed(self, inner)
+        given = {f"argument_{index}": value for index, value in enumerate(values)}
         with self._database.held():
-            planned = self._planned(query, (), typed)
-            if planned.plan.left:
-                raise ArgumentError(f"{node.name} does not take that", span=node.span)
-            return planned.run(inner.knowing(typed.values), {}).values[0][0]
+            return self._planner.relation(query, Frame(self, given=given))
 
 
-class _Typed:
-    """What the translator asks: names from the interpreter, types from the values."""
-
-    def __init__(self, interpreter: Interpreter, evaluator: Evaluator) -> None:
-        self.has_variable = evaluator.scope.has_variable
-        self.check_call = interpreter.check_call
-        self._interpreter = interpreter
-        self._evaluator = evaluator
-        self.values: dict[Node, Any] = {}
-
-    def has_source(self, alias: str) -> bool:
-        return alias in self._evaluator.elements
-
-    def tag(self, node: Node) -> Tag:
-        """The type of a constant part; its value is kept, so that it is computed once a run."""
-        if node not in self.values:
-            try:
-                self.values[node] = self._evaluator.value(node)
-            except (ArgumentError, EvaluationError, FunctionError):
-                return Tag("any")  # it is an error only if a row comes to it
-        return tag_of(self.values[node], self._interpreter.schema_of)
-
-
-def _compiled(program: str | Program) -> Program:
-    if not isinstance(program, str | Program):
+def _tree(program: str | Compiled) -> Program:
+    if isinstance(program, Compiled):
+        return program.tree
+    if not isinstance(program, str):
         raise ArgumentError(f"a program is a text or what compile gave, not {program!r}")
-    return parse(program) if isinstance(program, str) else program
+    return parse(program)
 
 
 def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
@@ -476,16 +510,23 @@ def _adapter(query: Query) -> Adapter:
             span=query.adapter.span,
             suggestions=nearest(name, ADAPTERS),
         )
-    if query.adapter.arguments or query.adapter.named:
-        raise ArgumentError(f"AS {name} takes no arguments", span=query.adapter.span)
     return ADAPTERS[name]
 
 
-def _check_columns(plan: Plan) -> None:
-    """Two columns of one name would leave one value out of a dict, unnoticed."""
-    for index, name in enumerate(plan.names):
-        if isinstance(name, str) and name in plan.names[:index]:
-            raise ArgumentError(
-                f"two columns are called {name!r}; name them with to(…, 'name')",
-                span=plan.items[index].node.span,
-            )
+def _made(adapter: Adapter, query: Query, frame: Frame) -> Callable[[Rows], Any]:
+    """What makes a value of the rows: the form with its arguments."""
+    if query.adapter is None or not (query.adapter.arguments or query.adapter.named):
+        return adapter.make
+    arguments = [frame.value(argument) for argument in query.adapter.arguments]
+    named = {argument.name: frame.value(argument.value) for argument in query.adapter.named}
+    try:
+        inspect.signature(adapter.make).bind(None, *arguments, **named)
+    except TypeError as error:
+        raise ArgumentError(
+            f"AS {query.adapter.name}: {error}; {adapter.help}", span=query.adapter.span
+        ) from error
+    return lambda rows: adapter.make(rows, *arguments, **named)
+
+
+def _unchecked(_: object) -> None:
+    """Columns of one name are no trouble."""

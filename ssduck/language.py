@@ -315,14 +315,16 @@ class _Parser:
             self.fail("expected CONNECT BY")
         no_cycle = self.take_words("NO", "CYCLE")
         unique = self.take_words("UNIQUE")
-        memorize = self.primary() if self.take_words("MEMORIZE") else None
+        memorizes = self.take_words("MEMORIZE")
+        bounded = memorizes and not (self.at_assignment() or self.at_word("MAXIMUM"))
+        memorize = self.primary() if bounded else None
         maximum = self.primary() if self.take_words("MAXIMUM") else None
         step = self.separated(self.assignment)
         if not self.take_words("STOP", "WITH"):
             self.fail("expected STOP WITH")
         stop = self.expression()
         return Recursion(
-            self.since(start), initial, no_cycle, unique, memorize, maximum, step, stop
+            self.since(start), initial, no_cycle, unique, memorizes, memorize, maximum, step, stop
         )
 
     def adapter(self) -> Adapter:

@@ -1,51 +1,36 @@
-"""How a query runs: the types that a plan depends on, and the plan itself."""
+"""How a query runs: what a plan depends on, and the plan itself."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal, Protocol
 
 from sqlglot import exp
 
-from ssduck.tree import (
-    Call,
-    Node,
-    Query,
-)
-from ssduck.udfs import ValueType
-
-
-@dataclass(frozen=True)
-class Tag:
-    """The type of a value: what a plan depends on.
-
-    Attributes:
-        type: what it is.
-        element: of a list, what its elements are.
-        length: of a list, how many it has.
-        schema: of an entity, the world that it is in.
-        nullable: of an entity, whether there may be none.
-    """
-
-    type: ValueType
-    element: ValueType | None = None
-    length: int | None = None
-    schema: str | None = None
-    nullable: bool = False
+from ssduck.rows import Column, Rest
+from ssduck.tree import Call, Node, Query
+from ssduck.types import Signature, Tag
 
 
 @dataclass(frozen=True)
 class Shape:
     """What a source is, and what it is called.
 
-    A source without a schema is a list of values, or of entities of one world if `tag` says so;
-    one with a schema and no tag is a world.
+    Attributes:
+        alias: what it is called.
+        schema: of a world, its schema.
+        tag: of values, what they are.
+        given: whether its values are known before the query runs; else it is a part of it.
+        dicts: whether some of its elements are dicts.
+        known: whether it has elements, so that names can be looked up in them.
     """
 
     alias: str
-    schema: str | None
-    tag: Tag | None
+    schema: str | None = None
+    tag: Tag | None = None
+    given: bool = True
+    dicts: bool = False
+    known: bool = True
 
 
 class Names(Protocol):
@@ -60,8 +45,17 @@ class Names(Protocol):
     def tag(self, node: Node) -> Tag:
         """The type of the value of an expression that depends on no row of this query."""
 
+    def world(self, node: Node) -> str | None:
+        """The schema of the world that such an expression is, None if it is none."""
+
+    def deferred(self, name: str) -> Node | None:
+        """The list that a variable holds for the query that uses it, None if it holds none."""
+
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
+
+    def signature(self, name: str, arguments: tuple[Tag, ...]) -> Signature | None:
+        """How SQL calls a user's function with such arguments, None if it cannot."""
 
 
 @dataclass(frozen=True)
@@ -73,30 +67,22 @@ class Binding:
         node: the expression that it is the value of,
         column: or the column of the entity that the expression is.
         source: instead, the source that it lists the elements of.
-        type: of the value.
+        tag: of the value.
     """
 
     name: str
     node: Node | None = None
     column: str | None = None
     source: str | None = None
-    type: ValueType = "list"
+    tag: Tag = field(default_factory=lambda: Tag("list"))
 
 
 @dataclass(frozen=True)
 class Output:
-    """A column of the SQL: its place, and of an entity's id the world that it is of."""
+    """A column of the SQL: its place, and the type of its values."""
 
     index: int
-    schema: str | None
-
-
-@dataclass(frozen=True)
-class Item:
-    """A value for each row: a column, or an expression over columns left to Python."""
-
-    node: Node
-    output: Output | None
+    tag: Tag
 
 
 @dataclass(eq=False)
@@ -104,18 +90,24 @@ class Plan:
     """How a query runs.
 
     Attributes:
+        query: what it is a plan of, bare names looked up.
+        shapes: what the sources are.
         select: the SQL as sqlglot's tree; `sql` is its text.
         bindings: its parameters.
+        tables: sources that SQL reads as tables of their own, by alias: the table's name.
         constants: what does not depend on rows, with the types that the plan relies on.
+        worlds: of these, the schemas of those that are worlds.
+        signatures: the users' functions that SQL calls.
         known: the columns by the part of the tree that they are the value of.
-        conditions: parts of WHERE that are left to Python, in order.
-        items: what is selected.
-        names: what each selected item is called: a text, or an item to be evaluated.
-        order: keys that are left to Python, with whether they descend.
-        limit: LIMIT, if it is left to Python.
         elements: the column of each source's element, by alias.
-        once: constants that are left to Python.
-        bare: bare names that were looked up, and whether there was a variable of that name.
+        once: constants that are evaluated in Python.
+        rest: what Python does with the rows.
+        outputs: the selected columns, if nothing is left to Python.
+        names: what the columns are called, if all of them are texts.
+        paths: whether each row of the SQL is a path.
+        bare: names that were looked up, and whether there was a variable of that name.
+        deferred: lists that were put in for variables.
+        cautious: whether nothing in the SQL can fail.
     """
 
     query: Query
@@ -123,46 +115,47 @@ class Plan:
     select: exp.Select = field(default_factory=exp.Select)
     sql: str = ""
     bindings: list[Binding] = field(default_factory=list)
+    tables: dict[str, str] = field(default_factory=dict)
     constants: dict[Node, Tag] = field(default_factory=dict)
+    worlds: dict[Node, str | None] = field(default_factory=dict)
+    signatures: set[Signature] = field(default_factory=set)
     known: dict[Node, Output] = field(default_factory=dict)
-    conditions: list[Node] = field(default_factory=list)
-    items: list[Item] = field(default_factory=list)
-    names: list[str | Item] = field(default_factory=list)
-    order: list[tuple[Item, bool]] = field(default_factory=list)
-    limit: Node | None = None
     elements: dict[str, Output] = field(default_factory=dict)
     once: list[Node] = field(default_factory=list)
+    rest: Rest = field(default_factory=lambda: Rest(()))
+    outputs: list[Output] | None = None
+    names: tuple[str, ...] = ()
+    paths: bool = False
     bare: dict[str, bool] = field(default_factory=dict)
-
-    @cached_property
-    def outputs(self) -> list[Output] | None:
-        """The columns that the selected items are, if nothing is left to Python."""
-        if self.left or not all(isinstance(name, str) for name in self.names):
-            return None
-        return [item.output for item in self.items if item.output is not None]
+    deferred: dict[str, Node | None] = field(default_factory=dict)
+    cautious: bool = False
 
     @property
     def numbers(self) -> dict[str, Literal["real", "integer"]] | None:
         """The types of its parameters if all of them are numbers."""
         types: dict[str, Literal["real", "integer"]] = {}
         for binding in self.bindings:
-            if binding.type not in ("real", "integer"):
-                return None
-            types[binding.name] = binding.type
-        return types
-
-    def fits(self, shapes: tuple[Shape, ...], names: Names) -> bool:
-        """Whether it runs as it is for sources of these shapes and the present variables."""
-        return (
-            self.shapes == shapes
-            and all(names.has_variable(name) == known for name, known in self.bare.items())
-            and all(names.tag(node) == tag for node, tag in self.constants.items())
-        )
+            match binding.tag.type:
+                case "real" | "integer" as kind:
+                    types[binding.name] = kind
+                case _:
+                    return None
+        return None if self.tables else types
 
     @property
     def left(self) -> list[Node]:
         """What is left to Python."""
-        items = [item.node for item in self.items if item.output is None]
-        names = [name.node for name in self.names if isinstance(name, Item) and not name.output]
-        keys = [item.node for item, _ in self.order]
-        return [*self.conditions, *items, *names, *keys, *([self.limit] if self.limit else [])]
+        rest = self.rest
+        columns = [c.node for c in rest.columns if self.is_left(c.node)]
+        names = [c.name for c in rest.columns if isinstance(c.name, Node) and self.is_left(c.name)]
+        keys = [key.value for key in rest.order]
+        last = [node for node in (rest.having, rest.limit) if node is not None]
+        groups = [node for node in rest.group if self.is_left(node)]
+        return [*rest.conditions, *columns, *names, *keys, *groups, *last]
+
+    def is_left(self, node: Node) -> bool:
+        """Whether a part is evaluated in Python for each row."""
+        return node not in self.known and node not in self.once
+
+
+__all__ = ["Binding", "Column", "Names", "Output", "Plan", "Shape", "Signature"]

@@ -1,92 +1,33 @@
-"""Running a query's plan: its SQL on one tick, then what is left to Python on the rows."""
+"""Running a query: its SQL on one tick, then what is left to Python; or row by row."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, cmp_to_key
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
-from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
-from ssduck.evaluate import Evaluator, apply
-from ssduck.plan import Item, Output, Plan, Shape, Tag
-from ssduck.tree import Node, Query, Source
-from ssduck.world import Entity, World
+from ssduck.dependencies import changing, free_aliases, is_impure, mentions, states
+from ssduck.errors import SelectScriptError, SqlError
+from ssduck.evaluate import Compiler, Frame, Scope, Thunk
+from ssduck.hierarchy import Hierarchy
+from ssduck.plan import Output, Plan, Shape
+from ssduck.resolve import Resolved
+from ssduck.rows import Clauses, Column, Paths, Rest, Selected, row_frames
+from ssduck.sources import arrow_of, elements_of
+from ssduck.subqueries import aliases_of
+from ssduck.tree import Call, Node, Query, This
+from ssduck.types import Tag, converter, to_sql
+from ssduck.udfs import RELATIONS
 
-# Larger integers are not all numbers that a DOUBLE can be.
-_EXACT = 2**53
-
-SchemaOf: TypeAlias = Callable[[World], str]
-
-
-def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
-    """The type of a value, as far as SQL knows it.
-
-    Args:
-        value: any value.
-        schema_of: gives the schema of a world.
-    """
-    match value:
-        case bool():
-            return Tag("flag")
-        case int():
-            return Tag("integer" if abs(value) < _EXACT else "any")
-        case float():
-            return Tag("real" if math.isfinite(value) else "any")
-        case str():
-            return Tag("text")
-        case None:
-            return Tag("nothing")
-        case Entity():
-            return Tag("entity", schema=schema_of(value.world))
-        case list():
-            tags = {tag_of(element, schema_of) for element in value}
-            if tags == {Tag("real"), Tag("integer")}:  # a list of numbers for distance, IN, ==
-                tags = {Tag("real")}
-            tag = tags.pop() if len(tags) == 1 else Tag("any")
-            if tag.type in ("real", "integer", "text"):
-                # A plan depends on whether it is a point, not on how long the list is.
-                return Tag("list", tag.type, 3 if len(value) == 3 else None)
-    return Tag("any")
+# So often may a query fail in SQL before its cautious plan is taken at once.
+MOST_FAILURES = 3
+# A search or a product of lists with at most so many rows a state is not worth a statement.
+FEW_ROWS = 64
 
 
-def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[Shape, ...]:
-    """What the sources of a query are.
-
-    Raises:
-        ArgumentError: two sources have the same name.
-    """
-    shapes = [
-        _shape(source, value, index, schema_of)
-        for index, (source, value) in enumerate(zip(query.sources, values, strict=True))
-    ]
-    for index, shape in enumerate(shapes):
-        if shape.alias in (other.alias for other in shapes[:index]):
-            raise ArgumentError(
-                f"two sources are called {shape.alias!r}; write FROM a={shape.alias}, b=…",
-                span=query.sources[index].span,
-            )
-    return tuple(shapes)
-
-
-def _shape(source: Source, value: Any, index: int, schema_of: SchemaOf) -> Shape:
-    alias = source.alias or (f"source_{index + 1}" if index else "this")
-    if isinstance(value, World):
-        return Shape(alias, schema_of(value), None)
-    tags = {tag_of(element, schema_of) for element in elements_of(value)}
-    tag = tags.pop() if len(tags) == 1 else Tag("any")
-    return Shape(alias, None, tag if tag.type in _LISTED else Tag("any"))
-
-
-_LISTED = frozenset(("entity", "real", "integer", "text", "flag"))
-
-
-def elements_of(value: Any) -> Sequence[Any]:
-    """The elements of a source that is no world: those of a list, else the value alone."""
-    return value if isinstance(value, list | tuple) else [value]
+class SqlFailedError(Exception):
+    """A statement came to something that only Python can decide."""
 
 
 class Planned:
@@ -95,163 +36,274 @@ class Planned:
     Args:
         plan: how it runs.
         database: where its SQL runs.
+        scope: variables and functions.
     """
 
-    def __init__(self, plan: Plan, database: Database) -> None:
+    def __init__(self, plan: Plan, database: Database, scope: Scope) -> None:
         self.plan = plan
+        self.failures = 0
         self._database = database
         self._statement: Statement | None = None
         numbers = plan.numbers
         if numbers is not None:
             self._statement = Statement(database, plan.select, numbers)
+        worlds = database.worlds
+        self._converters = {
+            output.tag: converter(output.tag, worlds)
+            for output in (*plan.known.values(), *plan.elements.values(), *(plan.outputs or ()))
+        }
+        self._clauses: Clauses | None = None
+        if plan.outputs is None:
+            known = {node: self._column(output) for node, output in plan.known.items()}
+            compiler = Compiler(scope, known, plan.once, memorize=not is_impure(plan.query))
+            self._clauses = Clauses(plan.rest, compiler)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What it selects."""
+        return self.plan.rest.columns
+
+    def _column(self, output: Output) -> Thunk:
+        index, convert = output.index, self._converters[output.tag]
+        if convert is None:
+            return lambda frame: frame.columns[index]
+        return lambda frame: convert(frame.columns[index])
 
     def forget(self) -> None:
         """Let the database forget it."""
         if self._statement is not None:
             self._statement.forget()
 
-    def run(self, outer: Evaluator, sources: Mapping[str, Any]) -> Rows:
-        """The rows of the query; the caller holds the worlds.
+    def parameters(self, outer: Frame, values: Sequence[Any]) -> dict[str, Any]:
+        """The values of the SQL's parameters."""
+        return _parameters(self.plan, outer, self._by_alias(values))
+
+    def _by_alias(self, values: Sequence[Any]) -> dict[str, Any]:
+        aliases = [shape.alias for shape in self.plan.shapes]
+        return dict(zip(aliases, values, strict=True))
+
+    def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
+        """What the query selects; the caller holds the worlds.
 
         Args:
             outer: knows the variables, and the rows of the queries around this one.
-            sources: the value of each source, by alias.
+            values: those of the sources.
+
+        Raises:
+            SqlFailedError: the plan is not cautious, and its SQL failed.
         """
-        plan = self.plan
-        fetched = self._fetched(_parameters(plan, outer, sources))
-        worlds = self._database.worlds
-        once: dict[Node, list[Any]] = {**outer.once, **{node: [] for node in plan.once}}
-        this_run = _Run(plan, outer, sources, worlds, once)
-        outputs = plan.outputs
-        if outputs is not None:  # nothing is left to Python
-            values = [tuple(this_run.output(o, row) for o in outputs) for row in fetched]
-            return Rows(values, tuple(map(str, plan.names)))
-        return _finished(this_run, [_Row(this_run, values) for values in fetched])
+        sources = self._by_alias(values)
+        try:
+            fetched = self._fetched(outer, sources)
+        except SqlError as error:
+            if self.plan.cautious or error.is_final:
+                raise
+            self.failures += 1
+            raise SqlFailedError from error
+        self.failures = 0
+        if self._clauses is None:
+            return self._outputs(fetched)
+        return self._clauses.selected(self._frames(fetched, outer, sources), outer)
 
-    def _fetched(self, parameters: dict[str, Any]) -> list[tuple[Any, ...]]:
+    def _outputs(self, fetched: list[tuple[Any, ...]]) -> Selected:
+        """The rows as they are, if nothing is left to Python."""
+        outputs = self.plan.outputs or []
+        converters = [self._converters[output.tag] for output in outputs]
+        indices = [output.index for output in outputs]
+        if any(converters) or indices != list(range(len(fetched[0]) if fetched else 0)):
+            fetched = [
+                tuple(
+                    [
+                        row[index] if convert is None else convert(row[index])
+                        for index, convert in zip(indices, converters, strict=True)
+                    ]
+                )
+                for row in fetched
+            ]
+        names = self.plan.names
+        if not self.plan.paths:
+            return Rows(fetched, names)
+        return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
+
+    def _fetched(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+        plan, database = self.plan, self._database
+        parameters = _parameters(plan, outer, sources)
         # A buffer of numbers has no place for an unknown one.
-        if self._statement is None or None in parameters.values():
-            return self._database.rows(self.plan.sql, parameters or None)
-        return self._statement.rows(parameters)
+        if self._statement is not None and None not in parameters.values():
+            return self._statement.rows(parameters)
+        shown = []
+        try:
+            for alias, name in plan.tables.items():
+                shape = next(shape for shape in plan.shapes if shape.alias == alias)
+                assert shape.tag is not None
+                database.show(name, arrow_of(elements_of(sources[alias]), shape.tag))
+                shown.append(name)
+            return database.rows(plan.sql, parameters or None)
+        finally:
+            for name in shown:
+                database.unshow(name)
+
+    def _frames(
+        self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
+    ) -> Iterator[Frame]:
+        """The frames of the rows that SQL has left."""
+        plan = self.plan
+        around: dict[str | None, Any] = dict(outer.elements)
+        around.pop(None, None)
+        getters = [(shape.alias, self._element(shape, sources)) for shape in plan.shapes]
+        only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
+        kept = dict(outer.kept)
+        for columns in fetched:
+            outer.scope.step()
+            elements = dict(around)
+            for alias, getter in getters:
+                elements[alias] = getter(columns)
+            if only is not None:
+                elements[None] = elements[only]
+            yield outer.row(elements, kept, columns)
+
+    def _element(
+        self, shape: Shape, sources: Mapping[str, Any]
+    ) -> Callable[[tuple[Any, ...]], Any]:
+        """The current element of a source; where SQL has only its number, by that."""
+        output = self.plan.elements[shape.alias]
+        index = output.index
+        if output.tag.type in ("any", "record"):
+            elements = elements_of(sources[shape.alias])
+            return lambda columns: elements[columns[index] - 1]
+        convert = self._converters[output.tag]
+        if convert is None:
+            return lambda columns: columns[index]
+        return lambda columns: convert(columns[index])
 
 
-def _finished(run: _Run, rows: list[_Row]) -> Rows:
-    """What Python makes of the rows that SQL left."""
-    plan = run.plan
-    rows = [row for row in rows if all(map(row.value, plan.conditions))]
-    if plan.order:
-        rows = _ordered(rows, plan.order)
-    if plan.limit is not None:
-        rows = rows[: _count(run.outer.value(plan.limit), plan.limit)]
-    values = [tuple(map(row.item, plan.items)) for row in rows]
-    if all(isinstance(name, str) for name in plan.names):
-        return Rows(values, tuple(map(str, plan.names)))
-    return Rows(values, [tuple(map(row.name, plan.names)) for row in rows])
-
-
-def _parameters(plan: Plan, outer: Evaluator, sources: Mapping[str, Any]) -> dict[str, Any]:
+def _parameters(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:
     """The values of the SQL's parameters."""
     bound = {}
     for binding in plan.bindings:
         if binding.source is not None:
-            tag = next(shape.tag for shape in plan.shapes if shape.alias == binding.source)
-            bound[binding.name] = _listed(elements_of(sources[binding.source]), tag)
+            bound[binding.name] = _listed(elements_of(sources[binding.source]), binding.tag)
         elif binding.node is not None:
             bound[binding.name] = _bound_value(outer, binding.node, binding.column)
     return bound
 
 
-def _bound_value(outer: Evaluator, node: Node, column: str | None) -> Any:
-    value = outer.value(node)
+def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
     try:
-        return value.column(column) if column else value
+        value = outer.kept[node] if node in outer.kept else outer.value(node)
+        return value.column(column) if column else to_sql(value)
     except SelectScriptError as error:  # an entity that is gone
         error.span = error.span or node.span
         raise
 
 
-def _listed(elements: Sequence[Any], tag: Tag | None) -> list[Any]:
+def _listed(elements: Sequence[Any], tag: Tag) -> list[Any]:
     """What stands for the elements of a source in SQL: of what SQL does not know, the count."""
-    if tag is not None and tag.type == "entity":
-        return [element.column("id") for element in elements]
-    return [0] * len(elements) if tag is None or tag.type == "any" else list(elements)
+    return [0] * len(elements) if tag.element is None else [to_sql(value) for value in elements]
 
 
-@dataclass(frozen=True)
-class _Run:
-    """One run of a plan; `once` holds what is the same for all rows, from when it is needed."""
+class RowByRow:
+    """A query that runs row by row over all combinations of its sources.
 
-    plan: Plan
-    outer: Evaluator
-    sources: Mapping[str, Any]
-    worlds: Mapping[str, World]
-    once: dict[Node, list[Any]]
+    Args:
+        query: the query.
+        resolved: the same with its names looked up.
+        scope: variables and functions.
+        deepest: how many rows a path may have.
+        deferred: the variables in it that hold lists for the query that uses them.
 
-    def output(self, output: Output, values: tuple[Any, ...]) -> Any:
-        """The value of a column; an entity's id as its handle."""
-        value = values[output.index]
-        if output.schema is None or value is None:
-            return value
-        return self.worlds[output.schema].entity(value)
+    Attributes:
+        resolved: the same with its names looked up.
+        deferred: as given.
+    """
 
+    def __init__(
+        self,
+        query: Query,
+        resolved: Resolved,
+        scope: Scope,
+        deepest: int,
+        deferred: Mapping[str, Node | None],
+    ) -> None:
+        self.resolved = resolved
+        self.deferred = deferred
+        query = resolved.query
+        self._query = query
+        self._aliases = aliases_of(query)
+        constants = _constants(query, {name for name, node in deferred.items() if node})
+        compiler = Compiler(scope, None, constants, memorize=not is_impure(query))
+        hierarchical = query.recursion is not None
+        conditions = () if query.where is None or hierarchical else (query.where,)
+        rest = Rest(
+            resolved.columns, conditions, query.order, query.group, query.having, query.limit
+        )
+        self._clauses = Clauses(rest, compiler)
+        self._search: Hierarchy | None = None
+        if hierarchical:
+            self._search = Hierarchy(query, self._clauses, compiler, deepest)
+        self._sources_change = any(mentions(s.value, states(query)) for s in query.sources)
 
-class _Row:
-    """One row that SQL left, and what Python makes of it."""
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """What it selects."""
+        return self.resolved.columns
 
-    def __init__(self, run: _Run, values: tuple[Any, ...]) -> None:
-        self._run = run
-        self._values = values
+    def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
+        """What the query selects; the caller holds the worlds.
 
-    @cached_property
-    def _evaluator(self) -> Evaluator:
-        run, plan = self._run, self._run.plan
-        known = dict(run.outer.known)
-        known.update((part, self.output(output)) for part, output in plan.known.items())
-        elements: dict[str | None, Any] = dict(run.outer.elements)
-        elements.update((shape.alias, self._element(shape)) for shape in plan.shapes)
-        if len(plan.shapes) == 1:
-            elements[None] = elements[plan.shapes[0].alias]
-        return Evaluator(run.outer.scope, known, elements, run.once)
+        Args:
+            outer: what is around the query.
+            values: those of the sources.
+        """
+        elements = [elements_of(value) for value in values]
+        kept = dict(outer.kept)
+        if self._search is None:
+            return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
 
-    def _element(self, shape: Shape) -> Any:
-        """The current element of a source; of values that SQL does not know, SQL has the number."""
-        element = self.output(self._run.plan.elements[shape.alias])
-        if shape.tag is not None and shape.tag.type == "any":
-            return elements_of(self._run.sources[shape.alias])[element - 1]
-        return element
+        def rows(state: dict[str, Any]) -> Iterator[Frame]:
+            inside = Frame(outer.scope, outer.elements, state, outer.given, (), kept)
+            found = elements
+            if self._sources_change:
+                found = [elements_of(inside.value(s.value)) for s in self._query.sources]
+            return row_frames(self._aliases, found, inside, kept)
 
-    def value(self, node: Node) -> Any:
-        """The value of a part that was left to Python."""
-        return self._evaluator.value(node)
-
-    def output(self, output: Output) -> Any:
-        """The value of a column."""
-        return self._run.output(output, self._values)
-
-    def item(self, item: Item) -> Any:
-        """The value of a selected item or of a key."""
-        return self.value(item.node) if item.output is None else self.output(item.output)
-
-    def name(self, name: str | Item) -> Any:
-        """What this row calls a column."""
-        return name if isinstance(name, str) else self.item(name)
-
-
-def _ordered(rows: list[_Row], keys: Sequence[tuple[Item, bool]]) -> list[_Row]:
-    """The rows by their keys; rows with equal keys stay in their order."""
-
-    def compare(left: _Row, right: _Row) -> int:
-        for item, descending in keys:
-            a, b = left.item(item), right.item(item)
-            if a != b:
-                less = bool(apply("<", a, b, item.node.span))
-                return -1 if less != descending else 1
-        return 0
-
-    return sorted(rows, key=cmp_to_key(compare))
+        return self._search.selected(outer, rows)
 
 
-def _count(value: Any, node: Node) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise EvaluationError(f"LIMIT takes a number of rows, not {value!r}", span=node.span)
-    return value
+def _constants(query: Query, deferred: set[str]) -> set[Node]:
+    """The largest parts of a query that are the same for all its rows."""
+    own = {None, *aliases_of(query)}
+    changed = changing(query) | deferred
+    found: set[Node] = set()
+
+    def look(node: Node) -> None:
+        same = not free_aliases(node) & own and not is_impure(node) and not mentions(node, changed)
+        if same and not isinstance(node, This):
+            found.add(node)
+            return
+        if not isinstance(node, Query):
+            for child in node.children():
+                look(child)
+
+    for part in query.children():
+        look(part)
+    return found
+
+
+def is_small(query: Query, shapes: Sequence[Shape], values: Sequence[Any]) -> bool:
+    """Whether running it row by row is quicker than planning a statement.
+
+    So it is for a search through short lists, and for a product of short lists: a statement
+    takes DuckDB half a millisecond and more to plan, a row takes Python microseconds.
+    """
+    if any(not shape.given or shape.tag is None for shape in shapes):
+        return False
+    for node in query.walk():
+        if isinstance(node, Call) and node.name in RELATIONS:
+            return False
+        if isinstance(node, Query) and node is not query:
+            return False
+    count = 1
+    for value in values:
+        count *= len(elements_of(value))
+    return count <= FEW_ROWS

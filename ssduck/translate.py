@@ -13,224 +13,281 @@ from collections.abc import Iterator, Sequence
 
 from sqlglot import exp
 
-from ssduck import tree
-from ssduck.errors import ArgumentError, UnknownNameError, UnsupportedError, nearest
-from ssduck.expressions import Expressions, NotSqlError, SqlValue
-from ssduck.plan import Binding, Item, Names, Output, Plan, Shape
-from ssduck.tree import (
-    Binary,
-    Call,
-    Name,
-    Node,
-    Query,
-    This,
-)
-from ssduck.udfs import RELATIONS, ValueType
+from ssduck import subqueries, tree
+from ssduck.dependencies import changing, is_impure
+from ssduck.errors import UnknownNameError, nearest
+from ssduck.expressions import Expressions
+from ssduck.plan import Binding, Names, Output, Plan, Shape
+from ssduck.recursion import searched
+from ssduck.resolve import resolve
+from ssduck.rows import Rest, aggregates
+from ssduck.sqlvalues import Context, NotSqlError, SqlValue
+from ssduck.subqueries import Element
+from ssduck.tree import Binary, Call, Key, Node, Query
+from ssduck.types import Tag
+from ssduck.udfs import RELATIONS
+
+_MOST_ROWS = 2**62
 
 
-def translate(query: Query, shapes: Sequence[Shape], names: Names) -> Plan:
+class NotInlineError(Exception):
+    """A nested query in FROM that is to be evaluated before."""
+
+
+def translate(
+    query: Query, shapes: Sequence[Shape], names: Names, *, cautious: bool = False
+) -> Plan:
     """Plan a query.
 
     Args:
         query: the query.
         shapes: what its sources are, in order.
         names: variables, functions, and the types of what is constant in the query.
+        cautious: whether nothing may become SQL that could fail there.
 
     Raises:
-        SelectScriptError: a name or a number of arguments is wrong, or a construct is not
-            supported.
+        SelectScriptError: a name or a number of arguments is wrong.
+        NotInlineError: a source that is not given must be.
+        NotSqlError: the query is hierarchical, and runs row by row.
     """
-    return _Translator(query, tuple(shapes), names).plan()
-
-
-_MOST_ROWS = 2**62
-_SQL_TYPES: dict[ValueType, str] = {
-    "entity": "BIGINT",
-    "integer": "BIGINT",
-    "real": "DOUBLE",
-    "text": "VARCHAR",
-    "flag": "BOOLEAN",
-    "any": "BIGINT",
-}
+    return _Translator(query, tuple(shapes), names, cautious=cautious).plan()
 
 
 class _Translator:
-    def __init__(self, query: Query, shapes: tuple[Shape, ...], names: Names) -> None:
-        self.query = query
+    def __init__(
+        self, query: Query, shapes: tuple[Shape, ...], names: Names, *, cautious: bool
+    ) -> None:
         self.names = names
-        self.sql = Expressions(shapes, names)
-        self.result = Plan(query, shapes, bindings=self.sql.bindings, constants=self.sql.constants)
+        self.context = Context(names, cautious, changing(query))
+        self.sql = Expressions(self.context)
+        self.result = Plan(
+            query,
+            shapes,
+            bindings=self.context.bindings,
+            constants=self.context.constants,
+            worlds=self.context.worlds,
+            signatures=self.context.signatures,
+            deferred=self.context.deferred,
+            cautious=cautious,
+        )
+        self.elements = self._sources(query, shapes)
         self.columns: list[exp.Expr] = []
         self.texts: dict[str, int] = {}
+        resolved = resolve(query, self._known_shapes(), names)
+        self.query = self.result.query = resolved.query
+        self.selected = resolved.columns
+        self.result.bare = resolved.bare
 
     def plan(self) -> Plan:
-        query, plan = self.query, self.result
-        _refuse_what_is_missing(query)
-        conditions = [self._condition(node) for node in _conjuncts(query.where)]
-        for node, name in self._selected():
-            plan.items.append(self._item(node))
-            plan.names.append(name if isinstance(name, str) else self._item(name))
-        order = self._order()
-        self._limit()
-        if plan.left:
-            for alias in self.sql.shapes:
-                plan.elements[alias] = self._output(self.sql.row(alias))
-        for shape in plan.shapes:
-            plan.select = (
-                plan.select.from_(self._table(shape))
-                if shape is plan.shapes[0]
-                else plan.select.join(self._table(shape), join_type="cross")
-            )
-        plan.select = plan.select.select(*(self.columns or [exp.Literal.number(1)]))
-        plan.select = plan.select.where(*[c for c in conditions if c is not None])
-        if order:
-            plan.select = plan.select.order_by(*order)
-        # A part that turned out not to be SQL may have asked for parameters before it did.
-        used = {parameter.name for parameter in plan.select.find_all(exp.Parameter)}
-        plan.bindings = [binding for binding in plan.bindings if binding.name in used]
-        plan.sql = plan.select.sql(dialect="duckdb")
+        plan = self.result
+        plan.names = tuple(c.name for c in self.selected if isinstance(c.name, str))
+        if self.query.recursion is not None:
+            return self._recursive()
+        conditions = [self._condition(node) for node in _conjuncts(self.query.where)]
+        left = [n for n, c in zip(_conjuncts(self.query.where), conditions, strict=True) if not c]
+        for column in self.selected:
+            self._item(column.node)
+            if isinstance(column.name, Node):
+                self._item(column.name)
+        for node in self.query.group:
+            self._item(node)
+        self._having()
+        order, keys = self._order()
+        limit = self._limit(left=bool(left or keys))
+        plan.rest = Rest(
+            self.selected,
+            tuple(left),
+            keys,
+            self.query.group,
+            self.query.having,
+            None if limit is not None else self.query.limit,
+        )
+        self._finish(
+            self._select([c for c in conditions if c is not None], order, limit),
+        )
         return plan
+
+    # -- sources ----------------------------------------------------------------------------
+
+    def _sources(self, query: Query, shapes: Sequence[Shape]) -> list[Element]:
+        elements = [
+            self._element(shape, source.value)
+            for shape, source in zip(shapes, query.sources, strict=True)
+        ]
+        for shape, element in zip(shapes, elements, strict=True):
+            self.sql.rows[shape.alias] = element.value
+        self.sql.only = shapes[0].alias if len(shapes) == 1 else None
+        return elements
+
+    def _element(self, shape: Shape, node: Node) -> Element:
+        """A source as a table: the entities of a world, some of them, values, a query."""
+        if not shape.given:
+            try:
+                return subqueries.element(Expressions(self.context), shape.alias, node)
+            except NotSqlError as error:
+                raise NotInlineError(shape.alias) from error
+        name = self.context.alias(shape.alias)
+        if shape.tag is None:
+            assert shape.schema is not None
+            return subqueries.world_table(shape.schema, name)
+        if shape.tag.type == "record":
+            table = self.result.tables[shape.alias] = f"the rows of {name}"
+            return subqueries.record_table(name, table, shape.tag)
+        tag = Tag("list", shape.tag if shape.tag.is_sql else None)
+        binding = Binding("", source=shape.alias, tag=tag)
+        given = exp.cast(
+            self.context.parameter(shape.alias, binding), tag.sql_type, dialect="duckdb"
+        )
+        if tag.element is None:
+            return subqueries.counted_rows(name, given)
+        return subqueries.unnested(name, SqlValue(given, tag))
+
+    def _known_shapes(self) -> list[Shape]:
+        return [
+            shape if shape.given else Shape(shape.alias, tag=self.sql.rows[shape.alias].tag)
+            for shape in self.result.shapes
+        ]
+
+    # -- clauses ----------------------------------------------------------------------------
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:
             return self.sql.truth(self.sql.value(node))
         except NotSqlError:
             self._leave(node)
-            self.result.conditions.append(node)
             return None
 
-    def _item(self, node: Node) -> Item:
-        node = self._resolved(node)
-        try:
-            return Item(node, self._output(self.sql.value(node)))
-        except NotSqlError:
-            self._leave(node)
-            return Item(node, None)
-
-    def _selected(self) -> Iterator[tuple[Node, str | Node]]:
-        """The selected expressions with their names."""
-        if not self.query.items:
-            for name in self.sql.shapes:
-                yield This(self.query.span, name), name
-        for node in self.query.items:
-            match node:
-                case Call(name="to", arguments=(value, tree.Literal(value=str() as name))):
-                    yield value, name
-                case Call(name="to", arguments=(value, name_node)):
-                    yield value, name_node
-                case Call(name="to"):
-                    raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
-                case Call() | Name():
-                    yield node, node.name
-                case This(alias=alias):
-                    yield node, alias or "this"
-                case _:
-                    yield node, "value"
-
-    def _order(self) -> list[exp.Expr]:
-        """ORDER BY: the query's keys, then the order of the sources' elements."""
-        # What is the same for all rows orders nothing; to SQL a number would be a column's.
-        wanted = [
-            key for key in self.query.order if not self.sql.is_constant(self._resolved(key.value))
-        ]
-        keys = [(self._item(key.value), key.descending) for key in wanted]
-        ordered: list[exp.Expr] = []
-        if any(item.output is None or item.output.schema is not None for item, _ in keys):
-            self.result.order = keys
-        else:
-            for item, descending in keys:
-                assert item.output is not None
-                key = self.columns[item.output.index].copy()
-                ordered.append(exp.Ordered(this=key, desc=descending, nulls_first=False))
-        # A scan keeps its order; a join, and be it with the row of parameters, need not.
-        if len(self.sql.shapes) > 1 or ordered or self.result.bindings:
-            for shape in self.result.shapes:
-                ordered.extend(self._position(shape))
-        return ordered
-
-    def _limit(self) -> None:
-        plan = self.result
-        if self.query.limit is None:
-            return
-        match self.query.limit:
-            case tree.Literal(value=number) if (
-                type(number) is int
-                and number < _MOST_ROWS
-                and not plan.conditions
-                and not plan.order
-            ):
-                plan.select = plan.select.limit(number)
-            case limit:
-                plan.limit = limit
-
-    def _table(self, shape: Shape) -> exp.Expr:
-        """A source as a table: the entities of a world, some of them, or numbered values."""
-        alias = exp.to_identifier(self.sql.aliases[shape.alias])
-        if shape.tag is None:
-            return exp.table_("entities", db=shape.schema, alias=alias)
-        given = self.sql.parameter(shape.alias, Binding("", source=shape.alias))
-        # Without its type DuckDB would take the smallest that fits.
-        rows = exp.cast(given, f"{_SQL_TYPES[shape.tag.type]}[]", dialect="duckdb")
-        numbers = exp.func("generate_subscripts", rows, exp.Literal.number(1))
-        if shape.tag.type == "any":
-            numbered = exp.select(exp.alias_(numbers, "n"))
-        else:
-            name = "id" if shape.tag.type == "entity" else "value"
-            values = exp.func("unnest", rows.copy())
-            numbered = exp.select(exp.alias_(values, name), exp.alias_(numbers, "n"))
-        if shape.tag.type != "entity":
-            return numbered.subquery(alias)
-        entities = exp.table_("entities", db=shape.tag.schema, alias="e")
-        joined = exp.select("e.*", "i.n").from_(numbered.subquery("i")).join(entities, using=["id"])
-        return joined.subquery(alias)
-
-    def _position(self, shape: Shape) -> list[exp.Expr]:
-        """The keys by which a source's elements are in their order."""
-        if shape.tag is not None:
-            return [self.sql.column(shape.alias, "n")]
-        sensors_first = exp.NEQ(
-            this=self.sql.column(shape.alias, "kind"), expression=exp.Literal.string("sensor")
-        )
-        return [sensors_first, self.sql.column(shape.alias, "id")]
-
-    def _output(self, value: SqlValue) -> Output:
-        text = value.sql.sql(dialect="duckdb")
-        if text not in self.texts:
-            self.texts[text] = len(self.columns)
-            self.columns.append(value.sql)
-        return Output(self.texts[text], value.tag.schema if value.tag.type == "entity" else None)
-
-    def _leave(self, node: Node) -> None:
-        """Leave a part to Python: fetch the largest parts of it that SQL can do."""
-        if isinstance(node, Query) and not self.sql.is_constant(node):
-            return  # it runs by itself, and sees the elements
-        if isinstance(node, Call) and node.name not in RELATIONS:
-            self.names.check_call(node)
+    def _item(self, node: Node) -> None:
+        """A selected value or a key: a column if it can be, else its parts are."""
         if self.sql.is_constant(node):
-            self.result.once.append(node)
+            self._leave(node)
             return
         try:
             self.result.known[node] = self._output(self.sql.value(node))
         except NotSqlError:
-            for child in node.children():
-                self._leave(child)
+            self._leave(node)
 
-    def _resolved(self, node: Node) -> Node:
-        """With bare names in SELECT, GROUP BY or ORDER BY: variables, or functions of `this`."""
+    def _having(self) -> None:
+        if self.query.having is None:
+            return
+        groups = aggregates(self.query.having)
+        for call in groups:
+            self._item(call.arguments[0])
+        self._leave(self.query.having, but=groups)
 
-        def looked_up(part: Node) -> Node | None:
-            if isinstance(part, Query):
-                return part
-            if not isinstance(part, Name):
-                return None
-            known = self.result.bare[part.name] = self.names.has_variable(part.name)
-            if known:
-                return part
-            call = Call(part.span, part.name, (This(part.span, None),), part.span)
-            self.names.check_call(call)
-            return call
+    def _order(self) -> tuple[list[exp.Expr], tuple[Key, ...]]:
+        """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
+        # What is the same for all rows orders nothing; to SQL a number would be a column's.
+        wanted = [key for key in self.query.order if not self.sql.is_constant(key.value)]
+        ordered: list[exp.Expr] = []
+        left: tuple[Key, ...] = ()
+        try:
+            ordered = [subqueries.ordered(self.sql.value(key.value), key) for key in wanted]
+        except NotSqlError:
+            left = tuple(wanted)
+            for key in wanted:
+                self._item(key.value)
+        # A scan keeps its order; a join, and be it with the row of parameters, need not.
+        inline = any(not shape.given for shape in self.result.shapes)
+        if len(self.elements) > 1 or ordered or self.context.bindings or inline:
+            for element in self.elements:
+                ordered.extend(key.copy() for key in element.position)
+        return ordered, left
 
-        return node.replaced(looked_up)
+    def _limit(self, *, left: bool) -> int | None:
+        """LIMIT, if SQL can apply it."""
+        limit = self.query.limit
+        if limit is None:
+            return None
+        match limit:
+            case tree.Literal(value=number) if type(number) is int and number < _MOST_ROWS:
+                if not left and not self.query.group:
+                    return number
+        self._leave(limit)
+        return None
+
+    # -- the statement ----------------------------------------------------------------------
+
+    def _recursive(self) -> Plan:
+        plan = self.result
+        if is_impure(self.query):
+            raise NotSqlError
+        found = searched(self.sql, self.query, self.selected, self.elements)
+        plan.paths = True
+        plan.outputs = [
+            Output(index, Tag("list", tag, None)) for index, tag in enumerate(found.tags)
+        ]
+        plan.rest = Rest(self.selected)
+        self._finish(found.select)
+        return plan
+
+    def _select(
+        self, conditions: list[exp.Expr], order: list[exp.Expr], limit: int | None
+    ) -> exp.Select:
+        plan = self.result
+        dynamic = len(plan.names) < len(self.selected)
+        if plan.left or plan.once or plan.rest.group or dynamic:
+            for shape in plan.shapes:
+                value = self.sql.rows[shape.alias]
+                try:
+                    if shape.given and value.tag.type in ("any", "record"):
+                        plan.elements[shape.alias] = self._column(value.sql, value.tag)
+                    else:
+                        plan.elements[shape.alias] = self._output(value)
+                except NotSqlError as error:
+                    raise NotInlineError(shape.alias) from error
+        else:
+            plan.outputs = [plan.known[column.node] for column in self.selected]
+        select = exp.Select()
+        for index, element in enumerate(self.elements):
+            select = (
+                select.join(element.table, join_type="cross")
+                if index
+                else select.from_(element.table)
+            )
+        select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
+        if order:
+            select = select.order_by(*order)
+        return select if limit is None else select.limit(limit)
+
+    def _finish(self, select: exp.Select) -> None:
+        plan = self.result
+        plan.select = select
+        # A part that turned out not to be SQL may have asked for parameters before it did.
+        used = {parameter.name for parameter in select.find_all(exp.Parameter)}
+        plan.bindings = [binding for binding in plan.bindings if binding.name in used]
+        plan.sql = select.sql(dialect="duckdb")
+
+    def _output(self, value: SqlValue) -> Output:
+        if not value.tag.comes_back:
+            raise NotSqlError
+        return self._column(value.sql, value.tag)
+
+    def _column(self, sql: exp.Expr, tag: Tag) -> Output:
+        text = sql.sql(dialect="duckdb")
+        if text not in self.texts:
+            self.texts[text] = len(self.columns)
+            self.columns.append(sql)
+        return Output(self.texts[text], tag)
+
+    def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
+        """Leave a part to Python: fetch the largest parts of it that SQL can do."""
+        if node in but:
+            return
+        if self.sql.is_constant(node):
+            self.result.once.append(node)
+            return
+        if isinstance(node, Call) and node.name not in RELATIONS:
+            self.names.check_call(node)
+        try:
+            if but:
+                raise NotSqlError
+            self.result.known[node] = self._output(self.sql.value(node))
+        except NotSqlError:
+            # A nested query runs by itself, and sees the elements.
+            if not isinstance(node, Query):
+                for child in node.children():
+                    self._leave(child, but)
 
 
 def _conjuncts(node: Node | None) -> Iterator[Node]:
@@ -240,16 +297,6 @@ def _conjuncts(node: Node | None) -> Iterator[Node]:
         yield from _conjuncts(node.right)
     elif node is not None:
         yield node
-
-
-def _refuse_what_is_missing(query: Query) -> None:
-    for node, words in (
-        (query.recursion, "hierarchical queries (CONNECT BY)"),
-        (query.group[0] if query.group else None, "GROUP BY"),
-        (query.having, "HAVING"),
-    ):
-        if node is not None:
-            raise UnsupportedError(f"{words}: not supported yet", span=node.span)
 
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:

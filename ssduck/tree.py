@@ -84,6 +84,17 @@ class Name(Node):
 
 
 @dataclass(frozen=True, eq=False)
+class Bare(Node):
+    """A name in SELECT, GROUP BY or ORDER BY whose meaning differs from row to row.
+
+    A key of the current element where that is a dict that has it, else a variable, else a
+    function of `this`. No text has it: a `Name` becomes one when the sources are known.
+    """
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
 class Given(Node):
     """A value that is given from outside; no text has it."""
 
@@ -175,11 +186,12 @@ class Key(Node):
 
 @dataclass(frozen=True, eq=False)
 class Recursion(Node):
-    """`START WITH … CONNECT BY … STOP WITH …`."""
+    """`START WITH … CONNECT BY … STOP WITH …`; `memorize` is the n of `MEMORIZE n`."""
 
     start: tuple[Assignment, ...]
     no_cycle: bool
     unique: bool
+    memorizes: bool
     memorize: Node | None
     maximum: Node | None
     step: tuple[Assignment, ...]

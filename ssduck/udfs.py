@@ -18,10 +18,21 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
-# What an expression yields. `place` is an entity or a point [x, y, z]; `any` is a value that
-# only Python knows.
+# What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
+# integer from case to case; `record` is a dict of the same keys each time; `any` is a value
+# that only Python knows.
 ValueType: TypeAlias = Literal[
-    "entity", "place", "real", "integer", "text", "flag", "list", "nothing", "any"
+    "entity",
+    "place",
+    "real",
+    "integer",
+    "number",
+    "text",
+    "flag",
+    "list",
+    "record",
+    "nothing",
+    "any",
 ]
 
 
@@ -101,6 +112,8 @@ _RESULT_WORDS: dict[ValueType, str] = {
     "flag": "bool",
     "list": "list",
     "nothing": "nothing",
+    "number": "number",
+    "record": "dict",
     "any": "value",
 }
 

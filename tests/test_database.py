@@ -276,10 +276,10 @@ def test_stepping_is_seen_by_the_next_query(sim):
 
 
 def test_many_texts_do_not_pile_up(ss, monkeypatch):
-    monkeypatch.setattr("ssduck.interpreter.MOST_PLANS", 10)
+    monkeypatch.setattr("ssduck.planner.MOST_PLANS", 10)
     for number in range(25):
         assert ss.eval(f"SELECT id FROM kitchen WHERE z(this) > {number + 10} AS list;") == []
-    assert len(ss._plans) <= 10
+    assert sum(map(len, ss._planner._plans.values())) <= 10
     (statements,) = ss.sql("SELECT count(*) FROM duckdb_prepared_statements()").fetchone()
     assert statements <= 10
 

@@ -130,7 +130,7 @@ MISTAKES = [
         "SELECT id FROM kitchen AS list(3);",
         ArgumentError,
         "list(3)",
-        "AS list takes no arguments",
+        "too many positional arguments",
         [],
     ),
     (
@@ -156,7 +156,7 @@ MISTAKES = [
         [],
     ),
     ("-'a';", ArgumentError, "-'a'", "- does not take a text", []),
-    ("3[0];", ArgumentError, "0", "int has no element 0", []),
+    ("3[0];", ArgumentError, "0", "a number has no element 0", []),
     ("1 / 0;", EvaluationError, "1 / 0", "division by zero", []),
     ("1 % 0;", EvaluationError, "1 % 0", "division by zero", []),
     (
@@ -168,12 +168,12 @@ MISTAKES = [
     ),
     ("10.0 ^ 400;", EvaluationError, "10.0 ^ 400", "too large", []),
     ("[1, 2][2];", EvaluationError, "2", "no element 2: there are 2 elements", []),
-    ("SELECT id FROM kitchen LIMIT -1;", EvaluationError, "-1", "LIMIT takes a number of rows", []),
+    ("SELECT id FROM kitchen LIMIT -1;", EvaluationError, "-1", "LIMIT takes a whole number", []),
     (
         "SELECT id FROM kitchen LIMIT 'a';",
         EvaluationError,
         "'a'",
-        "LIMIT takes a number of rows",
+        "LIMIT takes a whole number",
         [],
     ),
     ("broken(1);", FunctionError, "broken(1)", "broken: KeyError: 1", []),
@@ -192,17 +192,9 @@ MISTAKES = [
     ("print();", ArgumentError, "print()", "print takes", []),
     ("pow(2);", ArgumentError, "pow(2)", "pow takes 2 arguments, not 1", []),
     ("help(3);", UnknownNameError, "help(3)", "no function 3", []),
-    ("IF(array; 1; 2);", EvaluationError, "IF(array; 1; 2)", "ValueError", []),
+    ("IF(array; 1; 2);", EvaluationError, "array", "ValueError", []),
     ("v{5.0} = 3;", UnsupportedError, "v{5.0} = 3", "history", []),
     ("SELECT id FROM kitchen{2.0};", UnsupportedError, "kitchen{2.0}", "history", []),
-    ("SELECT id FROM kitchen GROUP BY type;", UnsupportedError, "type", "GROUP BY", []),
-    (
-        "SELECT id FROM kitchen CONNECT BY a = 1 STOP WITH a > 2;",
-        UnsupportedError,
-        "CONNECT BY a = 1 STOP WITH a > 2",
-        "CONNECT BY",
-        [],
-    ),
     ("eval('1 +');", ParseError, None, "expected an expression", []),
 ]
 

@@ -28,11 +28,11 @@ class Adapter:
     Attributes:
         names: what programs call it.
         help: what it makes of the rows.
-        make: rows to value.
+        make: rows and the arguments behind AS to value.
         keyed: whether it takes the columns by name, so that these must differ.
     """
 
     names: tuple[str, ...]
     help: str
-    make: Callable[[Rows], Any]
+    make: Callable[..., Any]
     keyed: bool = False

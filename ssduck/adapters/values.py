@@ -24,8 +24,10 @@ def _flat(rows: Rows) -> list[Any]:
     return [value for values in rows.values for value in values]
 
 
-def _first(rows: Rows) -> Any:
-    return rows.values[0][0] if rows.values else []
+def _first(rows: Rows, default: Any = ()) -> Any:
+    if rows.values:
+        return rows.values[0][0]
+    return [] if default == () else default
 
 
 VALUES = (
@@ -36,5 +38,9 @@ VALUES = (
         keyed=True,
     ),
     Adapter(("list",), "One flat list: row after row, column after column.", _flat),
-    Adapter(("value", "val"), "The first column of the first row; [] if there is none.", _first),
+    Adapter(
+        ("value", "val"),
+        "The first column of the first row; default, or [], if there is none.",
+        _first,
+    ),
 )

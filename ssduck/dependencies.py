@@ -1,0 +1,62 @@
+"""What the parts of a program depend on: rows, names that change, things that happen."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Source, This
+
+# Calls that do something, or see more than their arguments: made row by row, in order.
+IMPURE = frozenset(("print", "eval", "clear"))
+
+
+def free_aliases(node: Node) -> frozenset[str | None]:
+    """The aliases whose `this` a part mentions, and that no query in it has as a source."""
+    if isinstance(node, This):
+        return frozenset((node.alias,))
+    if isinstance(node, Bare):
+        return frozenset((None,))
+    found: set[str | None] = set()
+    if not isinstance(node, Query):
+        for child in node.children():
+            found |= free_aliases(child)
+        return frozenset(found)
+    for child in node.children():
+        if not isinstance(child, Source):
+            found |= free_aliases(child)
+    found -= {None, *(source.alias for source in node.sources)}
+    for source in node.sources:  # a source sees what is around the query
+        found |= free_aliases(source)
+    return frozenset(found)
+
+
+def sees_outside(query: Query) -> bool:
+    """Whether a nested query sees rows of the queries around it."""
+    return bool(free_aliases(query))
+
+
+def is_impure(node: Node) -> bool:
+    """Whether evaluating it does something, so that order and number matter."""
+    return any(
+        isinstance(part, Assignment) or (isinstance(part, Call) and part.name in IMPURE)
+        for part in node.walk()
+    )
+
+
+def states(query: Query) -> frozenset[str]:
+    """The state variables of a hierarchical query."""
+    if query.recursion is None:
+        return frozenset()
+    assignments = (*query.recursion.start, *query.recursion.step)
+    return frozenset(assignment.name for assignment in assignments)
+
+
+def changing(query: Query) -> frozenset[str]:
+    """The variables that may differ from row to row of a query: those that it assigns."""
+    assigned = {part.name for part in query.walk() if isinstance(part, Assignment)}
+    return frozenset(assigned) | states(query)
+
+
+def mentions(node: Node, names: Collection[str]) -> bool:
+    """Whether a part reads one of these variables."""
+    return any(isinstance(part, Name) and part.name in names for part in node.walk())

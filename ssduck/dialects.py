@@ -1,0 +1,79 @@
+"""The SQL of a plan for other engines, the values of variables put in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import sqlglot
+from sqlglot import exp
+from sqlglot.errors import UnsupportedError as SqlglotError
+
+from ssduck.errors import UnknownNameError, UnsupportedError, nearest
+from ssduck.plan import Plan
+from ssduck.tree import Query
+
+# What sqlglot writes for any engine, though only DuckDB, or few, have it.
+_OURS = (
+    (exp.Array, "lists"),
+    (exp.Unnest, "lists"),
+    (exp.Explode, "lists"),
+    (exp.List, "lists"),
+    (exp.ArrayContains, "lists"),
+    (exp.ArraySlice, "lists"),
+    (exp.GenerateSeries, "lists"),
+    (exp.Anonymous, "functions of DuckDB"),
+)
+_HAVE_LISTS = frozenset(("duckdb",))
+
+
+def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:
+    """The SQL of a query for an engine.
+
+    Args:
+        query: the query.
+        plan: its plan; None if it runs row by row.
+        values: those of the plan's parameters.
+        dialect: the engine, as sqlglot calls it.
+
+    Raises:
+        UnknownNameError: sqlglot knows no such engine.
+        UnsupportedError: a part is left to Python, or is nothing that the engine has.
+    """
+    known = {name for name in sqlglot.Dialect.classes if name}
+    if dialect not in known:
+        raise UnknownNameError(
+            f"there is no SQL dialect {dialect!r}", suggestions=nearest(dialect, known)
+        )
+    if plan is None:
+        raise UnsupportedError("this query runs row by row in Python", span=query.span)
+    for node in plan.left:
+        raise UnsupportedError("this is left to Python", span=node.span)
+    if plan.tables or plan.signatures:
+        what = "a table of Python's" if plan.tables else "a Python function"
+        raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)
+    select = plan.select.transform(_put_in(values))
+    if dialect != "duckdb":
+        _refuse(select, query, dialect)
+    try:
+        return select.sql(dialect=dialect, unsupported_level=sqlglot.ErrorLevel.RAISE, pretty=True)
+    except SqlglotError as error:
+        raise UnsupportedError(f"{dialect}: {error}", span=query.span) from error
+
+
+def _refuse(select: exp.Expr, query: Query, dialect: str) -> None:
+    for node in select.walk():
+        for kind, words in _OURS:
+            if isinstance(node, kind):
+                raise UnsupportedError(
+                    f"{dialect} has no {words} as DuckDB has them: "
+                    f"{node.sql(dialect='duckdb')[:60]}",
+                    span=query.span,
+                )
+
+
+def _put_in(values: dict[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
+    def put_in(part: exp.Expr) -> exp.Expr:
+        return exp.convert(values[part.name]) if isinstance(part, exp.Parameter) else part
+
+    return put_in

@@ -1,0 +1,257 @@
+"""Hierarchical queries as WITH RECURSIVE.
+
+Each row of the recursive table is a path: its state, the places of its rows in the sources,
+and what was selected at each of them. Paths come in the order of their places, which is the
+depth-first order of the sources. What depends on the order of the search itself (UNIQUE,
+MEMORIZE) runs row by row in `ssduck.hierarchy`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlglot import exp
+
+from ssduck import tree
+from ssduck.expressions import Expressions
+from ssduck.rows import Column
+from ssduck.sqlvalues import NotSqlError, SqlValue, failure
+from ssduck.subqueries import Element, world_table
+from ssduck.tree import Assignment, Query, Recursion
+from ssduck.types import Tag, merged
+
+# Breadth first, a search that has more open paths than this takes too much memory; depth first
+# in Python it takes little.
+MOST_OPEN = 1_000_000
+_PATHS = "paths"
+_STEPS = "steps"
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A search in SQL: a row a path, a column a selected item: a list, a value a step."""
+
+    select: exp.Select
+    tags: tuple[Tag, ...]
+
+
+def searched(
+    sql: Expressions, query: Query, columns: Sequence[Column], elements: Sequence[Element]
+) -> Searched:
+    """A hierarchical query as SQL.
+
+    Raises:
+        NotSqlError: it runs row by row.
+    """
+    recursion = query.recursion
+    assert recursion is not None
+    if recursion.unique or recursion.memorizes or query.group or query.order:
+        raise NotSqlError
+    if not all(isinstance(column.name, str) for column in columns):
+        raise NotSqlError
+    search = _Search(sql, query, recursion, columns, elements)
+    return Searched(search.select(), tuple(item.tag for item in search.items))
+
+
+class _Search:
+    def __init__(
+        self,
+        sql: Expressions,
+        query: Query,
+        recursion: Recursion,
+        columns: Sequence[Column],
+        elements: Sequence[Element],
+    ) -> None:
+        self.sql = sql
+        self.query = query
+        self.recursion = recursion
+        self.elements = elements
+        self.entities: dict[str, Element] = {}
+        self.start = {a.name: self._started(a) for a in recursion.start}
+        self.tags = {name: value.tag for name, value in self.start.items()}
+        self.next = self._states()
+        self.items = [sql.value(column.node) for column in columns]
+        if any(not i.tag.comes_back or i.tag.nullable or i.wide for i in self.items):
+            raise NotSqlError
+        self.stop = sql.truth(sql.value(recursion.stop))
+        where = query.where
+        self.found = self.stop if where is None else sql.truth(sql.value(where))
+        sql.risk()  # it may be too broad
+
+    def _started(self, assignment: Assignment) -> SqlValue:
+        if not self.sql.is_constant(assignment.value):
+            raise NotSqlError
+        return self.sql.value(assignment.value)
+
+    def _states(self) -> dict[str, SqlValue]:
+        """What the state variables are after a step, once their types hold still."""
+        steps = {a.name: a.value for a in self.recursion.step}
+        if not steps.keys() <= self.tags.keys():
+            raise NotSqlError
+        for _ in range(3):
+            self.sql.locals = {name: self._state(name, tag) for name, tag in self.tags.items()}
+            values = {name: self.sql.value(node) for name, node in steps.items()}
+            tags = {
+                name: merged((tag, values[name].tag)) or tag if name in values else tag
+                for name, tag in self.tags.items()
+            }
+            if any(not tag.comes_back or tag.nullable for tag in tags.values()):
+                raise NotSqlError
+            if tags == self.tags:
+                return {name: values.get(name, self.sql.locals[name]) for name in tags}
+            self.tags = tags
+        raise NotSqlError
+
+    def _state(self, name: str, tag: Tag) -> SqlValue:
+        """A state variable; an entity is looked up by its id."""
+        if tag.type != "entity":
+            return SqlValue(_column(_PATHS, name), tag)
+        if name not in self.entities:
+            if tag.schema is None or tag.nullable:
+                raise NotSqlError
+            alias = self.sql.context.alias(f"state {name}")
+            self.entities[name] = world_table(tag.schema, alias)
+        return self.entities[name].value
+
+    # -- the statement ----------------------------------------------------------------------
+
+    def select(self) -> exp.Select:
+        """The paths in depth-first order of the sources."""
+        shown = [_column(_PATHS, f"item {index}") for index in range(len(self.items))]
+        select = exp.select(*shown).from_(_table(_PATHS))
+        select = select.where(_column(_PATHS, "found")).order_by(_column(_PATHS, "place"))
+        union = exp.union(self._first(), self._following(), distinct=False)
+        select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
+        limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
+        counts = [_number(node) for node in limits]
+        return select.limit(min(counts)) if counts else select
+
+    def _first(self) -> exp.Select:
+        states = [
+            exp.alias_(_cast(value.sql, self.tags[name]), name, quoted=True)
+            for name, value in self.start.items()
+        ]
+        return exp.select(
+            *states,
+            exp.alias_(_empty(Tag("integer")), "place"),
+            *(
+                exp.alias_(_empty(item.tag), f"item {index}", quoted=True)
+                for index, item in enumerate(self.items)
+            ),
+            exp.alias_(exp.false(), "found"),
+        )
+
+    def _following(self) -> exp.Select:
+        """The paths with a row more, of those that are open."""
+        found = _column(_STEPS, "found")
+        states = [
+            exp.alias_(
+                exp.case()
+                .when(found.copy(), _column(_STEPS, name))
+                .else_(_column(_STEPS, f"next {name}")),
+                name,
+                quoted=True,
+            )
+            for name in self.tags
+        ]
+        items = [
+            exp.alias_(_column(_STEPS, f"item {index}"), f"item {index}", quoted=True)
+            for index in range(len(self.items))
+        ]
+        return exp.select(*states, _column(_STEPS, "place"), *items, found).from_(
+            self._steps().subquery(_STEPS)
+        )
+
+    def _steps(self) -> exp.Select:
+        """Each open path with each row, unless that ends it in vain."""
+        ends = exp.paren(self.found.copy())
+        states = [exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.tags]
+        following = [
+            exp.alias_(
+                exp.case()
+                .when(ends.copy(), _column(_PATHS, name))
+                .else_(_cast(value.sql, self.tags[name])),
+                f"next {name}",
+                quoted=True,
+            )
+            for name, value in self.next.items()
+        ]
+        place = exp.Anonymous(
+            this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
+        )
+        items = [
+            exp.alias_(
+                exp.func("list_append", _column(_PATHS, f"item {index}"), _cast(i.sql, i.tag)),
+                f"item {index}",
+                quoted=True,
+            )
+            for index, i in enumerate(self.items)
+        ]
+        select = exp.select(
+            *states, *following, exp.alias_(place, "place"), *items, exp.alias_(ends, "found")
+        ).from_(self._open())
+        for element in (*self.entities.values(), *self.elements):
+            select = select.join(element.table, join_type="cross")
+        for name, element in self.entities.items():
+            is_state = exp.EQ(this=element.value.sql, expression=_column(_PATHS, name))
+            select = select.where(is_state)
+        goes_on = exp.or_(ends.copy(), exp.Not(this=exp.paren(self.stop.copy())))
+        select = select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
+        return select.where(exp.Not(this=self._is_visited())) if self.recursion.no_cycle else select
+
+    def _open(self) -> exp.Expr:
+        """The paths of the last round; too many of them, and Python searches depth first."""
+        count = exp.Window(this=exp.Count(this=exp.Star()))
+        many = exp.GT(this=count, expression=exp.Literal.number(MOST_OPEN))
+        checked = exp.case().when(many, failure(Tag("flag"))).else_(exp.true())
+        counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
+        rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
+        return rows.subquery(_PATHS)
+
+    def _place(self) -> exp.Expr:
+        keys = [key for element in self.elements for key in element.position]
+        if any(key.args.get("desc") for key in keys):
+            raise NotSqlError
+        return exp.Array(expressions=[exp.cast(key.this.copy(), "BIGINT") for key in keys])
+
+    def _is_visited(self) -> exp.Expr:
+        """Whether what is selected was selected before on the path."""
+        numbers = exp.func("generate_subscripts", _column(_PATHS, "item 0"), exp.Literal.number(1))
+        steps = exp.select(exp.alias_(numbers, "i")).subquery("before")
+        alike = [
+            exp.EQ(
+                this=exp.func(
+                    "list_extract", _column(_PATHS, f"item {index}"), exp.column("i", "before")
+                ),
+                expression=exp.paren(item.sql.copy()),
+            )
+            for index, item in enumerate(self.items)
+        ]
+        if len(alike) == 1:
+            item = self.items[0]
+            return exp.func("list_contains", _column(_PATHS, "item 0"), _cast(item.sql, item.tag))
+        return exp.Exists(this=exp.select(exp.Literal.number(1)).from_(steps).where(*alike))
+
+
+def _number(node: tree.Node) -> int:
+    match node:
+        case tree.Literal(value=number) if type(number) is int and 0 <= number < 2**31:
+            return number
+    raise NotSqlError
+
+
+def _table(name: str) -> exp.Expr:
+    return exp.to_table(name)
+
+
+def _column(table: str, name: str) -> exp.Expr:
+    return exp.column(exp.to_identifier(name, quoted=True), table=exp.to_identifier(table))
+
+
+def _cast(value: exp.Expr, tag: Tag) -> exp.Expr:
+    return exp.cast(value.copy(), tag.sql_type, dialect="duckdb")
+
+
+def _empty(element: Tag) -> exp.Expr:
+    return exp.cast(exp.Array(expressions=[]), f"{element.sql_type}[]", dialect="duckdb")

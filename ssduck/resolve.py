@@ -1,0 +1,101 @@
+"""What the names in a query mean, once its sources are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+from ssduck.dependencies import states
+from ssduck.errors import ArgumentError
+from ssduck.plan import Names, Shape
+from ssduck.rows import Column
+from ssduck.tree import Bare, Call, Index, Key, Literal, Name, Node, Query, This
+
+
+@dataclass
+class Resolved:
+    """A query whose bare names have been looked up.
+
+    Attributes:
+        query: the query; its names are variables, and what else they were is spelled out.
+        columns: what it selects.
+        bare: the names that were looked up, and whether there was a variable of that name.
+    """
+
+    query: Query
+    columns: tuple[Column, ...] = ()
+    bare: dict[str, bool] = field(default_factory=dict)
+
+
+def resolve(query: Query, shapes: Sequence[Shape], names: Names) -> Resolved:
+    """Look up the bare names in SELECT, GROUP BY, HAVING and ORDER BY.
+
+    Such a name is a key of the current element if that is a dict, else a variable, else the
+    function of that name applied to `this`.
+
+    Raises:
+        UnknownNameError: it is none of these.
+    """
+    return _Resolver(query, shapes, names).resolved()
+
+
+class _Resolver:
+    def __init__(self, query: Query, shapes: Sequence[Shape], names: Names) -> None:
+        self._query = query
+        self._shapes = shapes
+        self._names = names
+        self._states = states(query)
+        self._bare: dict[str, bool] = {}
+
+    def resolved(self) -> Resolved:
+        query = self._query
+        changed = replace(
+            query,
+            group=tuple(map(self._meant, query.group)),
+            having=None if query.having is None else self._meant(query.having),
+            order=tuple(Key(k.span, self._meant(k.value), k.descending) for k in query.order),
+        )
+        return Resolved(changed, tuple(self._columns()), self._bare)
+
+    def _columns(self) -> Iterator[Column]:
+        if not self._query.items:
+            for shape in self._shapes:
+                yield Column(This(self._query.span, shape.alias), shape.alias)
+        for node in self._query.items:
+            match node:
+                case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                    yield Column(self._meant(value), name)
+                case Call(name="to", arguments=(value, name_node)):
+                    yield Column(self._meant(value), self._meant(name_node))
+                case Call(name="to"):
+                    raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
+                case Call(name=name) | Name(name=name):
+                    yield Column(self._meant(node), name)
+                case This(alias=alias):
+                    yield Column(node, alias or "this")
+                case Index(indices=(*_, Literal(value=str() as key))):
+                    yield Column(self._meant(node), key)
+                case _:
+                    yield Column(self._meant(node), "value")
+
+    def _meant(self, node: Node) -> Node:
+        return node.replaced(self._looked_up)
+
+    def _looked_up(self, part: Node) -> Node | None:
+        if isinstance(part, Query):
+            return part
+        if not isinstance(part, Name) or part.name in self._states:
+            return part if isinstance(part, Name) else None
+        only = self._shapes[0] if len(self._shapes) == 1 else None
+        if only is not None and only.tag is not None and only.tag.type == "record":
+            if any(key == part.name for key, _ in only.tag.fields):
+                key = Literal(part.span, part.name)
+                return Index(part.span, This(part.span, None), (key,))
+        elif only is not None and (only.dicts or not only.known):
+            return Bare(part.span, part.name)
+        known = self._bare[part.name] = self._names.has_variable(part.name)
+        if known:
+            return part
+        call = Call(part.span, part.name, (This(part.span, None),), part.span)
+        self._names.check_call(call)
+        return call

@@ -1,0 +1,288 @@
+"""What Python makes of rows: conditions, order, groups, paths, selected values.
+
+A row is a `Frame`. `Clauses` are a query's clauses as functions of frames; they take the rows
+that SQL has left, or all combinations of the sources where a query runs row by row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cmp_to_key
+from itertools import islice, product
+from typing import Any, TypeAlias
+
+from ssduck.adapters import Rows
+from ssduck.dependencies import free_aliases
+from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.evaluate import Compiler, Frame, Scope, Thunk, apply
+from ssduck.functions import AGGREGATES
+from ssduck.tree import Call, Given, Key, Node, Query
+
+
+@dataclass(frozen=True)
+class Paths:
+    """What a hierarchical query found: the rows of each path, or of each step of each path."""
+
+    paths: Sequence[Selected]
+
+
+@dataclass(frozen=True)
+class Groups:
+    """What a query with GROUP BY found: the rows, or the paths, of each group."""
+
+    groups: dict[str, Selected]
+
+
+Selected: TypeAlias = Rows | Paths | Groups
+
+
+def formed(selected: Selected, make: Callable[[Rows], Any]) -> Any:
+    """What an adapter makes of what was selected: of rows, of each path, of each group."""
+    match selected:
+        case Groups(groups=groups):
+            return {key: formed(part, make) for key, part in groups.items()}
+        case Paths(paths=paths):
+            return [formed(path, make) for path in paths]
+    return make(selected)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A selected value and its name: a text, or a part to be evaluated for each row."""
+
+    node: Node
+    name: str | Node
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The clauses of a query that Python applies to its rows, in this order.
+
+    Attributes:
+        columns: what is selected.
+        conditions: what every row must fulfil.
+        order: keys to sort by.
+        group: keys to group by.
+        having: what every group must fulfil.
+        limit: how many rows, or groups.
+    """
+
+    columns: tuple[Column, ...]
+    conditions: tuple[Node, ...] = ()
+    order: tuple[Key, ...] = ()
+    group: tuple[Node, ...] = ()
+    having: Node | None = None
+    limit: Node | None = None
+
+
+class Clauses:
+    """The clauses of a query as functions of frames.
+
+    Args:
+        rest: the clauses.
+        compiler: makes functions of their parts.
+    """
+
+    def __init__(self, rest: Rest, compiler: Compiler) -> None:
+        self._rest = rest
+        self._conditions = [compiler.thunk(node) for node in rest.conditions]
+        self.items = Items(rest.columns, compiler)
+        self._order = [(compiler.thunk(key.value), key) for key in rest.order]
+        self._group = [compiler.thunk(node) for node in rest.group]
+        self._having = None if rest.having is None else _Having(rest.having, compiler)
+        self._limit = None if rest.limit is None else compiler.thunk(rest.limit)
+
+    def holds(self, frame: Frame) -> bool:
+        """Whether a row fulfils the conditions."""
+        return all(bool(condition(frame)) for condition in self._conditions)
+
+    def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
+        """What is selected of rows."""
+        limit = self.count(outer)
+        kept: Iterable[Frame] = filter(self.holds, rows) if self._conditions else rows
+        if limit is not None and not self._order and not self._group:
+            kept = islice(kept, limit)
+        found = list(kept)
+        return self.arranged(found, lambda row: row, self.items.rows, limit)
+
+    def arranged(
+        self,
+        found: list[Any],
+        row: Callable[[Any], Frame],
+        made: Callable[[list[Any]], Selected],
+        limit: int | None,
+    ) -> Selected:
+        """Rows or paths in their order, in their groups, as many as are wanted.
+
+        Args:
+            found: the rows or paths.
+            row: the frame that a key is evaluated in.
+            made: makes what is selected of rows or paths.
+            limit: how many, or how many groups.
+        """
+        if self._order:
+            found = self._sorted(found, row)
+        if not self._group:
+            return made(found[:limit])
+        groups: dict[str, list[Any]] = {}
+        for entry in found:
+            frame = row(entry)
+            key = ", ".join(printed(thunk(frame)) for thunk in self._group)
+            groups.setdefault(key, []).append(entry)
+        wanted = [
+            (key, entries)
+            for key, entries in groups.items()
+            if self._having is None or self._having([row(entry) for entry in entries])
+        ]
+        return Groups({key: made(entries) for key, entries in wanted[:limit]})
+
+    def _sorted(self, found: list[Any], row: Callable[[Any], Frame]) -> list[Any]:
+        """By the keys; what has equal keys stays in its order."""
+        keyed = [(tuple(thunk(row(entry)) for thunk, _ in self._order), entry) for entry in found]
+
+        def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
+            for (_, key), a, b in zip(self._order, left[0], right[0], strict=True):
+                if apply("!=", a, b, key.value.span):
+                    less = bool(apply("<", a, b, key.value.span))
+                    return -1 if less != key.descending else 1
+            return 0
+
+        return [entry for _, entry in sorted(keyed, key=cmp_to_key(compare))]
+
+    def count(self, outer: Frame) -> int | None:
+        """How many rows, paths or groups are wanted; None for all."""
+        node = self._rest.limit
+        if node is None or self._limit is None:
+            return None
+        return checked_count(self._limit(outer), "LIMIT", node)
+
+
+class Items:
+    """The selected columns as functions of frames."""
+
+    def __init__(self, columns: Sequence[Column], compiler: Compiler) -> None:
+        self._items = [compiler.thunk(column.node) for column in columns]
+        self._names = [
+            column.name if isinstance(column.name, str) else compiler.thunk(column.name)
+            for column in columns
+        ]
+        self._fixed = tuple(name for name in self._names if isinstance(name, str))
+
+    def values(self, frame: Frame) -> tuple[Any, ...]:
+        """The selected values of a row."""
+        return tuple([item(frame) for item in self._items])
+
+    def names(self, frame: Frame) -> tuple[Any, ...]:
+        """What a row calls its columns."""
+        if len(self._fixed) == len(self._names):
+            return self._fixed
+        return tuple(name if isinstance(name, str) else name(frame) for name in self._names)
+
+    def rows(self, frames: list[Frame]) -> Rows:
+        """The rows of these frames."""
+        values = [self.values(frame) for frame in frames]
+        if len(self._fixed) == len(self._names):
+            return Rows(values, self._fixed)
+        return Rows(values, [self.names(frame) for frame in frames])
+
+    def gathered(self, names: list[tuple[Any, ...]], values: list[tuple[Any, ...]]) -> Rows:
+        """Rows of values that were selected before."""
+        fixed = len(self._fixed) == len(self._names)
+        return Rows(values, self._fixed if fixed else names)
+
+
+def aggregates(having: Node) -> list[Call]:
+    """The calls in HAVING that are over all rows of a group."""
+    if isinstance(having, Query):
+        return []
+    match having:
+        case Call(name=name, arguments=(argument,)) if (
+            name in AGGREGATES and not isinstance(argument, Query) and free_aliases(argument)
+        ):
+            return [having]
+    return [call for child in having.children() for call in aggregates(child)]
+
+
+class _Having:
+    """A condition on a group.
+
+    An aggregate of what depends on a row is over all rows of the group; everything else is
+    that of the group's first row.
+    """
+
+    def __init__(self, node: Node, compiler: Compiler) -> None:
+        self._aggregates: list[tuple[str, str, Thunk]] = []
+
+        given: dict[Node, Node] = {}
+        for call in aggregates(node):
+            name = f"aggregate {len(self._aggregates)}"
+            self._aggregates.append((name, call.name, compiler.thunk(call.arguments[0])))
+            given[call] = Given(call.span, name)
+        self._condition = compiler.thunk(node.replaced(given.get))
+
+    def __call__(self, rows: list[Frame]) -> bool:
+        first = rows[0]
+        given = dict(first.given)
+        for name, function, argument in self._aggregates:
+            given[name] = AGGREGATES[function]([[argument(row) for row in rows]])
+        frame = Frame(first.scope, first.elements, first.local, given, first.columns, first.kept)
+        return bool(self._condition(frame))
+
+
+def checked_count(value: Any, what: str, node: Node) -> int:
+    """A number of rows, of levels or of results.
+
+    Raises:
+        EvaluationError: it is none.
+    """
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise EvaluationError(f"{what} takes a whole number, not {value!r}", span=node.span)
+    return value
+
+
+def printed(value: Any) -> str:
+    """A value as a group's key: an entity by its name, a text without quotes."""
+    name = getattr(value, "name", None)
+    return name if isinstance(name, str) and not isinstance(value, str) else str(value)
+
+
+def combinations(
+    aliases: Sequence[str], values: Sequence[Iterable[Any]], outer: Frame
+) -> Iterator[dict[str | None, Any]]:
+    """The elements of the sources by alias, for each combination of them, the last fastest."""
+    around: dict[str | None, Any] = dict(outer.elements)
+    around.pop(None, None)
+    for elements in product(*values):
+        row: dict[str | None, Any] = {**around, **dict(zip(aliases, elements, strict=True))}
+        if len(aliases) == 1:
+            row[None] = elements[0]
+        yield row
+
+
+def row_frames(
+    aliases: Sequence[str],
+    values: Sequence[Iterable[Any]],
+    outer: Frame,
+    kept: dict[Node, Any],
+) -> Iterator[Frame]:
+    """The frames of all rows of a query, in order; each one is a step."""
+    scope: Scope = outer.scope
+    for elements in combinations(aliases, values, outer):
+        scope.step()
+        yield outer.row(elements, kept)
+
+
+def check_columns(columns: Sequence[Column]) -> None:
+    """Two columns of one name would leave one value out of a dict, unnoticed.
+
+    Raises:
+        ArgumentError: two have the same name.
+    """
+    names = [column.name for column in columns]
+    for index, column in enumerate(columns):
+        if isinstance(column.name, str) and column.name in names[:index]:
+            raise ArgumentError(
+                f"two columns are called {column.name!r}; name them with to(…, 'name')",
+                span=column.node.span,
+            )

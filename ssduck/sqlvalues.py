@@ -1,0 +1,132 @@
+"""What expressions and nested queries are as SQL: values, types, parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+from sqlglot import exp
+
+from ssduck.plan import Binding, Names
+from ssduck.tables import TABLES
+from ssduck.tree import Node
+from ssduck.types import Signature, Tag
+from ssduck.udfs import ValueType
+
+_COLUMN_TYPES: dict[str, ValueType] = {
+    column.name: column.type
+    for column in TABLES["entities"]
+    if column.type in ("real", "integer", "text", "flag")
+}
+ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
+
+
+class NotSqlError(Exception):
+    """A part that is left to Python."""
+
+
+@dataclass(frozen=True)
+class SqlValue:
+    """A part as SQL, its type, and how to get at what it is made of.
+
+    Attributes:
+        given: the value; of an entity its id is taken if there is none.
+        tag: its type.
+        column: of an entity, its columns.
+        elements: of a list that is written out, its elements.
+        fields: of a record, what its keys hold.
+        wide: whether it may be an integer that no DOUBLE is.
+    """
+
+    given: exp.Expr | None
+    tag: Tag
+    column: Callable[[str], exp.Expr] | None = None
+    elements: tuple[SqlValue, ...] | None = None
+    fields: Mapping[str, SqlValue] = field(default_factory=dict)
+    wide: bool = False
+
+    @property
+    def sql(self) -> exp.Expr:
+        """The value; of an entity its id."""
+        if self.given is not None:
+            return self.given
+        if self.column is None:
+            raise NotSqlError
+        return self.column("id")
+
+
+@dataclass
+class Context:
+    """What the expressions of one statement share.
+
+    Attributes:
+        names: variables, functions, and the types of what is constant in the query.
+        cautious: whether nothing may become SQL that could fail there.
+        changing: variables that differ from row to row.
+        bindings: the parameters of the statement.
+        constants: what does not depend on rows, with its type.
+        worlds: of these, the schemas of those that are worlds.
+        signatures: the users' functions that it calls.
+        deferred: variables that were looked up for lists to be put in.
+        aliases: what sources are called in SQL, in lower case.
+    """
+
+    names: Names
+    cautious: bool = False
+    changing: frozenset[str] = frozenset()
+    bindings: list[Binding] = field(default_factory=list)
+    constants: dict[Node, Tag] = field(default_factory=dict)
+    worlds: dict[Node, str | None] = field(default_factory=dict)
+    signatures: set[Signature] = field(default_factory=set)
+    deferred: dict[str, Node | None] = field(default_factory=dict)
+    aliases: set[str] = field(default_factory=set)
+
+    def alias(self, name: str) -> str:
+        """What a source is called in SQL, which does not tell upper from lower case."""
+        candidates = (name if n == 1 else f"{name} {n}" for n in range(1, len(self.aliases) + 2))
+        alias = next(alias for alias in candidates if alias.casefold() not in self.aliases)
+        self.aliases.add(alias.casefold())
+        return alias
+
+    def parameter(self, stem: str, wanted: Binding) -> exp.Expr:
+        """A parameter for that binding: the same one for the same."""
+        for binding in self.bindings:
+            if replace(binding, name="") == wanted:
+                return exp.Parameter(this=exp.var(binding.name))
+        stem = stem if stem.isidentifier() else "value"
+        taken = {binding.name.lower() for binding in self.bindings}
+        candidates = (stem if n == 1 else f"{stem}_{n}" for n in range(1, len(taken) + 2))
+        name = next(name for name in candidates if name.lower() not in taken)
+        self.bindings.append(replace(wanted, name=name))
+        return exp.Parameter(this=exp.var(name))
+
+    def list_in(self, name: str) -> Node | None:
+        """The list that a variable holds for this query."""
+        if name not in self.deferred:
+            self.deferred[name] = self.names.deferred(name)
+        return self.deferred[name]
+
+
+def column_tag(name: str) -> Tag:
+    """The type of a column of an entity."""
+    return Tag(_COLUMN_TYPES[name])
+
+
+def failure(tag: Tag) -> exp.Expr:
+    """What makes the statement fail where it is evaluated."""
+    failing = exp.Anonymous(this="error", expressions=[exp.Literal.string("left to Python")])
+    return exp.cast(failing, tag.sql_type, dialect="duckdb")
+
+
+def or_failure(sql: exp.Expr, tag: Tag) -> exp.Expr:
+    """A value that is there; a statement that finds none fails."""
+    return exp.Coalesce(this=sql, expressions=[failure(tag)])
+
+
+def wrapped(sql: exp.Expr) -> exp.Expr:
+    """In parentheses where it is not a single term."""
+    return (
+        exp.paren(sql)
+        if isinstance(sql, exp.Binary | exp.Unary) and not isinstance(sql, exp.Paren)
+        else sql
+    )

@@ -1,0 +1,539 @@
+"""Nested queries as parts of the statement around them.
+
+A nested query whose sources are lists that are written out is unrolled: its rows are the
+elements. Any other one is a subquery, which sees the rows around it as SQL's do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, TypeAlias
+
+from sqlglot import exp
+
+from ssduck import tree
+from ssduck.dependencies import is_impure
+from ssduck.plan import Binding, Shape
+from ssduck.resolve import resolve
+from ssduck.sqlvalues import (
+    ENTITY_COLUMNS,
+    NotSqlError,
+    SqlValue,
+    column_tag,
+    or_failure,
+    wrapped,
+)
+from ssduck.tree import Binary, ListOf, Name, Node, Query
+from ssduck.types import ANY, INTEGER, Tag, merged
+
+if TYPE_CHECKING:
+    from ssduck.expressions import Expressions
+
+# More rows than this are not unrolled.
+MOST_UNROLLED = 300
+_LISTS = ("list",)
+_VALUES = ("value", "val")
+_DICTS = ("dict", "dictionary")
+
+
+@dataclass(frozen=True)
+class Element:
+    """A source in SQL.
+
+    Attributes:
+        value: its current element.
+        table: what stands in FROM.
+        position: the keys by which its elements are in their order.
+    """
+
+    value: SqlValue
+    table: exp.Expr
+    position: tuple[exp.Ordered, ...]
+
+
+@dataclass(frozen=True)
+class Subquery:
+    """The rows of a nested query: tables, conditions, order, and what is selected."""
+
+    elements: tuple[Element, ...]
+    conditions: tuple[exp.Expr, ...]
+    items: tuple[SqlValue, ...]
+    names: tuple[str, ...]
+    order: tuple[exp.Ordered, ...]
+    limit: int | None
+
+    def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
+        """The rows, as a SELECT of these columns."""
+        select = exp.Select()
+        for index, element in enumerate(self.elements):
+            select = (
+                select.join(element.table, join_type="cross")
+                if index
+                else select.from_(element.table)
+            )
+        conditions = [condition.copy() for condition in (*self.conditions, *where)]
+        return select.select(*columns).where(*conditions)
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """The rows of a nested query one by one: whether each is there, and what it selects."""
+
+    rows: tuple[tuple[exp.Expr, tuple[SqlValue, ...]], ...]
+
+
+Rows: TypeAlias = Subquery | Unrolled
+
+
+# -- what a nested query is worth -----------------------------------------------------------
+
+
+def value(around: Expressions, query: Query) -> SqlValue:
+    """The value of a nested query.
+
+    Raises:
+        NotSqlError: it is left to Python.
+    """
+    form = _form(query)
+    rows = _rows(around, query)
+    if form in _LISTS:
+        return _unrolled_list(rows) if isinstance(rows, Unrolled) else _list(rows)
+    if form in _VALUES:
+        around.risk()  # there may be no row
+        return _unrolled_value(rows) if isinstance(rows, Unrolled) else _value(rows)
+    raise NotSqlError
+
+
+def counted(around: Expressions, query: Query) -> SqlValue:
+    """How many elements the list has that a nested query yields."""
+    if _form(query) not in (*_LISTS, *_DICTS):
+        return _counted_list(value(around, query))
+    rows = _rows(around, query)
+    many = len(query.items) or len(query.sources)
+    each = many if _form(query) in _LISTS else 1
+    if isinstance(rows, Unrolled):
+        one, none = exp.Literal.number(each), exp.Literal.number(0)
+        cases = [exp.case().when(there, one.copy()).else_(none.copy()) for there, _ in rows.rows]
+        total: exp.Expr = cases[0] if cases else none
+        for case in cases[1:]:
+            total = exp.Add(this=total, expression=case)
+        return SqlValue(exp.paren(total), INTEGER)
+    count: exp.Expr = exp.Count(this=exp.Star())
+    if rows.limit is not None:
+        count = exp.func("least", count, exp.Literal.number(rows.limit))
+    if each > 1:
+        count = exp.Mul(this=count, expression=exp.Literal.number(each))
+    return SqlValue(exp.paren(rows.select(count)), INTEGER)
+
+
+def _counted_list(found: SqlValue) -> SqlValue:
+    if found.tag.type != "list":
+        raise NotSqlError
+    return SqlValue(exp.func("len", found.sql.copy()), INTEGER)
+
+
+def emptiness(around: Expressions, node: Binary) -> exp.Expr | None:
+    """`[] == SELECT …` as a question of existence; None if it is none."""
+    match node.left, node.right:
+        case (ListOf(items=()), Query() as query) | (Query() as query, ListOf(items=())):
+            pass
+        case _:
+            return None
+    if is_impure(query) or _form(query) not in (*_LISTS, *_DICTS, *_VALUES):
+        return None
+    try:
+        rows = _rows(around, query)
+    except NotSqlError:
+        if around.is_constant(query):
+            return None
+        raise
+    if _form(query) in _VALUES and not _never_empty(rows):
+        return None
+    if isinstance(rows, Subquery) and rows.limit == 0:
+        return exp.convert(node.operator == "==")
+    there = _exists(rows)
+    return exp.Not(this=wrapped(there)) if node.operator == "==" else there
+
+
+def _never_empty(rows: Rows) -> bool:
+    """Whether no selected value is an empty list itself."""
+    firsts = [items[0] for _, items in rows.rows] if isinstance(rows, Unrolled) else rows.items[:1]
+    return all(item.tag.type not in ("list", "any") for item in firsts)
+
+
+def membership(around: Expressions, left: Node, query: Query) -> exp.Expr | None:
+    """`x IN SELECT … AS list` as a question of existence; None if it is none."""
+    if is_impure(query) or _form(query) not in _LISTS or around.is_constant(query):
+        return None
+    rows = _rows(around, query)
+    wanted = around.value(left)
+    if isinstance(rows, Unrolled):
+        found = [
+            exp.and_(there.copy(), _any_equal(around, wanted, items)) for there, items in rows.rows
+        ]
+        return exp.paren(exp.or_(*found)) if found else exp.false()
+    if rows.limit is not None:
+        return None
+    return _exists(rows, _any_equal(around, wanted, rows.items))
+
+
+def _any_equal(around: Expressions, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
+    return exp.paren(exp.or_(*(around.comparison("==", wanted, item).sql.copy() for item in items)))
+
+
+def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
+    if isinstance(rows, Unrolled):
+        return exp.paren(exp.or_(*(there for there, _ in rows.rows))) if rows.rows else exp.false()
+    return exp.Exists(this=rows.select(exp.Literal.number(1), where=where))
+
+
+def _list(rows: Subquery) -> SqlValue:
+    tag = _common(rows.items)
+    listed = rows.items[0].sql.copy()
+    if len(rows.items) > 1:
+        listed = exp.Array(expressions=[item.sql.copy() for item in rows.items])
+    found: exp.Expr = _aggregated("list", listed, rows)
+    if len(rows.items) > 1:
+        found = exp.Anonymous(this="flatten", expressions=[found])
+    if rows.limit is not None:
+        end = exp.Literal.number(rows.limit * len(rows.items))
+        found = exp.func("list_slice", found, exp.Literal.number(1), end)
+    subquery = exp.paren(rows.select(found))
+    whole = Tag("list", tag)
+    empty = exp.cast(exp.Array(expressions=[]), whole.sql_type, dialect="duckdb")
+    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole)
+
+
+def _value(rows: Subquery) -> SqlValue:
+    item = rows.items[0]
+    if rows.limit == 0 or item.tag.nullable:
+        raise NotSqlError
+
+    def first(what: exp.Expr, tag: Tag) -> exp.Expr:
+        return or_failure(exp.paren(rows.select(_aggregated("first", what.copy(), rows))), tag)
+
+    if item.tag.type != "entity":
+        if not item.tag.is_sql or item.tag.type == "record":
+            raise NotSqlError
+        return SqlValue(first(item.sql, item.tag), item.tag, wide=item.wide)
+    columns = item.column
+    assert columns is not None
+    return SqlValue(None, item.tag, lambda name: first(columns(name), column_tag(name)))
+
+
+def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
+    """An aggregate of the rows in their order."""
+    if rows.order:
+        what = exp.Order(this=what, expressions=[key.copy() for key in rows.order])
+    return exp.Anonymous(this=function, expressions=[what])
+
+
+def _unrolled_list(rows: Unrolled) -> SqlValue:
+    tag = _common([item for _, items in rows.rows for item in items])
+    empty = exp.cast(exp.Array(expressions=[]), f"{tag.sql_type}[]", dialect="duckdb")
+    parts = [
+        exp.case()
+        .when(there, exp.Array(expressions=[item.sql.copy() for item in items]))
+        .else_(empty.copy())
+        for there, items in rows.rows
+    ]
+    listed = exp.Anonymous(this="flatten", expressions=[exp.Array(expressions=parts)])
+    return SqlValue(listed, Tag("list", tag))
+
+
+def _unrolled_value(rows: Unrolled) -> SqlValue:
+    tag = _common([items[0] for _, items in rows.rows])
+    if tag.type == "entity":
+        raise NotSqlError
+    case = exp.case()
+    for there, items in rows.rows:
+        case = case.when(there, items[0].sql.copy())
+    return SqlValue(or_failure(case, tag), tag)
+
+
+def _common(items: Sequence[SqlValue]) -> Tag:
+    """The one type of values that go into a list."""
+    tag = merged(item.tag for item in items)
+    if tag is None or not tag.comes_back or tag.nullable or tag.type == "record":
+        raise NotSqlError
+    if any(item.wide for item in items):
+        raise NotSqlError
+    return tag
+
+
+# -- the rows of a nested query -------------------------------------------------------------
+
+
+def _form(query: Query) -> str:
+    if query.adapter is None:
+        return "dict"
+    return "" if query.adapter.arguments or query.adapter.named else query.adapter.name
+
+
+def _rows(around: Expressions, query: Query) -> Rows:
+    if query.recursion or query.group or query.having or is_impure(query):
+        raise NotSqlError
+    aliases = aliases_of(query)
+    lists = [_written_out(around, source.value) for source in query.sources]
+    if all(values is not None for values in lists) and lists:
+        rows = list(product(*[values for values in lists if values is not None]))
+        if len(rows) <= MOST_UNROLLED and not query.order and query.limit is None:
+            return Unrolled(
+                tuple(_unrolled_row(around, query, aliases, elements) for elements in rows)
+            )
+    inner = around.inside()
+    elements = [
+        element(around, alias, source.value)
+        for alias, source in zip(aliases, query.sources, strict=True)
+    ]
+    _bind(inner, aliases, [entry.value for entry in elements])
+    return _subquery(inner, query, aliases, elements)
+
+
+def _bind(inner: Expressions, aliases: Sequence[str], values: Sequence[SqlValue]) -> None:
+    inner.rows.update(zip(aliases, values, strict=True))
+    inner.only = aliases[0] if len(aliases) == 1 else None
+
+
+def _subquery(
+    inner: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[Element]
+) -> Subquery:
+    resolved = resolve(query, shapes_in(inner, aliases), inner.names)
+    conditions = () if query.where is None else (inner.truth(inner.value(query.where)),)
+    items = tuple(inner.value(column.node) for column in resolved.columns)
+    order = [ordered(inner.value(key.value), key) for key in resolved.query.order]
+    for entry in elements:
+        order.extend(entry.position)
+    names = tuple(column.name for column in resolved.columns if isinstance(column.name, str))
+    return Subquery(tuple(elements), conditions, items, names, tuple(order), _limit(query))
+
+
+def _unrolled_row(
+    around: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
+) -> tuple[exp.Expr, tuple[SqlValue, ...]]:
+    inner = around.inside()
+    _bind(inner, aliases, elements)
+    resolved = resolve(query, shapes_in(inner, aliases), inner.names)
+    there = exp.true() if query.where is None else inner.truth(inner.value(query.where))
+    return there, tuple(inner.value(column.node) for column in resolved.columns)
+
+
+def shapes_in(inner: Expressions, aliases: Sequence[str]) -> list[Shape]:
+    """What sources are that are in SQL already."""
+    return [Shape(alias, tag=inner.rows[alias].tag) for alias in aliases]
+
+
+def ordered(key: SqlValue, wanted: tree.Key) -> exp.Ordered:
+    """A key of ORDER BY.
+
+    Raises:
+        NotSqlError: Python orders such values otherwise, or not at all.
+    """
+    if not (key.tag.is_number or key.tag.type in ("text", "flag")):
+        raise NotSqlError
+    this = exp.paren(key.sql.copy()) if isinstance(key.sql, exp.Literal) else key.sql.copy()
+    return exp.Ordered(this=this, desc=wanted.descending, nulls_first=False)
+
+
+def _limit(query: Query) -> int | None:
+    match query.limit:
+        case None:
+            return None
+        case tree.Literal(value=number) if type(number) is int and number < 2**31:
+            return number
+    raise NotSqlError
+
+
+def aliases_of(query: Query) -> list[str]:
+    """What the sources of a query are called."""
+    return [
+        source.alias or (f"source_{index + 1}" if index else "this")
+        for index, source in enumerate(query.sources)
+    ]
+
+
+# -- sources --------------------------------------------------------------------------------
+
+
+def _written_out(around: Expressions, node: Node) -> list[SqlValue] | None:
+    """The elements of a list that mentions the rows around, or of a value of them."""
+    node = _list_in(around, node)
+    if around.is_constant(node) or isinstance(node, Query):
+        return None
+    try:
+        found = around.value(node)
+    except NotSqlError:
+        return None
+    if found.elements is not None:
+        return list(found.elements)
+    return [found] if found.tag.type not in ("list", "any") else None
+
+
+def _list_in(around: Expressions, node: Node) -> Node:
+    if isinstance(node, Name):
+        return around.context.list_in(node.name) or node
+    return node
+
+
+def element(around: Expressions, alias: str, node: Node) -> Element:
+    """A source of a nested query: a world, a list, a query of its own.
+
+    Raises:
+        NotSqlError: SQL has no such source.
+    """
+    node = _list_in(around, node)
+    name = around.context.alias(alias)
+    if isinstance(node, Query):
+        return _derived(around, name, node)
+    if not around.is_constant(node):
+        return unnested(name, around.value(node))
+    schema = around.context.worlds.setdefault(node, around.names.world(node))
+    if schema is not None:
+        return world_table(schema, name)
+    tag = around.context.constants.setdefault(node, around.names.tag(node))
+    if not tag.is_sql or tag.type == "record" or (tag.type == "list" and tag.element is None):
+        raise NotSqlError
+    parameter = around.context.parameter(alias, Binding("", node, tag=tag))
+    given = exp.cast(parameter, tag.sql_type, dialect="duckdb")
+    return unnested(name, SqlValue(given, tag))
+
+
+def world_table(schema: str, name: str) -> Element:
+    """The entities of a world."""
+    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name))
+    return Element(
+        entity_value(schema, name),
+        table,
+        (
+            _ascending(
+                exp.NEQ(this=_column(name, "kind"), expression=exp.Literal.string("sensor"))
+            ),
+            _ascending(_column(name, "id")),
+        ),
+    )
+
+
+def entity_value(schema: str | None, name: str) -> SqlValue:
+    """The current row of a table of entities."""
+    tag = Tag("entity", schema=schema)
+    return SqlValue(_column(name, "id"), tag, lambda column: _column(name, column))
+
+
+def unnested(name: str, values: SqlValue) -> Element:
+    """The elements of a list; of any other value itself."""
+    rows, tag = values.sql, values.tag.element
+    if values.tag.type != "list":
+        rows, tag = exp.Array(expressions=[values.sql]), values.tag
+    if tag is None or not tag.is_sql or tag.nullable:
+        raise NotSqlError
+    numbers = exp.func("generate_subscripts", rows.copy(), exp.Literal.number(1))
+    what = "id" if tag.type == "entity" else "value"
+    table: exp.Select = exp.select(
+        exp.alias_(exp.func("unnest", rows.copy()), what), exp.alias_(numbers, "n")
+    )
+    position = (_ascending(_column(name, "n")),)
+    alias = exp.to_identifier(name)
+    if tag.type != "entity":
+        return Element(SqlValue(_column(name, "value"), tag), table.subquery(alias), position)
+    entities = exp.table_("entities", db=tag.schema, alias="e")
+    joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
+    return Element(entity_value(tag.schema, name), joined.subquery(alias), position)
+
+
+def counted_rows(name: str, parameter: exp.Expr) -> Element:
+    """As many rows as there are values that SQL does not know."""
+    numbers = exp.func("generate_subscripts", parameter, exp.Literal.number(1))
+    table = exp.select(exp.alias_(numbers, "n")).subquery(exp.to_identifier(name))
+    value = SqlValue(_column(name, "n"), ANY)
+    return Element(value, table, (_ascending(_column(name, "n")),))
+
+
+def record_table(name: str, table: str, tag: Tag) -> Element:
+    """Records as a table: `n`, and a column a key."""
+    fields = {
+        key: SqlValue(_column(name, f"f{index}"), part)
+        for index, (key, part) in enumerate(tag.fields)
+        if part.is_sql and part.type != "record"
+    }
+    value = SqlValue(_column(name, "n"), tag, fields=fields)
+    source = exp.table_(table, quoted=True, alias=exp.to_identifier(name))
+    return Element(value, source, (_ascending(_column(name, "n")),))
+
+
+def _derived(around: Expressions, name: str, query: Query) -> Element:
+    """A query as a source: its one item, or its columns by their names."""
+    form = _form(query)
+    rows = _rows(around, query)
+    if isinstance(rows, Unrolled):
+        if form not in _LISTS:
+            raise NotSqlError
+        return unnested(name, _unrolled_list(rows))
+    if form in _LISTS and len(rows.items) == 1:
+        return _derived_items(rows, name)
+    if form in _DICTS and len(rows.names) == len(rows.items):
+        return _derived_records(rows, name)
+    raise NotSqlError
+
+
+def _derived_items(rows: Subquery, name: str) -> Element:
+    (item,) = rows.items
+    if item.tag.type != "entity":
+        if not item.tag.is_sql or item.tag.type == "record":
+            raise NotSqlError
+        value = SqlValue(_column(name, "value"), item.tag, wide=item.wide)
+        return _derived_element(rows, name, value, {"value": item.sql})
+    assert item.column is not None
+    columns = {column: item.column(column) for column in ENTITY_COLUMNS}
+    value = entity_value(item.tag.schema, name)
+    if item.tag.nullable:
+        raise NotSqlError
+    return _derived_element(rows, name, value, columns)
+
+
+def _derived_records(rows: Subquery, name: str) -> Element:
+    if len(set(rows.names)) < len(rows.names):
+        raise NotSqlError
+    columns: dict[str, exp.Expr] = {}
+    fields = {}
+    for index, (key, item) in enumerate(zip(rows.names, rows.items, strict=True)):
+        if not item.tag.comes_back or item.tag.type == "entity" or item.tag.nullable:
+            raise NotSqlError
+        columns[f"f{index}"] = item.sql
+        fields[key] = SqlValue(_column(name, f"f{index}"), item.tag, wide=item.wide)
+    tag = Tag("record", fields=tuple((key, field.tag) for key, field in fields.items()))
+    return _derived_element(rows, name, SqlValue(None, tag, fields=fields), columns)
+
+
+def _derived_element(
+    rows: Subquery, name: str, value: SqlValue, columns: dict[str, exp.Expr]
+) -> Element:
+    """A SELECT in FROM, with the keys of its order as columns of their own."""
+    keys = [f"key {index + 1}" for index in range(len(rows.order))]
+    shown = [exp.alias_(column.copy(), key) for key, column in columns.items()]
+    shown += [
+        exp.alias_(key.this.copy(), alias, quoted=True)
+        for alias, key in zip(keys, rows.order, strict=True)
+    ]
+    select = rows.select(*shown)
+    if rows.limit is not None:
+        select = select.order_by(*(key.copy() for key in rows.order)).limit(rows.limit)
+    position = tuple(
+        exp.Ordered(this=_column(name, alias), desc=key.args.get("desc"), nulls_first=False)
+        for alias, key in zip(keys, rows.order, strict=True)
+    )
+    return Element(value, select.subquery(exp.to_identifier(name)), position)
+
+
+def _column(table: str, name: str) -> exp.Expr:
+    return exp.column(exp.to_identifier(name, quoted=" " in name), table=exp.to_identifier(table))
+
+
+def _ascending(key: exp.Expr) -> exp.Ordered:
+    return exp.Ordered(this=key, desc=False, nulls_first=False)
+
+
+def is_inline(node: Node) -> bool:
+    """Whether a source may be a part of the statement rather than a value."""
+    return isinstance(node, Query) and node.recursion is None and not node.group
