@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ssduck.errors import SelectScriptError
     from ssduck.interpreter import Interpreter, load
+    from ssduck.limits import Limits
     from ssduck.world import Entity, Sensor, World
 
-__all__ = ["Entity", "Interpreter", "SelectScriptError", "Sensor", "World", "load"]
+__all__ = ["Entity", "Interpreter", "Limits", "SelectScriptError", "Sensor", "World", "load"]
 
 _HOMES = {
     "Entity": "world",
     "Interpreter": "interpreter",
+    "Limits": "limits",
     "SelectScriptError": "errors",
     "Sensor": "world",
     "World": "world",

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, Literal, NoReturn, TypeAlias, cast
+from typing import Any, Literal, NoReturn, TypeAlias
 
 import duckdb
 import pyarrow as pa
@@ -27,6 +27,7 @@ from ssduck.world import UNNAMED, World
 
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
+_REFUSALS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
 # Schemas that DuckDB has already.
 _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
@@ -66,11 +67,10 @@ class Statement:
         self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
         self._row.fill(1, {})
         self._prepared_for = -1
-        tree = cast("exp.Select", select.transform(_as_column))
+        tree = select.copy()
         self._has_parameters = bool(types)
         if types:
-            row = exp.table_(self._name, quoted=True, alias=_PARAMETERS)
-            tree = tree.join(row, join_type="cross") if tree.find(exp.From) else tree.from_(row)
+            _read_parameters(tree, exp.table_(self._name, quoted=True, alias=_PARAMETERS))
         name = exp.to_identifier(self._name, quoted=True).sql("duckdb")
         self._prepare = f"PREPARE {name} AS {tree.sql('duckdb')}"
         self._execute = f"EXECUTE {name}"
@@ -105,12 +105,20 @@ def _usable(value: Any) -> Any:
     return value
 
 
-def _as_column(part: exp.Expr) -> exp.Expr:
-    return (
-        exp.column(part.name, table=_PARAMETERS, quoted=True)
-        if isinstance(part, exp.Parameter)
-        else part
-    )
+def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:
+    """Make parameters columns of a table of one row, in each SELECT that has some."""
+    reading: list[exp.Select] = []
+    for parameter in list(tree.find_all(exp.Parameter)):
+        select = parameter.find_ancestor(exp.Select)
+        assert isinstance(select, exp.Select)
+        if not any(select is other for other in reading):
+            reading.append(select)
+        parameter.replace(exp.column(parameter.name, table=_PARAMETERS, quoted=True))
+    for select in reading:
+        if select.args.get("from_"):
+            select.join(row.copy(), join_type="cross", copy=False)
+        else:
+            select.from_(row.copy(), copy=False)
 
 
 @dataclass
@@ -287,7 +295,8 @@ class Database:
             raise KeyboardInterrupt from error
         if isinstance(error, duckdb.OutOfMemoryException):
             raise LimitError(f"the query takes more memory than there is: {error}") from error
-        raise SqlError(str(error).strip()) from error
+        refused = isinstance(error, _REFUSALS)
+        raise SqlError(str(error).strip(), is_refused=refused) from error
 
     # -- functions ------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Source, This
+from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
 
 # Calls that do something, or see more than their arguments: made row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
@@ -37,10 +37,15 @@ def sees_outside(query: Query) -> bool:
 
 def is_impure(node: Node) -> bool:
     """Whether evaluating it does something, so that order and number matter."""
-    return any(
-        isinstance(part, Assignment) or (isinstance(part, Call) and part.name in IMPURE)
-        for part in node.walk()
-    )
+    match node:
+        case Assignment():
+            return True
+        case Call(name=name) if name in IMPURE:
+            return True
+        case Recursion(start=start, step=step, stop=stop):
+            # State variables are nothing that anything else sees.
+            return is_impure(stop) or any(is_impure(a.value) for a in (*start, *step))
+    return any(map(is_impure, node.children()))
 
 
 def states(query: Query) -> frozenset[str]:
@@ -53,8 +58,7 @@ def states(query: Query) -> frozenset[str]:
 
 def changing(query: Query) -> frozenset[str]:
     """The variables that may differ from row to row of a query: those that it assigns."""
-    assigned = {part.name for part in query.walk() if isinstance(part, Assignment)}
-    return frozenset(assigned) | states(query)
+    return frozenset(part.name for part in query.walk() if isinstance(part, Assignment))
 
 
 def mentions(node: Node, names: Collection[str]) -> bool:

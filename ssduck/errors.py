@@ -137,8 +137,10 @@ class SqlError(SelectScriptError, RuntimeError):
 
     Attributes:
         is_final: whether no other statement could do better.
+        is_refused: whether it did not even begin to run.
     """
 
-    def __init__(self, message: str, *, is_final: bool = False) -> None:
+    def __init__(self, message: str, *, is_final: bool = False, is_refused: bool = False) -> None:
         super().__init__(message)
         self.is_final = is_final
+        self.is_refused = is_refused

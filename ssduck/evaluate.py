@@ -373,6 +373,10 @@ def _kept(node: Node, thunk: Thunk) -> Thunk:
 def _variable(frame: Frame, name: str) -> Any:
     if name in frame.local:
         return frame.local[name]
+    if not frame.scope.has_variable(name):
+        element = frame.elements.get(None)
+        if isinstance(element, dict) and name in element:
+            raise UnknownNameError(f"there is no variable {name!r}; write this.{name}")
     value = frame.scope.variable(name)
     return resolved(value, frame) if isinstance(value, Deferred) else value
 
@@ -388,7 +392,7 @@ def resolved(deferred: Deferred, frame: Frame) -> Any:
         raise
 
 
-def _no_element(alias: str | None, frame: Frame, span: Span) -> UnknownNameError:
+def _no_element(alias: str | None, frame: Frame, span: Span) -> SelectScriptError:
     names = [name for name in frame.elements if name is not None]
     if alias is not None:
         return UnknownNameError(
@@ -396,6 +400,9 @@ def _no_element(alias: str | None, frame: Frame, span: Span) -> UnknownNameError
             span=span,
             suggestions=nearest(alias, names) or names[:3],
         )
+    if names:
+        told = ", ".join(f"{name}.this" for name in names)
+        return ArgumentError(f"'this' alone is ambiguous here; write one of {told}", span=span)
     return UnknownNameError(
         "there is no 'this' here: it is the element of a query's only source", span=span
     )

@@ -350,9 +350,9 @@ class Expressions:
                 joined = exp.and_(left, right) if sign == "AND" else exp.or_(left, right)
             return SqlValue(exp.paren(joined), FLAG)
         if sign in ("==", "!="):
-            emptiness = subqueries.emptiness(self, node)
-            if emptiness is not None:
-                return SqlValue(emptiness, FLAG)
+            found = subqueries.emptiness(self, node) or subqueries.equality(self, node)
+            if found is not None:
+                return SqlValue(found, FLAG)
         if sign == "IN" and isinstance(node.right, Query):
             found = subqueries.membership(self, node.left, node.right)
             if found is not None:

@@ -145,6 +145,8 @@ class Plan:
     @property
     def left(self) -> list[Node]:
         """What is left to Python."""
+        if self.paths:
+            return []
         rest = self.rest
         columns = [c.node for c in rest.columns if self.is_left(c.node)]
         names = [c.name for c in rest.columns if isinstance(c.name, Node) and self.is_left(c.name)]

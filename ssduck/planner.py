@@ -118,6 +118,8 @@ class Planner:
     ) -> Selected:
         typed = self._typed(frame)
         planned, values = self._found(query, frame, typed, cautious=cautious)
+        if planned.is_hopeless():
+            raise SqlFailedError
         check(planned.columns)
         return planned.run(typed.frame(), values)
 

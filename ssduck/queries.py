@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -20,8 +21,10 @@ from ssduck.tree import Call, Node, Query, This
 from ssduck.types import Tag, converter, to_sql
 from ssduck.udfs import RELATIONS
 
-# So often may a query fail in SQL before its cautious plan is taken at once.
+# So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
+# tried again.
 MOST_FAILURES = 3
+TRIED_AGAIN = 64
 # A search or a product of lists with at most so many rows a state is not worth a statement.
 FEW_ROWS = 64
 
@@ -41,7 +44,7 @@ class Planned:
 
     def __init__(self, plan: Plan, database: Database, scope: Scope) -> None:
         self.plan = plan
-        self.failures = 0
+        self._failures = 0
         self._database = database
         self._statement: Statement | None = None
         numbers = plan.numbers
@@ -68,6 +71,13 @@ class Planned:
         if convert is None:
             return lambda frame: frame.columns[index]
         return lambda frame: convert(frame.columns[index])
+
+    def is_hopeless(self) -> bool:
+        """Whether its SQL has failed so often that it is not tried this time."""
+        if self._failures < MOST_FAILURES:
+            return False
+        self._failures += 1
+        return self._failures % TRIED_AGAIN != 0
 
     def forget(self) -> None:
         """Let the database forget it."""
@@ -98,9 +108,11 @@ class Planned:
         except SqlError as error:
             if self.plan.cautious or error.is_final:
                 raise
-            self.failures += 1
+            if error.is_refused:  # our mistake: the answer is right, but slow
+                warnings.warn(f"DuckDB refused a query's SQL: {error.message}", stacklevel=2)
+            self._failures += 1
             raise SqlFailedError from error
-        self.failures = 0
+        self._failures = 0
         if self._clauses is None:
             return self._outputs(fetched)
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)

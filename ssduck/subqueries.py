@@ -163,6 +163,25 @@ def _never_empty(rows: Rows) -> bool:
     return all(item.tag.type not in ("list", "any") for item in firsts)
 
 
+def equality(around: Expressions, node: Binary) -> exp.Expr | None:
+    """`x == SELECT … AS value`, which does not hold where there is no row; None if it is none."""
+    sides = (node.left, node.right)
+    queries = [s for s in sides if isinstance(s, Query) and _form(s) in _VALUES]
+    if len(queries) != 1 or is_impure(queries[0]) or around.is_constant(queries[0]):
+        return None
+    found = _rows(around, queries[0])
+    if isinstance(found, Unrolled) or found.items[0].tag.type in ("list", "any"):
+        return None
+    values = [
+        _value(found, missing=True) if side is queries[0] else around.value(side) for side in sides
+    ]
+    if any(value.tag.type == "list" for value in values):
+        return None  # nothing is an empty list
+    compared = around.comparison(node.operator, *values).sql
+    otherwise = exp.convert(node.operator == "!=")
+    return exp.Coalesce(this=compared, expressions=[otherwise])
+
+
 def membership(around: Expressions, left: Node, query: Query) -> exp.Expr | None:
     """`x IN SELECT … AS list` as a question of existence; None if it is none."""
     if is_impure(query) or _form(query) not in _LISTS or around.is_constant(query):
@@ -206,13 +225,15 @@ def _list(rows: Subquery) -> SqlValue:
     return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole)
 
 
-def _value(rows: Subquery) -> SqlValue:
+def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
+    """The first item of the first row; where there is none, a failure unless it may be missing."""
     item = rows.items[0]
     if rows.limit == 0 or item.tag.nullable:
         raise NotSqlError
 
     def first(what: exp.Expr, tag: Tag) -> exp.Expr:
-        return or_failure(exp.paren(rows.select(_aggregated("first", what.copy(), rows))), tag)
+        found = exp.paren(rows.select(_aggregated("first", what.copy(), rows)))
+        return found if missing else or_failure(found, tag)
 
     if item.tag.type != "entity":
         if not item.tag.is_sql or item.tag.type == "record":
