@@ -21,6 +21,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
+from ssduck.limits import Meter
 from ssduck.tree import (
     Aged,
     Assignment,
@@ -74,8 +75,9 @@ class Scope(Protocol):
     def deferred(self, node: Node) -> Deferred:
         """A list of the running program for the query that uses it."""
 
-    def step(self) -> None:
-        """Count a step; a LimitError if that was one too many."""
+    @property
+    def meter(self) -> Meter:
+        """How much of its limits the running program has used."""
 
 
 class Frame:
@@ -204,7 +206,7 @@ class Compiler:
             case ListOf(items=items):
                 return self._list(node, items)
             case Name(name=name):
-                return _placed(node, lambda frame: _variable(frame, name))
+                return self._name(node, name)
             case Given(name=name):
                 return lambda frame: frame.given[name]
             case Bare():
@@ -231,6 +233,15 @@ class Compiler:
                     "variables with a history, name{…}, are not supported yet", span=node.span
                 )
         raise UnsupportedError(f"{type(node).__name__} is not supported here", span=node.span)
+
+    def _name(self, node: Node, name: str) -> Thunk:
+        placed = _placed(node, lambda frame: _variable(frame, name))
+
+        def value(frame: Frame) -> Any:
+            local = frame.local
+            return local[name] if name in local else placed(frame)
+
+        return value
 
     def _list(self, node: Node, items: Sequence[Node]) -> Thunk:
         thunks = [self.thunk(item) for item in items]
@@ -279,17 +290,24 @@ class Compiler:
         thunks = [self.thunk(argument) for argument in node.arguments]
 
         def call(frame: Frame) -> Any:
-            return frame.scope.call(node, [thunk(frame) for thunk in thunks], frame)
+            arguments = [thunk(frame) for thunk in thunks]
+            try:
+                return frame.scope.call(node, arguments, frame)
+            except SelectScriptError as error:
+                error.span = error.span or node.span
+                raise
+            except (ValueError, ArithmeticError, MemoryError) as error:
+                raise _unusable(error, node.span) from error
 
-        placed = _placed(node, call)
         if not self._memorize or not self._scope.is_users(node.name) or is_impure(node):
-            return placed
+            return call
         key = written(node)
 
         def once_a_row(frame: Frame) -> Any:
-            if key not in frame.calls:
-                frame.calls[key] = placed(frame)
-            return frame.calls[key]
+            calls = frame.calls
+            if key not in calls:
+                calls[key] = call(frame)
+            return calls[key]
 
         return once_a_row
 
@@ -312,7 +330,18 @@ class Compiler:
             return lambda frame: _truth(left(frame), node) and _truth(right(frame), node)
         if sign == "OR":
             return lambda frame: _truth(left(frame), node) or _truth(right(frame), node)
-        return lambda frame: apply(sign, left(frame), right(frame), node.span)
+        if sign in _GROWING:
+            return lambda frame: apply(sign, left(frame), right(frame), node.span)
+        operate = _OPERATORS[sign]
+
+        def operation(frame: Frame) -> Any:
+            a, b = left(frame), right(frame)
+            try:
+                return operate(a, b)
+            except Exception:  # noqa: BLE001  # `apply` tells which
+                return apply(sign, a, b, node.span)
+
+        return operation
 
     def _choice(self, node: If) -> Thunk:
         condition = self.thunk(node.condition)

@@ -12,28 +12,84 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
-from typing import Any
+from itertools import count, islice
+from typing import Any, TypeAlias
 
 from ssduck.adapters import Rows
-from ssduck.errors import LimitError
+from ssduck.dependencies import is_impure
+from ssduck.errors import ArgumentError, LimitError
 from ssduck.evaluate import Compiler, Frame, Thunk, hashable
 from ssduck.rows import Clauses, Paths, Selected, checked_count
 from ssduck.tree import Assignment, Node, Query, Recursion
 
+# So many states keep their rows, so that a state that is reached again costs nothing.
+MOST_STATES = 10_000
 
-@dataclass(frozen=True)
+
 class Step:
-    """A row on a path: its frame, what is selected of it, and what this is called."""
+    """A row in a state: its frame, what is selected of it, and what this is called.
 
-    frame: Frame
-    values: tuple[Any, ...]
-    names: tuple[Any, ...]
+    Attributes:
+        frame: what the row's expressions see.
+        values: what is selected.
+        names: what that is called.
+        stops: whether STOP WITH holds.
+        found: whether a path up to this row is a result.
+        after: the rows of the state after its step, once they are asked for.
+    """
 
-    @property
-    def key(self) -> Any:
-        """What rows are told apart by: what is selected, and what it is called."""
-        return hashable((self.values, self.names))
+    __slots__ = ("_key", "after", "found", "frame", "names", "stops", "values")
+
+    def __init__(
+        self,
+        frame: Frame,
+        values: tuple[Any, ...],
+        names: tuple[Any, ...],
+        stops: bool,
+        found: bool,
+    ) -> None:
+        self.frame = frame
+        self.values = values
+        self.names = names
+        self.stops = stops
+        self.found = found
+        self.after: Steps | None = None
+        self._key: int | None = None
+
+    def key(self, keys: dict[Any, int]) -> int:
+        """What rows are told apart by: a number for what is selected and what it is called."""
+        if self._key is None:
+            self._key = keys.setdefault(hashable((self.values, self.names)), len(keys))
+        return self._key
+
+
+class Steps:
+    """The rows of a state, in order, each one made when it is first asked for.
+
+    Args:
+        steps: makes them.
+    """
+
+    __slots__ = ("_is_complete", "_made", "_steps")
+
+    def __init__(self, steps: Iterator[Step]) -> None:
+        self._steps = steps
+        self._made: list[Step] = []
+        self._is_complete = False
+
+    def __iter__(self) -> Iterator[Step]:
+        return iter(self._made) if self._is_complete else self._making()
+
+    def _making(self) -> Iterator[Step]:
+        yield from self._made
+        for index in count(len(self._made)):
+            if index >= len(self._made):  # nobody else has asked for it meanwhile
+                step = next(self._steps, None)
+                if step is None:
+                    self._is_complete = True
+                    return
+                self._made.append(step)
+            yield self._made[index]
 
 
 @dataclass(eq=False)
@@ -41,9 +97,38 @@ class _Vertex:
     """A distinct selected row in the graph of MEMORIZE."""
 
     step: Step
-    found: bool
     next: list[_Vertex] = field(default_factory=list)
     distance: int | None = None
+
+
+RowsOf: TypeAlias = Callable[[dict[str, Any]], Iterator[Frame]]
+
+
+class _States:
+    """The rows of each state that was reached; those of equal states are the same.
+
+    Args:
+        steps: makes the rows of a state.
+        most: so many states are kept; the others are made each time.
+    """
+
+    def __init__(self, steps: Callable[[dict[str, Any]], Iterator[Step]], most: int) -> None:
+        self._steps = steps
+        self._most = most
+        self._known: dict[Any, Steps] = {}
+
+    def __call__(self, state: dict[str, Any]) -> Steps:
+        """The rows of a state."""
+        try:
+            key = hashable(state)
+        except ArgumentError:  # it cannot be told apart from others
+            return Steps(self._steps(state))
+        found = self._known.get(key)
+        if found is None:
+            found = Steps(self._steps(state))
+            if len(self._known) < self._most:
+                self._known[key] = found
+        return found
 
 
 class Hierarchy:
@@ -70,8 +155,10 @@ class Hierarchy:
             if node is not None
         }
         self._deepest = deepest
+        # What happens at a row of a query that does something is to happen each time.
+        self._most_states = 0 if is_impure(query) else MOST_STATES
 
-    def selected(self, outer: Frame, rows: Callable[[dict[str, Any]], Iterator[Frame]]) -> Selected:
+    def selected(self, outer: Frame, rows: RowsOf) -> Selected:
         """The paths.
 
         Args:
@@ -83,8 +170,9 @@ class Hierarchy:
         for name, value in self._start:
             frame = Frame(outer.scope, outer.elements, state, outer.given, (), outer.kept)
             state[name] = value(frame)
+        states = _States(lambda state: map(self._step, rows(state)), self._most_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
-        paths = search(outer, state, rows)
+        paths = search(outer, states, state)
         most = self._number(recursion.maximum, "MAXIMUM", outer)
         found = list(islice(paths, most))
         limit = self._clauses.count(outer)
@@ -109,110 +197,102 @@ class Hierarchy:
 
     def _step(self, frame: Frame) -> Step:
         items = self._clauses.items
-        return Step(frame, items.values(frame), items.names(frame))
+        values, names = items.values(frame), items.names(frame)
+        stops = bool(self._stop(frame))
+        found = stops if self._where is None else bool(self._where(frame))
+        return Step(frame, values, names, stops, found)
 
-    def _is_found(self, frame: Frame, stops: bool) -> bool:
-        return stops if self._where is None else bool(self._where(frame))
-
-    def _after(self, frame: Frame) -> dict[str, Any]:
-        """The state after a row's step; all of CONNECT BY sees the state before it."""
-        return {**frame.local, **{name: value(frame) for name, value in self._next}}
+    def _after(self, step: Step, states: _States) -> Steps:
+        """The rows of the state after a row; all of CONNECT BY sees the state before it."""
+        if step.after is None:
+            frame = step.frame
+            state = {**frame.local, **{name: value(frame) for name, value in self._next}}
+            step.after = states(state)
+        return step.after
 
     # -- searches -------------------------------------------------------------------------
 
     def _depth_first(
-        self, _: Frame, state: dict[str, Any], rows: Callable[[dict[str, Any]], Iterator[Frame]]
+        self, outer: Frame, states: _States, state: dict[str, Any]
     ) -> Iterator[list[Step]]:
         """The paths in depth-first order of the sources."""
         recursion = self._recursion
         tells_apart = recursion.no_cycle or recursion.unique
-        visited: set[Any] = set()
+        keys: dict[Any, int] = {}
+        visited: set[int] = set()
         path: list[Step] = []
-        open_rows = [rows(state)]
+        open_rows = [iter(states(state))]
+        count_step = outer.scope.meter.step
         while open_rows:
-            frame = next(open_rows[-1], None)
-            if frame is None:
+            step = next(open_rows[-1], None)
+            count_step()
+            if step is None:
                 open_rows.pop()
                 if path:
                     left = path.pop()
                     if recursion.no_cycle and not recursion.unique:
-                        visited.discard(left.key)
+                        visited.discard(left.key(keys))
                 continue
-            step = self._step(frame)
-            if tells_apart and step.key in visited:
+            if tells_apart and step.key(keys) in visited:
                 continue
-            stops = bool(self._stop(frame))
-            found = self._is_found(frame, stops)
-            if found:
+            if step.found:
                 yield [*path, step]
-            if recursion.unique and not stops:
-                visited.add(step.key)
-            if found or stops:
-                continue
-            if recursion.no_cycle:
-                visited.add(step.key)
-            path.append(step)
-            if len(path) >= self._deepest:
-                raise LimitError(
-                    f"a path has more than {self._deepest} rows; bound the search in STOP WITH, "
-                    "or with MEMORIZE n, or raise Limits(depth=…)",
-                    span=recursion.span,
-                )
-            open_rows.append(rows(self._after(frame)))
+            ends = step.found or step.stops
+            if tells_apart and not (step.stops if recursion.unique else ends):
+                visited.add(step.key(keys))
+            if not ends:
+                path.append(step)
+                self._check_depth(len(path), "a path", "rows")
+                open_rows.append(iter(self._after(step, states)))
+
+    def _check_depth(self, depth: int, what: str, parts: str) -> None:
+        if depth >= self._deepest:
+            raise LimitError(
+                f"{what} has more than {self._deepest} {parts}; bound the search in STOP WITH, "
+                "or with MEMORIZE n, or raise Limits(depth=…)",
+                span=self._recursion.span,
+            )
 
     def _graph_paths(
-        self,
-        outer: Frame,
-        state: dict[str, Any],
-        rows: Callable[[dict[str, Any]], Iterator[Frame]],
+        self, outer: Frame, states: _States, state: dict[str, Any]
     ) -> Iterator[list[Step]]:
         """The simple paths through the graph of distinct selected rows, shortest first."""
         levels = self._number(self._recursion.memorize, "MEMORIZE", outer)
-        roots, vertices = self._graph(state, rows, levels)
+        roots, vertices = self._graph(states, state, levels)
         _measure(vertices)
         longest = len(vertices) if levels is None else min(levels, len(vertices))
         for length in range(1, longest + 1):
             for root in roots:
-                for path in _simple_paths(root, length, outer.scope.step):
+                for path in _simple_paths(root, length, outer.scope.meter.step):
                     yield [vertex.step for vertex in path]
 
     def _graph(
-        self,
-        state: dict[str, Any],
-        rows: Callable[[dict[str, Any]], Iterator[Frame]],
-        levels: int | None,
+        self, states: _States, state: dict[str, Any], levels: int | None
     ) -> tuple[list[_Vertex], list[_Vertex]]:
         """The distinct rows that are reached, breadth first, and those of the first level."""
-        known: dict[Any, _Vertex] = {}
+        keys: dict[Any, int] = {}
+        known: dict[int, _Vertex] = {}
         waiting: deque[tuple[_Vertex, int]] = deque()
 
-        def reached(state: dict[str, Any], level: int) -> list[_Vertex]:
-            found = []
-            for frame in rows(state):
-                step = self._step(frame)
-                vertex = known.get(step.key)
+        def reached(steps: Steps, level: int) -> list[_Vertex]:
+            found: dict[_Vertex, None] = {}  # in order, each one once
+            for step in steps:
+                vertex = known.get(step.key(keys))
                 if vertex is None:
-                    stops = bool(self._stop(frame))
-                    is_found = self._is_found(frame, stops)
-                    if stops and not is_found:
+                    if step.stops and not step.found:
                         continue
-                    vertex = known[step.key] = _Vertex(step, is_found)
-                    if not is_found:
+                    vertex = known[step.key(keys)] = _Vertex(step)
+                    if not step.found:
                         waiting.append((vertex, level))
-                found.append(vertex)
-            return found
+                found[vertex] = None
+            return list(found)
 
-        roots = reached(state, 1) if levels != 0 else []
+        roots = reached(states(state), 1) if levels != 0 else []
         while waiting:
             vertex, level = waiting.popleft()
             if levels is None or level < levels:
-                if level >= self._deepest:
-                    raise LimitError(
-                        f"the graph has more than {self._deepest} levels; write MEMORIZE n, "
-                        "or raise Limits(depth=…)",
-                        span=self._recursion.span,
-                    )
-                vertex.next = reached(self._after(vertex.step.frame), level + 1)
+                self._check_depth(level, "the graph", "levels")
+                vertex.next = reached(self._after(vertex.step, states), level + 1)
         return roots, list(known.values())
 
 
@@ -222,7 +302,7 @@ def _measure(vertices: Sequence[_Vertex]) -> None:
     for vertex in vertices:
         for following in vertex.next:
             before.setdefault(following, []).append(vertex)
-    waiting = deque(vertex for vertex in vertices if vertex.found)
+    waiting = deque(vertex for vertex in vertices if vertex.step.found)
     for vertex in waiting:
         vertex.distance = 0
     while waiting:
@@ -238,7 +318,7 @@ def _simple_paths(root: _Vertex, length: int, count: Callable[[], None]) -> Iter
     """The paths of that many vertices from the root to one that is found, none met twice."""
     path = [root]
     open_ones = [iter(root.next)]
-    if root.found:
+    if root.step.found:
         if length == 1:
             yield path
         return
@@ -252,7 +332,7 @@ def _simple_paths(root: _Vertex, length: int, count: Callable[[], None]) -> Iter
         left = length - len(path) - 1
         if vertex.distance is None or vertex.distance > left or vertex in path:
             continue
-        if vertex.found:
+        if vertex.step.found:
             if left == 0:
                 yield [*path, vertex]
             continue

@@ -201,7 +201,7 @@ class Interpreter:
     def _valued(self, program: Program, frame: Frame) -> Any:
         value = None
         for node in program.statements:
-            self.step()
+            self.meter.step()
             value = frame.value(node)
         return value
 
@@ -413,9 +413,10 @@ class Interpreter:
         """A list of the running program for the query that uses it."""
         return Deferred(node, self._texts[-1])
 
-    def step(self) -> None:
-        """Count a step; a LimitError if the time is up."""
-        self._database.meter.step()
+    @property
+    def meter(self) -> Meter:
+        """How much of its limits the running program has used."""
+        return self._database.meter
 
     def function(self, name: str) -> Function | None:
         """A function that is no relation."""
@@ -428,14 +429,14 @@ class Interpreter:
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call outside SQL."""
-        self.step()
-        if node.name in RELATIONS:
-            return self._relation(node, arguments)
+        function = self._functions.get(node.name)
+        if function is None:
+            if node.name in RELATIONS:
+                return self._relation(node, arguments)
+            raise unknown_function(node, self._known_functions())
         if node.name == "eval":
             return self._run_text(arguments[0], frame)
-        if node.name not in self._functions:
-            raise unknown_function(node, self._known_functions())
-        return self._functions[node.name](arguments)
+        return function(arguments)
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""

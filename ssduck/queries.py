@@ -165,8 +165,9 @@ class Planned:
         getters = [(shape.alias, self._element(shape, sources)) for shape in plan.shapes]
         only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
         kept = dict(outer.kept)
+        step = outer.scope.meter.step
         for columns in fetched:
-            outer.scope.step()
+            step()
             elements = dict(around)
             for alias, getter in getters:
                 elements[alias] = getter(columns)

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from ssduck.adapters import Rows
 from ssduck.dependencies import free_aliases
 from ssduck.errors import ArgumentError, EvaluationError
-from ssduck.evaluate import Compiler, Frame, Scope, Thunk, apply
+from ssduck.evaluate import Compiler, Frame, Thunk, apply
 from ssduck.functions import AGGREGATES
 from ssduck.tree import Call, Given, Key, Node, Query
 
@@ -267,9 +267,9 @@ def row_frames(
     kept: dict[Node, Any],
 ) -> Iterator[Frame]:
     """The frames of all rows of a query, in order; each one is a step."""
-    scope: Scope = outer.scope
+    step = outer.scope.meter.step
     for elements in combinations(aliases, values, outer):
-        scope.step()
+        step()
         yield outer.row(elements, kept)
 
 
