@@ -277,10 +277,10 @@ class Hierarchy:
         def reached(steps: Steps, level: int) -> list[_Vertex]:
             found: dict[_Vertex, None] = {}  # in order, each one once
             for step in steps:
+                if step.stops and not step.found:
+                    continue
                 vertex = known.get(step.key(keys))
                 if vertex is None:
-                    if step.stops and not step.found:
-                        continue
                     vertex = known[step.key(keys)] = _Vertex(step)
                     if not step.found:
                         waiting.append((vertex, level))

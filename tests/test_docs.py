@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -46,17 +47,43 @@ def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
         assert shown.strip() in printed
 
 
+SHOWN = re.compile(r"^;?[ \t]*\n?[ \t]*# -> (.*)")
+
+
+def examples(text):
+    """The statements of a block, each with the value that is shown behind it, if there is one."""
+    program = parse(text)
+    if program.explain:
+        return [(text, None)]
+    return [
+        (text[s.span.start : s.span.end] + ";", SHOWN.match(text[s.span.end :]))
+        for s in program.statements
+    ]
+
+
 @pytest.mark.parametrize(("page", "texts"), blocks("selectscript").items())
 def test_selectscript_examples_run(page, texts):
-    assert page.endswith(".md")
     with ssduck.load("kitchen") as ss:
         for text in texts:
-            program = parse(text)
-            spans = [statement.span for statement in program.statements]
-            parts = [text] if program.explain else [text[s.start : s.end] + ";" for s in spans]
-            for part in parts:
+            for part, shown in examples(text):
                 value = ss.eval(part)
-                assert value not in (None, [], {}), f"{page}: an example that shows nothing"
+                if shown is None:
+                    assert value not in (None, [], {}), f"{page}: an example that shows nothing"
+                else:
+                    expected = ast.literal_eval(shown[1])
+                    assert rounded(value) == expected, f"{page}: {part}"
+                    assert type(value) is type(expected)
+
+
+def rounded(value):
+    """With all floats as short as the manual shows them."""
+    if isinstance(value, float):
+        return round(value, 9)
+    if isinstance(value, list):
+        return [rounded(element) for element in value]
+    if isinstance(value, dict):
+        return {key: rounded(element) for key, element in value.items()}
+    return value
 
 
 def test_values_that_the_readme_shows():
