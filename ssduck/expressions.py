@@ -51,6 +51,8 @@ _APART = ("text", "list", "number")
 # Functions of reals that C has, so that SQL and Python agree to the last digit.
 _OF_REALS = ("sin", "cos", "tan", "atan", "sqrt")
 MOST_EXPONENT = 64
+# Longer lists of literals are parameters.
+MOST_WRITTEN = 32
 
 
 class Expressions:
@@ -154,6 +156,8 @@ class Expressions:
                 return self.value(deferred)
             case Query():
                 return self._query(node)
+            case ListOf(items=items) if _is_short(items):
+                return self.list_of([self.value(item) for item in items])
         if self.is_constant(node):
             return self._constant(node)
         match node:
@@ -415,7 +419,11 @@ class Expressions:
         )
         nonzero = exp.NEQ(this=rest.copy(), expression=zero.copy())
         shifted = exp.Add(this=rest.copy(), expression=b.copy())
-        case = exp.case().when(exp.and_(nonzero, apart), shifted).else_(rest.copy())
+        case = exp.case().when(exp.and_(nonzero, apart), shifted)
+        if tag != INTEGER:  # a remainder of 0 has the sign of the divisor as well
+            none = exp.Mul(this=b.copy(), expression=zero.copy())
+            case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
+        case = case.else_(rest.copy())
         return SqlValue(self._unless_zero(node, right, case, tag), tag, wide=left.wide)
 
     def _unless_zero(self, node: Binary, right: SqlValue, sql: exp.Expr, tag: Tag) -> exp.Expr:
@@ -531,15 +539,25 @@ class Expressions:
         element = value.tag.element
         if value.tag.type != "list" or element is None or value.tag.nullable:
             raise NotSqlError
-        place = self._number(index)
-        if place.tag.type != "integer" or not element.is_sql:
+        if not element.is_sql:
             raise NotSqlError
         self.risk()
+        found = exp.Anonymous(
+            this="list_extract", expressions=[value.sql.copy(), self._place(index)]
+        )
+        return SqlValue(or_failure(found, element), element)
+
+    def _place(self, index: Node) -> exp.Expr:
+        """An index as SQL counts: from 1, or from the end."""
+        match index:
+            case tree.Literal(value=number) if type(number) is int and number < EXACT:
+                return exp.Literal.number(number + 1)
+        place = self._number(index)
+        if place.tag.type != "integer":
+            raise NotSqlError
         negative = exp.LT(this=wrapped(place.sql), expression=exp.Literal.number(0))
         behind = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))
-        place_from_one = exp.case().when(negative, place.sql.copy()).else_(behind)
-        found = exp.Anonymous(this="list_extract", expressions=[value.sql.copy(), place_from_one])
-        return SqlValue(or_failure(found, element), element)
+        return exp.case().when(negative, place.sql.copy()).else_(behind)
 
     def _choice(self, condition: Node, then: Node, otherwise: Node) -> SqlValue:
         first, second = self.value(then), self.value(otherwise)
@@ -571,6 +589,11 @@ class Expressions:
             case "entity":
                 return exp.Not(this=exp.Is(this=value.sql, expression=exp.Null()))
         raise NotSqlError
+
+
+def _is_short(items: Sequence[Node]) -> bool:
+    """Whether a list is so short that it is written out."""
+    return 0 < len(items) <= MOST_WRITTEN and all(isinstance(i, tree.Literal) for i in items)
 
 
 def _of_list(function: str, value: SqlValue) -> exp.Expr:

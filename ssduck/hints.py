@@ -7,6 +7,7 @@ import typing
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
+from zlib import crc32
 
 from ssduck.types import FLAG, INTEGER, REAL, TEXT, Signature, Tag
 from ssduck.world import Entity
@@ -33,8 +34,9 @@ class Hints:
         parameters = tuple(tag for tag in taken if tag is not None)
         if len(parameters) < len(arguments):
             return None
-        types = ", ".join(f"{tag.sql_type} {tag.schema or ''}".strip() for tag in parameters)
-        return Signature(name, f"{name}({types})", parameters, self.result)
+        # SQL does not tell upper from lower case, and one name has one signature.
+        told = crc32(repr((name, parameters, self.result)).encode())
+        return Signature(name, f"{name} {told:08x}", parameters, self.result)
 
 
 def _taken(parameter: Tag, argument: Tag) -> Tag | None:

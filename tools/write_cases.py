@@ -1,0 +1,68 @@
+"""`python -m tools.write_cases`: write the SQL of the language's cases anew, and their results.
+
+Read the difference before it is kept: the tests compare with what stands in the file.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+import ssduck
+from ssduck import queries
+
+CASES = Path(__file__).resolve().parent.parent / "tests" / "data" / "language.toml"
+PREPARATION = """
+    table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;
+    low = 1.5; wanted = 'sink'; one = 1; apart = [[a.this, b.this]];
+    things = SELECT obj FROM kitchen WHERE isRobot(this) AS list;
+"""
+
+
+def height(entity: ssduck.Entity) -> float:
+    """The height of an entity's box."""
+    return entity.aabb[1][2] - entity.aabb[0][2]
+
+
+def prepared() -> ssduck.Interpreter:
+    """The kitchen with the variables and functions that the cases use."""
+    ss = ssduck.load("kitchen")
+    ss.add_function("tall", lambda entity: height(entity) > 1.0)
+    ss.add_function("height", height)
+    ss.eval(PREPARATION)
+    ss.add_variable("people", [{"name": "Ada", "age": 36}, {"name": "Alan", "age": 24}])
+    ss.add_variable("frame", pd.DataFrame({"name": ["Ada", "Alan"], "age": [36, 24]}))
+    return ss
+
+
+def cases() -> list[dict[str, str]]:
+    """The cases: what they are of, the program, its SQL in one line, its value."""
+    found: list[dict[str, str]] = tomllib.loads(CASES.read_text(encoding="utf-8"))["case"]
+    return found
+
+
+def sql_of(ss: ssduck.Interpreter, program: str) -> str:
+    """What a program becomes, in one line."""
+    return " ".join(ss.explain(program).split())
+
+
+def _written(case: dict[str, Any]) -> str:
+    lines = [f"{key} = '''{case[key]}'''" for key in ("of", "program", "sql", "value")]
+    return "\n".join(["[[case]]", *lines])
+
+
+def main() -> None:
+    """Write the file."""
+    queries.FEW_ROWS = 0
+    with prepared() as ss:
+        for case in (known := cases()):
+            case["sql"] = sql_of(ss, case["program"])
+            case["value"] = repr(ss.eval(case["program"]))
+    CASES.write_text("\n\n".join(map(_written, known)) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
