@@ -84,6 +84,7 @@ class Expressions:
         """Leave to Python what could fail in SQL, if the plan is to be cautious."""
         if self.context.cautious:
             raise NotSqlError
+        self.context.risks += 1
 
     # -- what does not depend on rows -------------------------------------------------------
 

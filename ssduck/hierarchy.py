@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import count, islice
 from typing import Any, TypeAlias
 
@@ -19,6 +18,7 @@ from ssduck.adapters import Rows
 from ssduck.dependencies import is_impure
 from ssduck.errors import ArgumentError, LimitError
 from ssduck.evaluate import Compiler, Frame, Thunk, hashable
+from ssduck.graphs import Vertex, simple_paths
 from ssduck.rows import Clauses, Paths, Selected, checked_count
 from ssduck.tree import Assignment, Node, Query, Recursion
 
@@ -90,15 +90,6 @@ class Steps:
                     return
                 self._made.append(step)
             yield self._made[index]
-
-
-@dataclass(eq=False)
-class _Vertex:
-    """A distinct selected row in the graph of MEMORIZE."""
-
-    step: Step
-    next: list[_Vertex] = field(default_factory=list)
-    distance: int | None = None
 
 
 RowsOf: TypeAlias = Callable[[dict[str, Any]], Iterator[Frame]]
@@ -259,29 +250,24 @@ class Hierarchy:
         """The simple paths through the graph of distinct selected rows, shortest first."""
         levels = self._number(self._recursion.memorize, "MEMORIZE", outer)
         roots, vertices = self._graph(states, state, levels)
-        _measure(vertices)
-        longest = len(vertices) if levels is None else min(levels, len(vertices))
-        for length in range(1, longest + 1):
-            for root in roots:
-                for path in _simple_paths(root, length, outer.scope.meter.step):
-                    yield [vertex.step for vertex in path]
+        return simple_paths(roots, vertices, levels, outer.scope.meter.step)
 
     def _graph(
         self, states: _States, state: dict[str, Any], levels: int | None
-    ) -> tuple[list[_Vertex], list[_Vertex]]:
+    ) -> tuple[list[Vertex[Step]], list[Vertex[Step]]]:
         """The distinct rows that are reached, breadth first, and those of the first level."""
         keys: dict[Any, int] = {}
-        known: dict[int, _Vertex] = {}
-        waiting: deque[tuple[_Vertex, int]] = deque()
+        known: dict[int, Vertex[Step]] = {}
+        waiting: deque[tuple[Vertex[Step], int]] = deque()
 
-        def reached(steps: Steps, level: int) -> list[_Vertex]:
-            found: dict[_Vertex, None] = {}  # in order, each one once
+        def reached(steps: Steps, level: int) -> list[Vertex[Step]]:
+            found: dict[Vertex[Step], None] = {}  # in order, each one once
             for step in steps:
                 if step.stops and not step.found:
                     continue
                 vertex = known.get(step.key(keys))
                 if vertex is None:
-                    vertex = known[step.key(keys)] = _Vertex(step)
+                    vertex = known[step.key(keys)] = Vertex(step, step.found)
                     if not step.found:
                         waiting.append((vertex, level))
                 found[vertex] = None
@@ -292,52 +278,8 @@ class Hierarchy:
             vertex, level = waiting.popleft()
             if levels is None or level < levels:
                 self._check_depth(level, "the graph", "levels")
-                vertex.next = reached(self._after(vertex.step, states), level + 1)
+                vertex.next = reached(self._after(vertex.value, states), level + 1)
         return roots, list(known.values())
-
-
-def _measure(vertices: Sequence[_Vertex]) -> None:
-    """How many steps each vertex is from the nearest one that is found."""
-    before: dict[_Vertex, list[_Vertex]] = {}
-    for vertex in vertices:
-        for following in vertex.next:
-            before.setdefault(following, []).append(vertex)
-    waiting = deque(vertex for vertex in vertices if vertex.step.found)
-    for vertex in waiting:
-        vertex.distance = 0
-    while waiting:
-        vertex = waiting.popleft()
-        assert vertex.distance is not None
-        for earlier in before.get(vertex, ()):
-            if earlier.distance is None:
-                earlier.distance = vertex.distance + 1
-                waiting.append(earlier)
-
-
-def _simple_paths(root: _Vertex, length: int, count: Callable[[], None]) -> Iterator[list[_Vertex]]:
-    """The paths of that many vertices from the root to one that is found, none met twice."""
-    path = [root]
-    open_ones = [iter(root.next)]
-    if root.step.found:
-        if length == 1:
-            yield path
-        return
-    while open_ones:
-        count()
-        vertex = next(open_ones[-1], None)
-        if vertex is None:
-            open_ones.pop()
-            path.pop()
-            continue
-        left = length - len(path) - 1
-        if vertex.distance is None or vertex.distance > left or vertex in path:
-            continue
-        if vertex.step.found:
-            if left == 0:
-                yield [*path, vertex]
-            continue
-        path.append(vertex)
-        open_ones.append(iter(vertex.next))
 
 
 def _assignments(assignments: Sequence[Assignment], compiler: Compiler) -> list[tuple[str, Thunk]]:

@@ -36,6 +36,10 @@ class Shape:
 class Names(Protocol):
     """What the translator needs to know of the interpreter's names."""
 
+    @property
+    def deepest(self) -> int:
+        """How many rows a path of a hierarchical query may have."""
+
     def has_variable(self, name: str) -> bool:
         """Whether there is a variable of that name."""
 
@@ -85,6 +89,14 @@ class Output:
     tag: Tag
 
 
+@dataclass(frozen=True)
+class Graph:
+    """What is made of the edges that a statement yields: how long its paths, how many."""
+
+    longest: int | None
+    most: int | None
+
+
 @dataclass(eq=False)
 class Plan:
     """How a query runs.
@@ -104,7 +116,8 @@ class Plan:
         rest: what Python does with the rows.
         outputs: the selected columns, if nothing is left to Python.
         names: what the columns are called, if all of them are texts.
-        paths: whether each row of the SQL is a path.
+        paths: whether each row of the SQL is a path, or an edge of a graph of paths.
+        graph: of a graph, which paths are wanted.
         bare: names that were looked up, and whether there was a variable of that name.
         deferred: lists that were put in for variables.
         cautious: whether nothing in the SQL can fail.
@@ -126,6 +139,7 @@ class Plan:
     outputs: list[Output] | None = None
     names: tuple[str, ...] = ()
     paths: bool = False
+    graph: Graph | None = None
     bare: dict[str, bool] = field(default_factory=dict)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     cautious: bool = False

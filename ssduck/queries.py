@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 from ssduck.adapters import Rows
@@ -11,8 +12,9 @@ from ssduck.database import Database, Statement
 from ssduck.dependencies import changing, free_aliases, is_impure, mentions, states
 from ssduck.errors import SelectScriptError, SqlError
 from ssduck.evaluate import Compiler, Frame, Scope, Thunk
+from ssduck.graphs import Vertex, simple_paths
 from ssduck.hierarchy import Hierarchy
-from ssduck.plan import Output, Plan, Shape
+from ssduck.plan import Graph, Output, Plan, Shape
 from ssduck.resolve import Resolved
 from ssduck.rows import Clauses, Column, Paths, Rest, Selected, row_frames
 from ssduck.sources import arrow_of, elements_of
@@ -135,6 +137,8 @@ class Planned:
         names = self.plan.names
         if not self.plan.paths:
             return Rows(fetched, names)
+        if self.plan.graph is not None:
+            return _graph_paths(self.plan.graph, fetched, names, self._database.meter.step)
         return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
 
     def _fetched(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
@@ -188,6 +192,26 @@ class Planned:
         if convert is None:
             return lambda columns: columns[index]
         return lambda columns: convert(columns[index])
+
+
+def _graph_paths(
+    graph: Graph,
+    edges: list[tuple[Any, ...]],
+    names: tuple[str, ...],
+    count: Callable[[], None],
+) -> Paths:
+    """The paths through a graph whose edges SQL has found, breadth first."""
+    root = Vertex[tuple[Any, ...]]((), found=False)
+    vertices = {(): root}
+    for start, end, found, *items in edges:
+        if tuple(end) not in vertices:
+            vertices[tuple(end)] = Vertex(tuple(items), found)
+        following = vertices[tuple(start)].next
+        if vertices[tuple(end)] not in following:
+            following.append(vertices[tuple(end)])
+    paths = simple_paths(root.next, list(vertices.values())[1:], graph.longest, count)
+    found_paths = islice(paths, graph.most)
+    return Paths([Paths([Rows([step], names) for step in path]) for path in found_paths])
 
 
 def _parameters(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:

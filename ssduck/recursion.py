@@ -2,8 +2,9 @@
 
 Each row of the recursive table is a path: its state, the places of its rows in the sources,
 and what was selected at each of them. Paths come in the order of their places, which is the
-depth-first order of the sources. What depends on the order of the search itself (UNIQUE,
-MEMORIZE) runs row by row in `ssduck.hierarchy`.
+depth-first order of the sources. MEMORIZE keeps a row a distinct selected row instead (USING
+KEY), and yields the edges between them. UNIQUE depends on the order of the search itself, and
+runs row by row in `ssduck.hierarchy`.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from sqlglot import exp
 
 from ssduck import tree
 from ssduck.expressions import Expressions
+from ssduck.plan import Graph
 from ssduck.rows import Column
 from ssduck.sqlvalues import NotSqlError, SqlValue, failure
 from ssduck.subqueries import Element, world_table
 from ssduck.tree import Assignment, Query, Recursion
-from ssduck.types import Tag, merged
+from ssduck.types import FLAG, INTEGER, Tag, merged
 
 # Breadth first, a search that has more open paths than this takes too much memory; depth first
 # in Python it takes little.
@@ -30,10 +32,18 @@ _STEPS = "steps"
 
 @dataclass(frozen=True)
 class Searched:
-    """A search in SQL: a row a path, a column a selected item: a list, a value a step."""
+    """A search in SQL.
+
+    Attributes:
+        select: a row a path, a column a selected item, a list, a value a step; or a row an
+            edge of a graph: the places of its ends, whether the second is found, its items.
+        tags: the types of the columns.
+        graph: of a graph, how long its paths may be, and how many are wanted.
+    """
 
     select: exp.Select
     tags: tuple[Tag, ...]
+    graph: Graph | None = None
 
 
 def searched(
@@ -46,12 +56,19 @@ def searched(
     """
     recursion = query.recursion
     assert recursion is not None
-    if recursion.unique or recursion.memorizes or query.group or query.order:
+    if recursion.unique or query.group or query.order:
         raise NotSqlError
     if not all(isinstance(column.name, str) for column in columns):
         raise NotSqlError
     search = _Search(sql, query, recursion, columns, elements)
-    return Searched(search.select(), tuple(item.tag for item in search.items))
+    items = tuple(item.tag for item in search.items)
+    if not recursion.memorizes:
+        return Searched(search.select(), tuple(Tag("list", tag) for tag in items))
+    levels = None if recursion.memorize is None else _number(recursion.memorize)
+    place = Tag("list", INTEGER)
+    return Searched(
+        search.edges(levels), (place, place, FLAG, *items), Graph(levels, search.most())
+    )
 
 
 class _Search:
@@ -123,9 +140,13 @@ class _Search:
         select = select.where(_column(_PATHS, "found")).order_by(_column(_PATHS, "place"))
         union = exp.union(self._first(), self._following(), distinct=False)
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
+        most = self.most()
+        return select if most is None else select.limit(most)
+
+    def most(self) -> int | None:
+        """How many paths are wanted."""
         limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
-        counts = [_number(node) for node in limits]
-        return select.limit(min(counts)) if counts else select
+        return min(map(_number, limits), default=None)
 
     def _first(self) -> exp.Select:
         states = [
@@ -164,7 +185,6 @@ class _Search:
         )
 
     def _steps(self) -> exp.Select:
-        """Each open path with each row, unless that ends it in vain."""
         ends = exp.paren(self.found.copy())
         states = [exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.tags]
         following = [
@@ -190,21 +210,29 @@ class _Search:
         ]
         select = exp.select(
             *states, *following, exp.alias_(place, "place"), *items, exp.alias_(ends, "found")
-        ).from_(self._open())
+        )
+        select = self._from(select, self._open())
+        return select.where(exp.Not(this=self._is_visited())) if self.recursion.no_cycle else select
+
+    def _from(self, select: exp.Select, paths: exp.Expr) -> exp.Select:
+        """Each open path with each row, unless that ends it in vain."""
+        select = select.from_(paths)
         for element in (*self.entities.values(), *self.elements):
             select = select.join(element.table, join_type="cross")
         for name, element in self.entities.items():
             is_state = exp.EQ(this=element.value.sql, expression=_column(_PATHS, name))
             select = select.where(is_state)
-        goes_on = exp.or_(ends.copy(), exp.Not(this=exp.paren(self.stop.copy())))
-        select = select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
-        return select.where(exp.Not(this=self._is_visited())) if self.recursion.no_cycle else select
+        goes_on = exp.or_(self.found.copy(), exp.Not(this=exp.paren(self.stop.copy())))
+        return select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
 
     def _open(self) -> exp.Expr:
         """The paths of the last round; too many of them, and Python searches depth first."""
         count = exp.Window(this=exp.Count(this=exp.Star()))
         many = exp.GT(this=count, expression=exp.Literal.number(MOST_OPEN))
-        checked = exp.case().when(many, failure(Tag("flag"))).else_(exp.true())
+        length = exp.func("len", _column(_PATHS, "item 0"))
+        deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.deepest))
+        endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), deep)
+        checked = exp.case().when(exp.or_(many, endless), failure(FLAG)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
         rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
         return rows.subquery(_PATHS)
@@ -232,6 +260,95 @@ class _Search:
             item = self.items[0]
             return exp.func("list_contains", _column(_PATHS, "item 0"), _cast(item.sql, item.tag))
         return exp.Exists(this=exp.select(exp.Literal.number(1)).from_(steps).where(*alike))
+
+    # -- the graph of MEMORIZE ---------------------------------------------------------------
+
+    def edges(self, levels: int | None) -> exp.Select:
+        """The edges of the graph of distinct selected rows, in the order of a breadth-first search.
+
+        The first row of the recursive table is none of the graph's: what comes after it are
+        the roots.
+        """
+        keys = [f"item {index}" for index in range(len(self.items))]
+        states = [
+            exp.alias_(_cast(value.sql, self.tags[name]), name, quoted=True)
+            for name, value in self.start.items()
+        ]
+        nothing = [
+            exp.alias_(_cast(exp.Null(), item.tag), key, quoted=True)
+            for key, item in zip(keys, self.items, strict=True)
+        ]
+        first = exp.select(
+            *states,
+            *nothing,
+            exp.alias_(_empty(INTEGER), "place"),
+            exp.alias_(exp.false(), "found"),
+        )
+        # In parentheses, for it has an order of its own.
+        union = exp.union(first, self._next_level(keys, levels).subquery(), distinct=True)
+        found = [_column("ends", name) for name in ("place", "found", *keys)]
+        select = exp.select(_column(_PATHS, "place"), *found)
+        select = self._from(select, self._within(levels)).join(
+            exp.table_(_PATHS, alias="ends"), on=exp.and_(*self._are_items("ends", keys))
+        )
+        places = exp.func("len", _column(_PATHS, "place"))
+        select = select.order_by(places, _column(_PATHS, "place"), self._place())
+        select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
+        (table,) = select.find_all(exp.CTE)
+        table.set("key_expressions", [exp.to_identifier(key, quoted=True) for key in keys])
+        return select
+
+    def _next_level(self, keys: Sequence[str], levels: int | None) -> exp.Select:
+        """The rows that come after those of the last level, and that no level had."""
+        states = [
+            exp.alias_(_cast(value.sql, self.tags[name]), name, quoted=True)
+            for name, value in self.next.items()
+        ]
+        items = [
+            exp.alias_(_cast(item.sql, item.tag), key, quoted=True)
+            for key, item in zip(keys, self.items, strict=True)
+        ]
+        place = exp.Anonymous(
+            this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
+        )
+        found = exp.alias_(exp.paren(self.found.copy()), "found")
+        select = exp.select(*states, *items, exp.alias_(place, "place"), found)
+        known = exp.select(exp.Literal.number(1)).from_(
+            exp.table_(_PATHS, db="recurring", alias="known")
+        )
+        known = known.where(*self._are_items("known", keys))
+        select = self._from(select, self._checked(levels))
+        select = select.where(exp.Not(this=exp.Exists(this=known)))
+        # Of rows that are alike the first one counts.
+        return select.distinct(*(item.this.copy() for item in items)).order_by(place.copy())
+
+    def _checked(self, levels: int | None) -> exp.Expr:
+        """The rows of the last level; too many levels, and Python tells so."""
+        deepest = exp.Literal.number(self.sql.names.deepest)
+        deep = exp.GTE(this=self._level(), expression=deepest)
+        checked = exp.case().when(deep, failure(FLAG)).else_(exp.true())
+        counted = exp.select("*", exp.alias_(checked, "counted")).from_(self._within(levels))
+        rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
+        return rows.subquery(_PATHS)
+
+    def _within(self, levels: int | None) -> exp.Expr:
+        """The rows that others may come after."""
+        rows = exp.select("*").from_(_table(_PATHS))
+        if levels is not None:
+            rows = rows.where(exp.LT(this=self._level(), expression=exp.Literal.number(levels)))
+        return rows.subquery(_PATHS)
+
+    def _level(self) -> exp.Expr:
+        """How many rows a place tells of."""
+        keys = sum(len(element.position) for element in self.elements)
+        length = exp.func("len", _column(_PATHS, "place"))
+        return exp.IntDiv(this=length, expression=exp.Literal.number(keys))
+
+    def _are_items(self, table: str, keys: Sequence[str]) -> list[exp.Expr]:
+        return [
+            exp.EQ(this=_column(table, key), expression=_cast(item.sql, item.tag))
+            for key, item in zip(keys, self.items, strict=True)
+        ]
 
 
 def _number(node: tree.Node) -> int:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ssduck.errors import ArgumentError
 from ssduck.plan import Shape
 from ssduck.result import Result
 from ssduck.subqueries import aliases_of
@@ -65,12 +64,6 @@ def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple
         ArgumentError: two sources have the same name.
     """
     aliases = aliases_of(query)
-    for index, alias in enumerate(aliases):
-        if alias in aliases[:index]:
-            raise ArgumentError(
-                f"two sources are called {alias!r}; write FROM a={alias}, b=…",
-                span=query.sources[index].span,
-            )
     return tuple(
         _shape(alias, value, schema_of) for alias, value in zip(aliases, values, strict=True)
     )

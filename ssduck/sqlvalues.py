@@ -69,6 +69,7 @@ class Context:
         signatures: the users' functions that it calls.
         deferred: variables that were looked up for lists to be put in.
         aliases: what sources are called in SQL, in lower case.
+        risks: how many parts of it could fail in SQL.
     """
 
     names: Names
@@ -80,6 +81,7 @@ class Context:
     signatures: set[Signature] = field(default_factory=set)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     aliases: set[str] = field(default_factory=set)
+    risks: int = 0
 
     def alias(self, name: str) -> str:
         """What a source is called in SQL, which does not tell upper from lower case."""

@@ -15,6 +15,7 @@ from sqlglot import exp
 
 from ssduck import tree
 from ssduck.dependencies import is_impure
+from ssduck.errors import ArgumentError
 from ssduck.plan import Binding, Shape
 from ssduck.resolve import resolve
 from ssduck.sqlvalues import (
@@ -55,7 +56,11 @@ class Element:
 
 @dataclass(frozen=True)
 class Subquery:
-    """The rows of a nested query: tables, conditions, order, and what is selected."""
+    """The rows of a nested query: tables, conditions, order, and what is selected.
+
+    Attributes:
+        is_risky: whether a selected value or a key could fail, so that it is to be evaluated.
+    """
 
     elements: tuple[Element, ...]
     conditions: tuple[exp.Expr, ...]
@@ -63,6 +68,7 @@ class Subquery:
     names: tuple[str, ...]
     order: tuple[exp.Ordered, ...]
     limit: int | None
+    is_risky: bool
 
     def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
         """The rows, as a SELECT of these columns."""
@@ -82,6 +88,7 @@ class Unrolled:
     """The rows of a nested query one by one: whether each is there, and what it selects."""
 
     rows: tuple[tuple[exp.Expr, tuple[SqlValue, ...]], ...]
+    is_risky: bool
 
 
 Rows: TypeAlias = Subquery | Unrolled
@@ -111,6 +118,8 @@ def counted(around: Expressions, query: Query) -> SqlValue:
     if _form(query) not in (*_LISTS, *_DICTS):
         return _counted_list(value(around, query))
     rows = _rows(around, query)
+    if rows.is_risky:
+        return _counted_list(value(around, query))
     many = len(query.items) or len(query.sources)
     each = many if _form(query) in _LISTS else 1
     if isinstance(rows, Unrolled):
@@ -149,7 +158,7 @@ def emptiness(around: Expressions, node: Binary) -> exp.Expr | None:
         if around.is_constant(query):
             return None
         raise
-    if _form(query) in _VALUES and not _never_empty(rows):
+    if rows.is_risky or (_form(query) in _VALUES and not _never_empty(rows)):
         return None
     if isinstance(rows, Subquery) and rows.limit == 0:
         return exp.convert(node.operator == "==")
@@ -187,6 +196,8 @@ def membership(around: Expressions, left: Node, query: Query) -> exp.Expr | None
     if is_impure(query) or _form(query) not in _LISTS or around.is_constant(query):
         return None
     rows = _rows(around, query)
+    if rows.is_risky:
+        return None
     wanted = around.value(left)
     if isinstance(rows, Unrolled):
         found = [
@@ -301,9 +312,7 @@ def _rows(around: Expressions, query: Query) -> Rows:
     if all(values is not None for values in lists) and lists:
         rows = list(product(*[values for values in lists if values is not None]))
         if len(rows) <= MOST_UNROLLED and not query.order and query.limit is None:
-            return Unrolled(
-                tuple(_unrolled_row(around, query, aliases, elements) for elements in rows)
-            )
+            return _unrolled(around, query, aliases, rows)
     inner = around.inside()
     elements = [
         element(around, alias, source.value)
@@ -323,22 +332,37 @@ def _subquery(
 ) -> Subquery:
     resolved = resolve(query, shapes_in(inner, aliases), inner.names)
     conditions = () if query.where is None else (inner.truth(inner.value(query.where)),)
+    before = inner.context.risks
     items = tuple(inner.value(column.node) for column in resolved.columns)
-    order = [ordered(inner.value(key.value), key) for key in resolved.query.order]
+    order = ordered(inner, resolved.query.order)
+    risky = inner.context.risks > before
     for entry in elements:
         order.extend(entry.position)
     names = tuple(column.name for column in resolved.columns if isinstance(column.name, str))
-    return Subquery(tuple(elements), conditions, items, names, tuple(order), _limit(query))
+    return Subquery(tuple(elements), conditions, items, names, tuple(order), _limit(query), risky)
+
+
+def _unrolled(
+    around: Expressions,
+    query: Query,
+    aliases: Sequence[str],
+    rows: Sequence[tuple[SqlValue, ...]],
+) -> Unrolled:
+    made = [_unrolled_row(around, query, aliases, elements) for elements in rows]
+    return Unrolled(tuple(row for row, _ in made), any(risky for _, risky in made))
 
 
 def _unrolled_row(
     around: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
-) -> tuple[exp.Expr, tuple[SqlValue, ...]]:
+) -> tuple[tuple[exp.Expr, tuple[SqlValue, ...]], bool]:
+    """A row, and whether what it selects could fail."""
     inner = around.inside()
     _bind(inner, aliases, elements)
     resolved = resolve(query, shapes_in(inner, aliases), inner.names)
     there = exp.true() if query.where is None else inner.truth(inner.value(query.where))
-    return there, tuple(inner.value(column.node) for column in resolved.columns)
+    before = inner.context.risks
+    items = tuple(inner.value(column.node) for column in resolved.columns)
+    return (there, items), inner.context.risks > before
 
 
 def shapes_in(inner: Expressions, aliases: Sequence[str]) -> list[Shape]:
@@ -346,16 +370,25 @@ def shapes_in(inner: Expressions, aliases: Sequence[str]) -> list[Shape]:
     return [Shape(alias, tag=inner.rows[alias].tag) for alias in aliases]
 
 
-def ordered(key: SqlValue, wanted: tree.Key) -> exp.Ordered:
-    """A key of ORDER BY.
+def ordered(inner: Expressions, keys: Sequence[tree.Key]) -> list[exp.Ordered]:
+    """The keys of ORDER BY; those that are the same for all rows order nothing.
 
     Raises:
         NotSqlError: Python orders such values otherwise, or not at all.
     """
-    if not (key.tag.is_number or key.tag.type in ("text", "flag")):
-        raise NotSqlError
-    this = exp.paren(key.sql.copy()) if isinstance(key.sql, exp.Literal) else key.sql.copy()
-    return exp.Ordered(this=this, desc=wanted.descending, nulls_first=False)
+    found = []
+    for key in keys:
+        if inner.is_constant(key.value):
+            if inner.names.tag(key.value).type == "any":  # it may be an error
+                raise NotSqlError
+            continue
+        value = inner.value(key.value)
+        if not (value.tag.is_number or value.tag.type in ("text", "flag")):
+            raise NotSqlError
+        if not isinstance(value.sql.unnest(), exp.Literal | exp.Boolean):
+            this = value.sql.copy()
+            found.append(exp.Ordered(this=this, desc=key.descending, nulls_first=False))
+    return found
 
 
 def _limit(query: Query) -> int | None:
@@ -368,11 +401,22 @@ def _limit(query: Query) -> int | None:
 
 
 def aliases_of(query: Query) -> list[str]:
-    """What the sources of a query are called."""
-    return [
+    """What the sources of a query are called.
+
+    Raises:
+        ArgumentError: two have the same name.
+    """
+    aliases = [
         source.alias or (f"source_{index + 1}" if index else "this")
         for index, source in enumerate(query.sources)
     ]
+    for index, alias in enumerate(aliases):
+        if alias in aliases[:index]:
+            raise ArgumentError(
+                f"two sources are called {alias!r}; write FROM a={alias}, b=…",
+                span=query.sources[index].span,
+            )
+    return aliases
 
 
 # -- sources --------------------------------------------------------------------------------
@@ -414,7 +458,8 @@ def element(around: Expressions, alias: str, node: Node) -> Element:
     if schema is not None:
         return world_table(schema, name)
     tag = around.context.constants.setdefault(node, around.names.tag(node))
-    if not tag.is_sql or tag.type == "record" or (tag.type == "list" and tag.element is None):
+    inner = tag.element if tag.type == "list" else tag
+    if not tag.is_sql or inner is None or inner.type == "record":
         raise NotSqlError
     parameter = around.context.parameter(alias, Binding("", node, tag=tag))
     given = exp.cast(parameter, tag.sql_type, dialect="duckdb")

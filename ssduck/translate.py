@@ -177,15 +177,13 @@ class _Translator:
 
     def _order(self) -> tuple[list[exp.Expr], tuple[Key, ...]]:
         """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
-        # What is the same for all rows orders nothing; to SQL a number would be a column's.
-        wanted = [key for key in self.query.order if not self.sql.is_constant(key.value)]
         ordered: list[exp.Expr] = []
         left: tuple[Key, ...] = ()
         try:
-            ordered = [subqueries.ordered(self.sql.value(key.value), key) for key in wanted]
+            ordered.extend(subqueries.ordered(self.sql, self.query.order))
         except NotSqlError:
-            left = tuple(wanted)
-            for key in wanted:
+            left = self.query.order
+            for key in left:
                 self._item(key.value)
         # A scan keeps its order; a join, and be it with the row of parameters, need not.
         inline = any(not shape.given for shape in self.result.shapes)
@@ -214,9 +212,8 @@ class _Translator:
             raise NotSqlError
         found = searched(self.sql, self.query, self.selected, self.elements)
         plan.paths = True
-        plan.outputs = [
-            Output(index, Tag("list", tag, None)) for index, tag in enumerate(found.tags)
-        ]
+        plan.graph = found.graph
+        plan.outputs = [Output(index, tag) for index, tag in enumerate(found.tags)]
         plan.rest = Rest(self.selected)
         self._finish(found.select)
         return plan

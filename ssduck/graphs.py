@@ -1,0 +1,95 @@
+"""The graph of MEMORIZE: its vertices are distinct selected rows, its results simple paths."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+@dataclass(eq=False)
+class Vertex(Generic[T]):
+    """A distinct selected row.
+
+    Attributes:
+        value: the row.
+        found: whether a path may end here; then it goes no further.
+        next: the rows of its state, in order.
+        distance: how many steps it is from the nearest one that is found.
+    """
+
+    value: T
+    found: bool
+    next: list[Vertex[T]] = field(default_factory=list)
+    distance: int | None = None
+
+
+def simple_paths(
+    roots: Sequence[Vertex[T]],
+    vertices: Sequence[Vertex[T]],
+    longest: int | None,
+    count: Callable[[], None],
+) -> Iterator[list[T]]:
+    """The paths from a root to a vertex that is found, none met twice; the shortest first.
+
+    Args:
+        roots: where paths begin.
+        vertices: all there are.
+        longest: how many vertices a path may have; None for any number.
+        count: is called once a step.
+    """
+    _measure(vertices)
+    most = len(vertices) if longest is None else min(longest, len(vertices))
+    for length in range(1, most + 1):
+        for root in roots:
+            for path in _paths_of_length(root, length, count):
+                yield [vertex.value for vertex in path]
+
+
+def _measure(vertices: Sequence[Vertex[T]]) -> None:
+    before: dict[Vertex[T], list[Vertex[T]]] = {}
+    for vertex in vertices:
+        for following in vertex.next:
+            before.setdefault(following, []).append(vertex)
+    waiting = deque(vertex for vertex in vertices if vertex.found)
+    for vertex in waiting:
+        vertex.distance = 0
+    while waiting:
+        vertex = waiting.popleft()
+        assert vertex.distance is not None
+        for earlier in before.get(vertex, ()):
+            if earlier.distance is None:
+                earlier.distance = vertex.distance + 1
+                waiting.append(earlier)
+
+
+def _paths_of_length(
+    root: Vertex[T], length: int, count: Callable[[], None]
+) -> Iterator[list[Vertex[T]]]:
+    if root.found:
+        if length == 1:
+            yield [root]
+        return
+    path = [root]
+    met = {root}
+    open_ones = [iter(root.next)]
+    while open_ones:
+        count()
+        vertex = next(open_ones[-1], None)
+        if vertex is None:
+            open_ones.pop()
+            met.discard(path.pop())
+            continue
+        left = length - len(path) - 1
+        if vertex.distance is None or vertex.distance > left or vertex in met:
+            continue
+        if vertex.found:
+            if left == 0:
+                yield [*path, vertex]
+            continue
+        path.append(vertex)
+        met.add(vertex)
+        open_ones.append(iter(vertex.next))
