@@ -1,4 +1,4 @@
-"""`python -m benchmarks [ticks] [queries]`: print tables of times and ratios, in Markdown."""
+"""`python -m benchmarks [NAME ...]`: print tables of times and ratios, in Markdown."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import platform
 import sys
 from collections.abc import Iterable
 
-from benchmarks import queries, ticks
+from benchmarks import language, queries, ticks
 
-TABLES = {"ticks": ticks, "queries": queries}
+TABLES = {"ticks": ticks, "queries": queries, "language": language}
 
 
 def printed(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:

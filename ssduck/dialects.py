@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import sqlglot
@@ -11,6 +10,7 @@ from sqlglot.errors import UnsupportedError as SqlglotError
 
 from ssduck.errors import UnknownNameError, UnsupportedError, nearest
 from ssduck.plan import Plan
+from ssduck.sqlvalues import written
 from ssduck.tree import Query
 
 # What sqlglot writes for any engine, though only DuckDB, or few, have it.
@@ -52,7 +52,7 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     if plan.tables or plan.signatures:
         what = "a table of Python's" if plan.tables else "a Python function"
         raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)
-    select = plan.select.transform(_put_in(values))
+    select = plan.select.transform(written(values))
     if dialect != "duckdb":
         _refuse(select, query, dialect)
     try:
@@ -70,10 +70,3 @@ def _refuse(select: exp.Expr, query: Query, dialect: str) -> None:
                     f"{node.sql(dialect='duckdb')[:60]}",
                     span=query.span,
                 )
-
-
-def _put_in(values: dict[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
-    def put_in(part: exp.Expr) -> exp.Expr:
-        return exp.convert(values[part.name]) if isinstance(part, exp.Parameter) else part
-
-    return put_in

@@ -43,6 +43,7 @@ from ssduck.tree import (
 # Larger results are refused: they are mistakes, and nothing could stop them.
 MOST_BITS = 1_000_000
 MOST_ELEMENTS = 10_000_000
+FEW = 4
 
 
 class Scope(Protocol):
@@ -62,6 +63,9 @@ class Scope(Protocol):
 
     def is_users(self, name: str) -> bool:
         """Whether that is a user's function."""
+
+    def builtin(self, name: str) -> Callable[[list[Any]], Any] | None:
+        """A function of plain values that comes with the language, and stays what it is."""
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call."""
@@ -91,9 +95,10 @@ class Frame:
         given: the values of `Given` parts.
         columns: what SQL has fetched for this row.
         kept: the values of parts that are the same for all rows, once they are known.
+        state: the same of parts that are the same for all rows of a state.
     """
 
-    __slots__ = ("calls", "columns", "elements", "given", "kept", "local", "scope")
+    __slots__ = ("calls", "columns", "elements", "given", "kept", "local", "scope", "state")
 
     def __init__(
         self,
@@ -103,6 +108,7 @@ class Frame:
         given: Mapping[str, Any] | None = None,
         columns: Sequence[Any] = (),
         kept: dict[Node, Any] | None = None,
+        state: dict[Node, Any] | None = None,
     ) -> None:
         self.scope = scope
         self.elements = elements if elements is not None else {}
@@ -110,6 +116,7 @@ class Frame:
         self.given = given if given is not None else {}
         self.columns = columns
         self.kept = kept if kept is not None else {}
+        self.state = state if state is not None else {}
         self.calls: dict[str, Any] = {}
 
     def row(
@@ -174,6 +181,7 @@ class Compiler:
         scope: names are checked with it, whether a row comes to them or not.
         known: parts whose values are known, as functions of a frame.
         constants: parts that are the same for all rows: evaluated once, when first needed.
+        of_state: parts that are the same for all rows of a state.
         memorize: whether a user's function called twice alike in a row is called once; not
             where variables change between the calls.
     """
@@ -183,12 +191,14 @@ class Compiler:
         scope: Scope,
         known: Mapping[Node, Thunk] | None = None,
         constants: Collection[Node] = (),
+        of_state: Collection[Node] = (),
         *,
         memorize: bool = False,
     ) -> None:
         self._scope = scope
         self._known = known or {}
         self._constants = constants
+        self._of_state = of_state
         self._memorize = memorize
 
     def thunk(self, node: Node) -> Thunk:
@@ -197,7 +207,9 @@ class Compiler:
         if known is not None:
             return known
         thunk = self._thunk(node)
-        return _kept(node, thunk) if node in self._constants else thunk
+        if node in self._constants:
+            return _kept(node, thunk)
+        return _kept_in_state(node, thunk) if node in self._of_state else thunk
 
     def _thunk(self, node: Node) -> Thunk:
         match node:
@@ -245,12 +257,13 @@ class Compiler:
 
     def _list(self, node: Node, items: Sequence[Node]) -> Thunk:
         thunks = [self.thunk(item) for item in items]
-        nested = any(not isinstance(item, Literal) for item in items)
+        # What is made of few lists is not much larger than they are, and these were checked.
+        large = len(items) > FEW or any(isinstance(item, ListOf) for item in items)
 
         def make(frame: Frame) -> list[Any]:
             values = [thunk(frame) for thunk in thunks]
-            if nested and any(type(value) is list for value in values):
-                _check_size(values, node.span)
+            if large:
+                check_size(values, node.span)
             return values
 
         return make
@@ -289,9 +302,13 @@ class Compiler:
         self._scope.check_call(node)
         thunks = [self.thunk(argument) for argument in node.arguments]
 
+        function = self._scope.builtin(node.name)
+
         def call(frame: Frame) -> Any:
             arguments = [thunk(frame) for thunk in thunks]
             try:
+                if function is not None:
+                    return function(arguments)
                 return frame.scope.call(node, arguments, frame)
             except SelectScriptError as error:
                 error.span = error.span or node.span
@@ -365,7 +382,7 @@ class Compiler:
                 assigned: Any = frame.scope.deferred(node.value)
             else:
                 assigned = value(frame)
-            _check_size(assigned, node.span)
+            check_size(assigned, node.span)
             if name in frame.local:
                 frame.local[name] = assigned
             else:
@@ -395,6 +412,16 @@ def _kept(node: Node, thunk: Thunk) -> Thunk:
         if node not in frame.kept:
             frame.kept[node] = thunk(frame)
         return frame.kept[node]
+
+    return kept
+
+
+def _kept_in_state(node: Node, thunk: Thunk) -> Thunk:
+    def kept(frame: Frame) -> Any:
+        state = frame.state
+        if node not in state:
+            state[node] = thunk(frame)
+        return state[node]
 
     return kept
 
@@ -527,8 +554,12 @@ def _is_endless(sign: str, left: Any, right: Any) -> bool:
     return False
 
 
-def _check_size(value: Any, span: Span) -> None:
-    """Refuse a list of lists of lists that would take for ever to print or to compare."""
+def check_size(value: Any, span: Span) -> None:
+    """Refuse a list of lists of lists that would take for ever to print or to compare.
+
+    Raises:
+        EvaluationError: it has more than `MOST_ELEMENTS`, all the way down.
+    """
     if type(value) is list and _leaves(value, {}) > MOST_ELEMENTS:
         raise EvaluationError("the list is too large", span=span)
 
@@ -588,18 +619,53 @@ def written(node: Node) -> str:
     return f"{type(node).__name__} {told}({parts})"
 
 
+_ATOMS = frozenset((int, float, str, bool, type(None)))
+
+
 def hashable(value: Any) -> Any:
     """What stands for a value in sets: alike for equal values, lists and dicts included.
 
     Raises:
         ArgumentError: values of its type cannot be told apart.
     """
-    if type(value) is list or type(value) is tuple:
-        return (type(value), *map(hashable, value))
-    if type(value) is dict:
+    kind = type(value)
+    if kind in _ATOMS:
+        return value
+    if kind is list or kind is tuple:
+        return (kind, *[part if type(part) in _ATOMS else hashable(part) for part in value])
+    if kind is dict:
         return (dict, frozenset((key, hashable(part)) for key, part in value.items()))
     try:
         hash(value)
     except TypeError as error:
         raise ArgumentError(f"{_kind(value)} cannot be told apart from others: {error}") from error
     return cast("Any", value)
+
+
+class Keys:
+    """Numbers for values: the same for equal ones; for one search.
+
+    Lists that were seen before are known by what they are, without being looked into; they
+    must not change meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._numbers: dict[Any, int] = {}
+        self._seen: dict[int, tuple[Any, int]] = {}
+
+    def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
+        """The number of what is selected of a row, and what it is called."""
+        parts = [value if type(value) in _ATOMS else self._part(value) for value in values]
+        return self._number((tuple(parts), hashable(names)))
+
+    def _part(self, value: Any) -> Any:
+        if type(value) is not list:
+            return hashable(value)
+        seen = self._seen.get(id(value))
+        if seen is None:
+            parts = [part if type(part) in _ATOMS else self._part(part) for part in value]
+            seen = self._seen[id(value)] = (value, self._number((list, *parts)))
+        return (list, seen[1])
+
+    def _number(self, key: Any) -> int:
+        return self._numbers.setdefault(key, len(self._numbers))

@@ -23,6 +23,7 @@ from ssduck.sqlvalues import (
     SqlValue,
     column_tag,
     failure,
+    literal,
     or_failure,
     wrapped,
 )
@@ -197,12 +198,8 @@ class Expressions:
         match node.value:
             case _ if not tag.is_sql:  # a number too large for SQL
                 raise NotSqlError
-            case float(number):
-                text = repr(number)
-                # DuckDB takes a number for a DOUBLE, and not for a DECIMAL, by its exponent.
-                return SqlValue(exp.Literal.number(text if "e" in text else f"{text}e0"), tag)
             case value:
-                return SqlValue(exp.convert(value), tag)
+                return SqlValue(literal(value), tag)
 
     def _this(self, node: This) -> SqlValue:
         value = self.element(node.alias)
@@ -287,7 +284,8 @@ class Expressions:
                 return SqlValue(exp.Coalesce(this=total, expressions=[nothing]), INTEGER, wide=True)
             case "sum", [SqlValue(tag=Tag(type="list", element=Tag(type="real"))) as value]:
                 zero = exp.cast(exp.Literal.number(0), "DOUBLE")
-                return SqlValue(exp.Coalesce(this=_of_list("sum", value), expressions=[zero]), REAL)
+                found = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
+                return SqlValue(found, Tag("number"))  # the sum of nothing is an integer
             case "min" | "max", [SqlValue(tag=Tag(type="list", element=Tag() as element)) as v] if (
                 element.type in ("real", "integer", "text")
             ):

@@ -63,10 +63,13 @@ class Function:
             raise FunctionError(f"{self.name}: {type(error).__name__}: {error}") from error
 
 
+_ATOMS = frozenset((int, float, str, bool, type(None)))
+
+
 def _copied(value: Any) -> Any:
     """A copy of a list or a dict, and of what is in it; handles stay what they are."""
     if type(value) is list:
-        return [_copied(element) for element in value]
+        return [part if type(part) in _ATOMS else _copied(part) for part in value]
     if type(value) is dict:
         return {key: _copied(element) for key, element in value.items()}
     return copy.deepcopy(value) if isinstance(value, list | dict) else value

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 from ssduck.adapters import Rows
 from ssduck.dependencies import is_impure
 from ssduck.errors import ArgumentError, LimitError
-from ssduck.evaluate import Compiler, Frame, Thunk, hashable
+from ssduck.evaluate import Compiler, Frame, Keys, Thunk, check_size, hashable
 from ssduck.graphs import Vertex, simple_paths
 from ssduck.rows import Clauses, Paths, Selected, checked_count
 from ssduck.tree import Assignment, Node, Query, Recursion
@@ -56,10 +56,10 @@ class Step:
         self.after: Steps | None = None
         self._key: int | None = None
 
-    def key(self, keys: dict[Any, int]) -> int:
+    def key(self, keys: Keys) -> int:
         """What rows are told apart by: a number for what is selected and what it is called."""
         if self._key is None:
-            self._key = keys.setdefault(hashable((self.values, self.names)), len(keys))
+            self._key = keys.of(self.values, self.names)
         return self._key
 
 
@@ -197,7 +197,10 @@ class Hierarchy:
         """The rows of the state after a row; all of CONNECT BY sees the state before it."""
         if step.after is None:
             frame = step.frame
-            state = {**frame.local, **{name: value(frame) for name, value in self._next}}
+            state = dict(frame.local)
+            for name, value in self._next:
+                state[name] = value(frame)
+                check_size(state[name], self._recursion.span)
             step.after = states(state)
         return step.after
 
@@ -209,7 +212,7 @@ class Hierarchy:
         """The paths in depth-first order of the sources."""
         recursion = self._recursion
         tells_apart = recursion.no_cycle or recursion.unique
-        keys: dict[Any, int] = {}
+        keys = Keys()
         visited: set[int] = set()
         path: list[Step] = []
         open_rows = [iter(states(state))]
@@ -256,7 +259,7 @@ class Hierarchy:
         self, states: _States, state: dict[str, Any], levels: int | None
     ) -> tuple[list[Vertex[Step]], list[Vertex[Step]]]:
         """The distinct rows that are reached, breadth first, and those of the first level."""
-        keys: dict[Any, int] = {}
+        keys = Keys()
         known: dict[int, Vertex[Step]] = {}
         waiting: deque[tuple[Vertex[Step], int]] = deque()
 

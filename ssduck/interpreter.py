@@ -427,6 +427,10 @@ class Interpreter:
         function = self._functions.get(name)
         return function is not None and not function.builtin
 
+    def builtin(self, name: str) -> Function | None:
+        """A function of plain values that comes with the language."""
+        return BUILTINS.get(name)
+
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call outside SQL."""
         function = self._functions.get(node.name)

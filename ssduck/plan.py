@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, Protocol
 
 from sqlglot import exp
@@ -144,17 +145,15 @@ class Plan:
     deferred: dict[str, Node | None] = field(default_factory=dict)
     cautious: bool = False
 
-    @property
-    def numbers(self) -> dict[str, Literal["real", "integer"]] | None:
-        """The types of its parameters if all of them are numbers."""
+    @cached_property
+    def numbers(self) -> dict[str, Literal["real", "integer"]]:
+        """The types of those of its parameters that are numbers."""
         types: dict[str, Literal["real", "integer"]] = {}
         for binding in self.bindings:
             match binding.tag.type:
                 case "real" | "integer" as kind:
                     types[binding.name] = kind
-                case _:
-                    return None
-        return None if self.tables else types
+        return types
 
     @property
     def left(self) -> list[Node]:

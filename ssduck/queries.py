@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from itertools import islice
+from math import prod
 from typing import Any
+
+from sqlglot import exp
 
 from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
@@ -16,10 +20,11 @@ from ssduck.graphs import Vertex, simple_paths
 from ssduck.hierarchy import Hierarchy
 from ssduck.plan import Graph, Output, Plan, Shape
 from ssduck.resolve import Resolved
-from ssduck.rows import Clauses, Column, Paths, Rest, Selected, row_frames
+from ssduck.rows import Clauses, Column, Paths, Rest, Selected, combinations, row_frames
 from ssduck.sources import arrow_of, elements_of
+from ssduck.sqlvalues import written
 from ssduck.subqueries import aliases_of
-from ssduck.tree import Call, Node, Query, This
+from ssduck.tree import Call, Given, Literal, Name, Node, Query, This
 from ssduck.types import Tag, converter, to_sql
 from ssduck.udfs import RELATIONS
 
@@ -29,6 +34,14 @@ MOST_FAILURES = 3
 TRIED_AGAIN = 64
 # A search or a product of lists with at most so many rows a state is not worth a statement.
 FEW_ROWS = 64
+
+
+# So many combinations of the sources are kept from state to state.
+MOST_COMBINATIONS = 10_000
+
+
+# Longer lists are not written into a statement.
+MOST_WRITTEN = 1000
 
 
 class SqlFailedError(Exception):
@@ -49,9 +62,8 @@ class Planned:
         self._failures = 0
         self._database = database
         self._statement: Statement | None = None
-        numbers = plan.numbers
-        if numbers is not None:
-            self._statement = Statement(database, plan.select, numbers)
+        # The parameters that are no numbers, as they were last time.
+        self._texts: dict[str, Any] | None = None
         worlds = database.worlds
         self._converters = {
             output.tag: converter(output.tag, worlds)
@@ -85,6 +97,7 @@ class Planned:
         """Let the database forget it."""
         if self._statement is not None:
             self._statement.forget()
+            self._statement = None
 
     def parameters(self, outer: Frame, values: Sequence[Any]) -> dict[str, Any]:
         """The values of the SQL's parameters."""
@@ -145,8 +158,12 @@ class Planned:
         plan, database = self.plan, self._database
         parameters = _parameters(plan, outer, sources)
         # A buffer of numbers has no place for an unknown one.
-        if self._statement is not None and None not in parameters.values():
-            return self._statement.rows(parameters)
+        if not plan.tables and None not in parameters.values():
+            numbers = {name: parameters[name] for name in plan.numbers}
+            texts = {name: value for name, value in parameters.items() if name not in numbers}
+            statement = self._prepared(texts)
+            if statement is not None:
+                return statement.rows(numbers)
         shown = []
         try:
             for alias, name in plan.tables.items():
@@ -158,6 +175,22 @@ class Planned:
         finally:
             for name in shown:
                 database.unshow(name)
+
+    def _prepared(self, texts: dict[str, Any]) -> Statement | None:
+        """The prepared statement for these values of what is no number.
+
+        They are part of its text, so that it is worth its while only when they stay the same.
+        """
+        if self._texts != texts:
+            self.forget()
+            self._texts = texts
+            if texts:
+                return None
+        if self._statement is None and _size(texts) <= MOST_WRITTEN:
+            select = self.plan.select.transform(written(texts)) if texts else self.plan.select
+            assert isinstance(select, exp.Select)
+            self._statement = Statement(self._database, select, self.plan.numbers)
+        return self._statement
 
     def _frames(
         self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
@@ -192,6 +225,14 @@ class Planned:
         if convert is None:
             return lambda columns: columns[index]
         return lambda columns: convert(columns[index])
+
+
+def _size(value: Any) -> int:
+    if isinstance(value, dict):
+        return sum(map(_size, value.values()))
+    if isinstance(value, list):
+        return sum(map(_size, value))
+    return 1
 
 
 def _graph_paths(
@@ -267,8 +308,14 @@ class RowByRow:
         query = resolved.query
         self._query = query
         self._aliases = aliases_of(query)
-        constants = _constants(query, {name for name, node in deferred.items() if node})
-        compiler = Compiler(scope, None, constants, memorize=not is_impure(query))
+        waiting = {name for name, node in deferred.items() if node}
+        compiler = Compiler(
+            scope,
+            None,
+            _constants(query, changing(query) | waiting),
+            _constants(query, (changing(query) - states(query)) | waiting),
+            memorize=not is_impure(query),
+        )
         hierarchical = query.recursion is not None
         conditions = () if query.where is None or hierarchical else (query.where,)
         rest = Rest(
@@ -296,27 +343,54 @@ class RowByRow:
         kept = dict(outer.kept)
         if self._search is None:
             return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
+        return self._search.selected(outer, self._rows_of_states(outer, elements, kept))
+
+    def _rows_of_states(
+        self, outer: Frame, elements: list[Sequence[Any]], kept: dict[Node, Any]
+    ) -> Callable[[dict[str, Any]], Iterator[Frame]]:
+        scope, given, step = outer.scope, outer.given, outer.scope.meter.step
+        same = None
+        if not self._sources_change and prod(map(len, elements)) <= MOST_COMBINATIONS:
+            same = list(combinations(self._aliases, elements, outer))
 
         def rows(state: dict[str, Any]) -> Iterator[Frame]:
-            inside = Frame(outer.scope, outer.elements, state, outer.given, (), kept)
-            found = elements
-            if self._sources_change:
-                found = [elements_of(inside.value(s.value)) for s in self._query.sources]
-            return row_frames(self._aliases, found, inside, kept)
+            rows = same if same is not None else self._combinations(outer, state, elements, kept)
+            of_state: dict[Node, Any] = {}
+            for row in rows:
+                step()
+                yield Frame(scope, row, state, given, (), kept, of_state)
 
-        return self._search.selected(outer, rows)
+        return rows
+
+    def _combinations(
+        self,
+        outer: Frame,
+        state: dict[str, Any],
+        elements: list[Sequence[Any]],
+        kept: dict[Node, Any],
+    ) -> Iterator[dict[str | None, Any]]:
+        """The elements of each row of a state, where they differ from state to state."""
+        inside = Frame(outer.scope, outer.elements, state, outer.given, (), kept)
+        if self._sources_change:
+            elements = [elements_of(inside.value(s.value)) for s in self._query.sources]
+        return combinations(self._aliases, elements, inside)
 
 
-def _constants(query: Query, deferred: set[str]) -> set[Node]:
-    """The largest parts of a query that are the same for all its rows."""
+def _constants(query: Query, changed: AbstractSet[str]) -> set[Node]:
+    """The largest parts of a query that are the same for all its rows, and cost something.
+
+    Args:
+        query: the query.
+        changed: variables that are not the same.
+    """
     own = {None, *aliases_of(query)}
-    changed = changing(query) | deferred
     found: set[Node] = set()
 
     def look(node: Node) -> None:
         same = not free_aliases(node) & own and not is_impure(node) and not mentions(node, changed)
-        if same and not isinstance(node, This):
-            found.add(node)
+        if same:
+            if not isinstance(node, This | Name | Given | Literal):
+                found.add(node)
             return
         if not isinstance(node, Query):
             for child in node.children():
@@ -335,12 +409,10 @@ def is_small(query: Query, shapes: Sequence[Shape], values: Sequence[Any]) -> bo
     """
     if any(not shape.given or shape.tag is None for shape in shapes):
         return False
-    for node in query.walk():
-        if isinstance(node, Call) and node.name in RELATIONS:
-            return False
-        if isinstance(node, Query) and node is not query:
-            return False
-    count = 1
-    for value in values:
-        count *= len(elements_of(value))
-    return count <= FEW_ROWS
+    if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
+        return False
+    return not any(
+        (isinstance(node, Call) and node.name in RELATIONS)
+        or (isinstance(node, Query) and node is not query)
+        for node in query.walk()
+    )

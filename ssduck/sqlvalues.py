@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from sqlglot import exp
 
@@ -107,6 +108,28 @@ class Context:
         if name not in self.deferred:
             self.deferred[name] = self.names.deferred(name)
         return self.deferred[name]
+
+
+def literal(value: Any) -> exp.Expr:
+    """A value as it is written in DuckDB's SQL."""
+    if isinstance(value, list):
+        return exp.Array(expressions=[literal(element) for element in value])
+    if isinstance(value, float):
+        # DuckDB takes a number for a DOUBLE, and not for a DECIMAL, by its exponent.
+        text = repr(value)
+        return exp.Literal.number(text if "e" in text else f"{text}e0")
+    return exp.convert(value)
+
+
+def written(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
+    """What puts values in for parameters; parameters without a value stay."""
+
+    def put_in(part: exp.Expr) -> exp.Expr:
+        if isinstance(part, exp.Parameter) and part.name in values:
+            return literal(values[part.name])
+        return part
+
+    return put_in
 
 
 def column_tag(name: str) -> Tag:
