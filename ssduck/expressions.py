@@ -173,7 +173,11 @@ class Expressions:
                     return inner
                 return replace(inner, given=exp.Neg(this=wrapped(inner.sql)), elements=None)
             case Binary():
-                return self._binary(node)
+                before = self.context.risks
+                value = self._binary(node)
+                if isinstance(value.given, exp.Boolean) and self.context.risks > before:
+                    raise NotSqlError  # what could fail would not be evaluated
+                return value
             case Index():
                 return self._index(node)
             case ListOf(items=items):

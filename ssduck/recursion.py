@@ -288,9 +288,9 @@ class _Search:
         union = exp.union(first, self._next_level(keys, levels).subquery(), distinct=True)
         found = [_column("ends", name) for name in ("place", "found", *keys)]
         select = exp.select(_column(_PATHS, "place"), *found)
-        select = self._from(select, self._within(levels)).join(
-            exp.table_(_PATHS, alias="ends"), on=exp.and_(*self._are_items("ends", keys))
-        )
+        select = self._from(select, self._within(levels))
+        select = select.join(exp.table_(_PATHS, alias="ends"), join_type="cross")
+        select = select.where(*self._are_items("ends", keys))
         places = exp.func("len", _column(_PATHS, "place"))
         select = select.order_by(places, _column(_PATHS, "place"), self._place())
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
