@@ -144,7 +144,7 @@ def test_a_limit_within_a_function_that_sql_calls():
         interpreter.add_variable("n", list(range(100_000)))
         interpreter.add_function("slow", slow)
         started = time.monotonic()
-        with pytest.raises(LimitError, match="more than 0.5 s"):
+        with pytest.raises(LimitError, match=r"more than 0\.5 s"):
             interpreter.eval("SELECT this FROM n WHERE slow(this) < 0 AS list;")
         assert time.monotonic() - started < 20
         assert interpreter.eval("SELECT this FROM n WHERE this < 1 AS list;") == [0]
