@@ -899,6 +899,7 @@ def evaluators() -> Iterator[Evaluators]:
         stack.callback(setattr, queries, "FEW_ROWS", few)
         queries.FEW_ROWS = 0
         both = Evaluators(small_world(Path(folder)))
+        stack.callback(both.world.close)
         stack.callback(both.close)
         yield both
 

@@ -105,7 +105,7 @@ def test_a_reset_simulation(client, make):
     make()
     world = ssduck.World.attach(client)
     old = next(iter(world))
-    pybullet.resetSimulation(client)
+    pybullet.resetSimulation(physicsClientId=client)
     make((5, 0, 0))
     world.tick()
     (new,) = world
@@ -243,7 +243,7 @@ def test_equal_bodies_after_a_reset_are_new_ones(client, make):
     make()
     world = ssduck.World.attach(client)
     (old,) = world
-    pybullet.resetSimulation(client)
+    pybullet.resetSimulation(physicsClientId=client)
     assert len(world.tick()) == 0
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
@@ -274,7 +274,7 @@ def test_a_timestep_that_changes_on_the_way(client, make):
     pybullet.setTimeStep(0.001, client)
     assert world.time == pytest.approx(0.1, abs=1e-15)
     assert world.step(10).time == pytest.approx(0.11, abs=1e-15)
-    pybullet.resetSimulation(client)
+    pybullet.resetSimulation(physicsClientId=client)
     pybullet.setTimeStep(0.01, client)
     assert world.step(1).time == pytest.approx(0.12, abs=1e-15)
 
