@@ -8,7 +8,7 @@ import re
 import threading
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Literal, NoReturn, TypeAlias
@@ -17,7 +17,7 @@ import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck.errors import ArgumentError, LimitError, SqlError
+from ssduck.errors import ArgumentError, LimitError, SelectScriptError, SqlError
 from ssduck.functions import Function
 from ssduck.limits import Limits, Meter
 from ssduck.tables import TABLES, Column, LiveTable
@@ -85,7 +85,17 @@ class Statement:
                 self._database.show(self._name, self._row.arrow)
             self._database.run(self._prepare)
             self._prepared_for = self._database.generation
-        return self._database.rows(self._execute)
+        try:
+            return self._database.rows(self._execute)
+        except SelectScriptError:
+            self._release()
+            raise
+
+    def _release(self) -> None:
+        """Let go of the memory that DuckDB keeps for a statement that failed."""
+        self._prepared_for = -1
+        with suppress(SelectScriptError):
+            self._database.run(self._deallocate)
 
     def forget(self) -> None:
         """Let DuckDB forget it."""

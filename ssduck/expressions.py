@@ -50,7 +50,7 @@ _ARITHMETIC = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
 # Of these values none is equal to one of another kind.
 _APART = ("text", "list", "number")
 # Functions of reals that C has, so that SQL and Python agree to the last digit.
-_OF_REALS = ("sin", "cos", "tan", "atan", "sqrt")
+_OF_REALS = ("sin", "cos", "tan", "atan")
 MOST_EXPONENT = 64
 # Longer lists of literals are parameters.
 MOST_WRITTEN = 32

@@ -201,7 +201,8 @@ class _Translator:
             case tree.Literal(value=number) if type(number) is int and number < _MOST_ROWS:
                 if not left and not self.query.group:
                     return number
-        self._leave(limit)
+        if self.sql.is_constant(limit):
+            self.result.once.append(limit)
         return None
 
     # -- the statement ----------------------------------------------------------------------
