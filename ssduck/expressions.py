@@ -19,9 +19,11 @@ from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.plan import Binding
 from ssduck.sqlvalues import (
     Context,
+    Extent,
     NotSqlError,
     SqlValue,
     column_tag,
+    copied,
     failure,
     literal,
     or_failure,
@@ -86,6 +88,15 @@ class Expressions:
         if self.context.cautious:
             raise NotSqlError
         self.context.risks += 1
+
+    def certain(self, value: SqlValue) -> SqlValue:
+        """A value that is a number where it is used; what is none is left to Python."""
+        if value.extent < Extent.NAN:
+            return value
+        self.risk()
+        is_none = exp.func("isnan", copied(value.sql))
+        case = exp.case().when(is_none, failure(value.tag)).else_(value.sql)
+        return replace(value, given=case, extent=Extent.INFINITE)
 
     # -- what does not depend on rows -------------------------------------------------------
 
@@ -269,10 +280,9 @@ class Expressions:
             case "count", [SqlValue(tag=Tag(type="list")) as value]:
                 return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
             case "abs", [SqlValue(tag=Tag(type="real" | "integer")) as value] if not value.wide:
-                return SqlValue(exp.func("abs", value.sql.copy()), value.tag)
+                return SqlValue(exp.func("abs", value.sql.copy()), value.tag, extent=value.extent)
             case name, [value] if name in _OF_REALS and value.tag.is_number and not value.wide:
-                self.risk()
-                return SqlValue(exp.Anonymous(this=name, expressions=[_double(value)]), REAL)
+                return self._of_real(name, value)
             case "floor" | "ceil", [SqlValue(tag=Tag(type="real")) as value]:
                 self.risk()
                 whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
@@ -289,13 +299,24 @@ class Expressions:
             case "sum", [SqlValue(tag=Tag(type="list", element=Tag(type="real"))) as value]:
                 zero = exp.cast(exp.Literal.number(0), "DOUBLE")
                 found = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
-                return SqlValue(found, Tag("number"))  # the sum of nothing is an integer
+                # The sum of nothing is an integer.
+                extent = Extent.NAN if value.extent else Extent.INFINITE
+                return SqlValue(found, Tag("number"), extent=extent)
             case "min" | "max", [SqlValue(tag=Tag(type="list", element=Tag() as element)) as v] if (
                 element.type in ("real", "integer", "text")
             ):
                 self.risk()
-                return SqlValue(or_failure(_of_list(name, v), element), element)
+                return SqlValue(or_failure(_of_list(name, v), element), element, extent=v.extent)
         return None
+
+    def _of_real(self, name: str, value: SqlValue) -> SqlValue:
+        """Where it is infinite, Python has no value and SQL has one that is no number."""
+        self.risk()
+        sql: exp.Expr = exp.Anonymous(this=name, expressions=[_double(value)])
+        if value.extent:
+            finite = exp.func("isfinite", copied(_double(value)))
+            sql = exp.case().when(finite, sql).else_(failure(REAL))
+        return SqlValue(sql, REAL)
 
     def _relation(self, relation: Relation, node: Call) -> SqlValue:
         count = len(node.arguments)
@@ -312,13 +333,13 @@ class Expressions:
 
             return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
         sql = _expanded(formula, values)
+        extent = Extent.INFINITE if relation.is_unbounded else Extent.FINITE
         if isinstance(sql, exp.Array):
-            elements = tuple(SqlValue(part, REAL) for part in sql.expressions)
+            elements = tuple(SqlValue(part, REAL, extent=extent) for part in sql.expressions)
             length = 3 if len(elements) == 3 else None
-            return SqlValue(sql, Tag("list", REAL, length), elements=elements)
-        return SqlValue(
-            sql, Tag("list", REAL) if relation.result == "list" else Tag(relation.result)
-        )
+            return SqlValue(sql, Tag("list", REAL, length), elements=elements, extent=extent)
+        tag = Tag("list", REAL) if relation.result == "list" else Tag(relation.result)
+        return SqlValue(sql, tag, extent=extent)
 
     def _argument(self, parameter: Parameter, node: Node) -> SqlValue:
         value = self.value(node)
@@ -403,18 +424,21 @@ class Expressions:
         if tag == INTEGER:
             self.risk()  # Python's integers have no end
         sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
-        return SqlValue(exp.paren(sql), tag, wide=tag == INTEGER)
+        extent = Extent.FINITE if tag == INTEGER else _extent(kind, left, right)
+        return SqlValue(exp.paren(sql), tag, wide=tag == INTEGER, extent=extent)
 
     def _quotient(self, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
         divided = exp.Div(
             this=wrapped(left.sql), expression=wrapped(right.sql), typed=False, safe=False
         )
-        return SqlValue(self._unless_zero(node, right, divided, REAL), REAL)
+        extent = _extent(exp.Div, left, right)
+        return SqlValue(self._unless_zero(node, right, divided, REAL), REAL, extent=extent)
 
     def _remainder(self, node: Binary, left: SqlValue, right: SqlValue, tag: Tag) -> SqlValue:
         """Python's: it has the sign of the divisor."""
         a, b = wrapped(left.sql), wrapped(right.sql)
         rest = exp.paren(exp.Mod(this=a, expression=b))
+        copied(rest)
         zero = exp.Literal.number(0)
         apart = exp.NEQ(
             this=exp.paren(exp.LT(this=rest, expression=zero)),
@@ -427,14 +451,16 @@ class Expressions:
             none = exp.Mul(this=b.copy(), expression=zero.copy())
             case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
         case = case.else_(rest.copy())
-        return SqlValue(self._unless_zero(node, right, case, tag), tag, wide=left.wide)
+        extent = Extent.NAN if left.extent or right.extent else Extent.FINITE
+        sql = self._unless_zero(node, right, case, tag)
+        return SqlValue(sql, tag, wide=left.wide, extent=extent)
 
     def _unless_zero(self, node: Binary, right: SqlValue, sql: exp.Expr, tag: Tag) -> exp.Expr:
         """Fail where the divisor is 0; SQL would yield nothing there."""
         if isinstance(node.right, tree.Literal) and node.right.value:
             return exp.paren(sql)
         self.risk()
-        is_zero = exp.EQ(this=wrapped(right.sql.copy()), expression=exp.Literal.number(0))
+        is_zero = exp.EQ(this=wrapped(copied(right.sql)), expression=exp.Literal.number(0))
         return exp.case().when(is_zero, failure(tag)).else_(sql)
 
     def _power(self, node: Binary, left: SqlValue, tag: Tag) -> SqlValue:
@@ -447,7 +473,7 @@ class Expressions:
                 power = exp.Pow(this=_double(left), expression=exp.Literal.number(exponent))
                 beyond: float = EXACT if tag == INTEGER else 1.7976931348623157e308
                 too_large = exp.GT(
-                    this=exp.func("abs", power.copy()), expression=exp.Literal.number(repr(beyond))
+                    this=exp.func("abs", copied(power)), expression=exp.Literal.number(repr(beyond))
                 )
                 whole: exp.Expr = exp.cast(power, "BIGINT") if tag == INTEGER else power
                 return SqlValue(exp.case().when(too_large, failure(tag)).else_(whole), tag)
@@ -461,7 +487,8 @@ class Expressions:
         elements = None
         if left.elements is not None and right.elements is not None:
             elements = left.elements + right.elements
-        return SqlValue(sql, replace(tag, length=None), elements=elements)
+        extent = max(left.extent, right.extent)
+        return SqlValue(sql, replace(tag, length=None), elements=elements, extent=extent)
 
     def comparison(self, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
         """One of the six comparisons."""
@@ -479,7 +506,8 @@ class Expressions:
         if not alike:
             raise NotSqlError
         kind = _COMPARISONS[sign]
-        return SqlValue(kind(this=wrapped(left.sql), expression=wrapped(right.sql)), FLAG)
+        sides = (wrapped(self.certain(value).sql) for value in (left, right))
+        return SqlValue(kind(this=next(sides), expression=next(sides)), FLAG)
 
     def _may_be_equal(self, left: Tag, right: Tag) -> bool:
         both = merged((left, right))
@@ -502,7 +530,7 @@ class Expressions:
             raise NotSqlError
         if left.tag.is_number != right.tag.element.is_number:
             raise NotSqlError
-        return SqlValue(exp.func("list_contains", right.sql, left.sql), FLAG)
+        return SqlValue(exp.func("list_contains", right.sql, self.certain(left).sql), FLAG)
 
     # -- lists ------------------------------------------------------------------------------
 
@@ -511,7 +539,8 @@ class Expressions:
         tag = merged(value.tag for value in values)
         if any(value.tag.nullable or value.wide for value in values):
             raise NotSqlError
-        elements = tuple(values)
+        elements = tuple(map(self.certain, values))
+        extent = max((value.extent for value in elements), default=Extent.FINITE)
         if tag is None:
             return SqlValue(
                 exp.cast(exp.Array(expressions=[]), "INTEGER[]"), Tag("list"), elements=()
@@ -519,12 +548,12 @@ class Expressions:
         length = 3 if len(values) == 3 else None
         if not tag.is_sql or tag.type == "record":
             if all(value.tag.is_sql for value in values):  # its elements can be reached
-                return SqlValue(None, Tag("list", ANY, length), elements=elements)
+                return SqlValue(None, Tag("list", ANY, length), elements=elements, extent=extent)
             raise NotSqlError
-        sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in values])
+        sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in elements])
         if tag.type == "list":
             sql = exp.cast(sql, f"{tag.sql_type}[]", dialect="duckdb")
-        return SqlValue(sql, Tag("list", tag, length), elements=elements)
+        return SqlValue(sql, Tag("list", tag, length), elements=elements, extent=extent)
 
     def _index(self, node: Index) -> SqlValue:
         value = self.value(node.base)
@@ -548,7 +577,7 @@ class Expressions:
         found = exp.Anonymous(
             this="list_extract", expressions=[value.sql.copy(), self._place(index)]
         )
-        return SqlValue(or_failure(found, element), element)
+        return SqlValue(or_failure(found, element), element, extent=value.extent)
 
     def _place(self, index: Node) -> exp.Expr:
         """An index as SQL counts: from 1, or from the end."""
@@ -560,14 +589,15 @@ class Expressions:
             raise NotSqlError
         negative = exp.LT(this=wrapped(place.sql), expression=exp.Literal.number(0))
         behind = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))
-        return exp.case().when(negative, place.sql.copy()).else_(behind)
+        return exp.case().when(negative, copied(place.sql)).else_(behind)
 
     def _choice(self, condition: Node, then: Node, otherwise: Node) -> SqlValue:
         first, second = self.value(then), self.value(otherwise)
         if first.tag != second.tag or first.tag.type == "entity":
             raise NotSqlError
         case = exp.case().when(self.truth(self.value(condition)), first.sql).else_(second.sql)
-        return SqlValue(case, first.tag, wide=first.wide or second.wide)
+        extent = max(first.extent, second.extent)
+        return SqlValue(case, first.tag, wide=first.wide or second.wide, extent=extent)
 
     def _number(self, node: Node) -> SqlValue:
         value = self.value(node)
@@ -597,6 +627,18 @@ class Expressions:
 def _is_short(items: Sequence[Node]) -> bool:
     """Whether a list is so short that it is written out."""
     return 0 < len(items) <= MOST_WRITTEN and all(isinstance(i, tree.Literal) for i in items)
+
+
+def _extent(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> Extent:
+    """Which reals a sum, a product or a quotient may be: finite ones add up to infinite ones."""
+    extents = (left.extent, right.extent)
+    if max(extents) == Extent.NAN or extents == (Extent.INFINITE, Extent.INFINITE):
+        return Extent.NAN
+    if kind is exp.Mul and max(extents) == Extent.INFINITE:  # infinity times 0
+        finite = left if left.extent == Extent.FINITE else right
+        is_factor = isinstance(finite.sql, exp.Literal) and float(finite.sql.this) != 0
+        return Extent.INFINITE if is_factor else Extent.NAN
+    return Extent.INFINITE
 
 
 def _of_list(function: str, value: SqlValue) -> exp.Expr:

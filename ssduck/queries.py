@@ -181,7 +181,7 @@ class Planned:
 
         They are part of its text, so that it is worth its while only when they stay the same.
         """
-        if self._texts != texts:
+        if not _are_same(self._texts, texts):
             self.forget()
             self._texts = texts
             if texts:
@@ -225,6 +225,11 @@ class Planned:
         if convert is None:
             return lambda columns: columns[index]
         return lambda columns: convert(columns[index])
+
+
+def _are_same(before: dict[str, Any] | None, now: dict[str, Any]) -> bool:
+    """Whether they would be written alike: 0.0 and -0.0 are equal, and are not."""
+    return before == now and (_size(now) > MOST_WRITTEN or repr(before) == repr(now))
 
 
 def _size(value: Any) -> int:

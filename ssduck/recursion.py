@@ -9,7 +9,7 @@ runs row by row in `ssduck.hierarchy`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlglot import exp
@@ -18,7 +18,7 @@ from ssduck import tree
 from ssduck.expressions import Expressions
 from ssduck.plan import Graph
 from ssduck.rows import Column
-from ssduck.sqlvalues import NotSqlError, SqlValue, failure
+from ssduck.sqlvalues import Extent, NotSqlError, SqlValue, failure
 from ssduck.subqueries import Element, world_table
 from ssduck.tree import Assignment, Query, Recursion
 from ssduck.types import FLAG, INTEGER, Tag, merged
@@ -87,8 +87,9 @@ class _Search:
         self.entities: dict[str, Element] = {}
         self.start = {a.name: self._started(a) for a in recursion.start}
         self.tags = {name: value.tag for name, value in self.start.items()}
+        self.names = _column_names(self.tags)
         self.next = self._states()
-        self.items = [sql.value(column.node) for column in columns]
+        self.items = [sql.certain(sql.value(column.node)) for column in columns]
         if any(not i.tag.comes_back or i.tag.nullable or i.wide for i in self.items):
             raise NotSqlError
         self.stop = sql.truth(sql.value(recursion.stop))
@@ -108,7 +109,7 @@ class _Search:
             raise NotSqlError
         for _ in range(3):
             self.sql.locals = {name: self._state(name, tag) for name, tag in self.tags.items()}
-            values = {name: self.sql.value(node) for name, node in steps.items()}
+            values = {name: self.sql.certain(self.sql.value(node)) for name, node in steps.items()}
             tags = {
                 name: merged((tag, values[name].tag)) or tag if name in values else tag
                 for name, tag in self.tags.items()
@@ -123,13 +124,16 @@ class _Search:
     def _state(self, name: str, tag: Tag) -> SqlValue:
         """A state variable; an entity is looked up by its id."""
         if tag.type != "entity":
-            return SqlValue(_column(_PATHS, name), tag)
+            return SqlValue(self._state_column(name), tag, extent=Extent.INFINITE)
         if name not in self.entities:
             if tag.schema is None or tag.nullable:
                 raise NotSqlError
             alias = self.sql.context.alias(f"state {name}")
             self.entities[name] = world_table(tag.schema, alias)
         return self.entities[name].value
+
+    def _state_column(self, name: str) -> exp.Expr:
+        return _column(_PATHS, self.names[name])
 
     # -- the statement ----------------------------------------------------------------------
 
@@ -149,12 +153,8 @@ class _Search:
         return min(map(_number, limits), default=None)
 
     def _first(self) -> exp.Select:
-        states = [
-            exp.alias_(_cast(value.sql, self.tags[name]), name, quoted=True)
-            for name, value in self.start.items()
-        ]
         return exp.select(
-            *states,
+            *self._as_states(self.start),
             exp.alias_(_empty(Tag("integer")), "place"),
             *(
                 exp.alias_(_empty(item.tag), f"item {index}", quoted=True)
@@ -163,18 +163,25 @@ class _Search:
             exp.alias_(exp.false(), "found"),
         )
 
+    def _as_states(self, values: Mapping[str, SqlValue]) -> list[exp.Expr]:
+        """Values as the columns of the state variables."""
+        return [
+            exp.alias_(_cast(value.sql, self.tags[name]), self.names[name], quoted=True)
+            for name, value in values.items()
+        ]
+
     def _following(self) -> exp.Select:
         """The paths with a row more, of those that are open."""
         found = _column(_STEPS, "found")
         states = [
             exp.alias_(
                 exp.case()
-                .when(found.copy(), _column(_STEPS, name))
-                .else_(_column(_STEPS, f"next {name}")),
-                name,
+                .when(found.copy(), _column(_STEPS, column))
+                .else_(_column(_STEPS, f"next {column}")),
+                column,
                 quoted=True,
             )
-            for name in self.tags
+            for column in self.names.values()
         ]
         items = [
             exp.alias_(_column(_STEPS, f"item {index}"), f"item {index}", quoted=True)
@@ -186,13 +193,15 @@ class _Search:
 
     def _steps(self) -> exp.Select:
         ends = exp.paren(self.found.copy())
-        states = [exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.tags]
+        states = [
+            exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.names.values()
+        ]
         following = [
             exp.alias_(
                 exp.case()
-                .when(ends.copy(), _column(_PATHS, name))
+                .when(ends.copy(), self._state_column(name))
                 .else_(_cast(value.sql, self.tags[name])),
-                f"next {name}",
+                f"next {self.names[name]}",
                 quoted=True,
             )
             for name, value in self.next.items()
@@ -220,7 +229,7 @@ class _Search:
         for element in (*self.entities.values(), *self.elements):
             select = select.join(element.table, join_type="cross")
         for name, element in self.entities.items():
-            is_state = exp.EQ(this=element.value.sql, expression=_column(_PATHS, name))
+            is_state = exp.EQ(this=element.value.sql, expression=self._state_column(name))
             select = select.where(is_state)
         goes_on = exp.or_(self.found.copy(), exp.Not(this=exp.paren(self.stop.copy())))
         return select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
@@ -270,16 +279,12 @@ class _Search:
         the roots.
         """
         keys = [f"item {index}" for index in range(len(self.items))]
-        states = [
-            exp.alias_(_cast(value.sql, self.tags[name]), name, quoted=True)
-            for name, value in self.start.items()
-        ]
         nothing = [
             exp.alias_(_cast(exp.Null(), item.tag), key, quoted=True)
             for key, item in zip(keys, self.items, strict=True)
         ]
         first = exp.select(
-            *states,
+            *self._as_states(self.start),
             *nothing,
             exp.alias_(_empty(INTEGER), "place"),
             exp.alias_(exp.false(), "found"),
@@ -300,10 +305,6 @@ class _Search:
 
     def _next_level(self, keys: Sequence[str], levels: int | None) -> exp.Select:
         """The rows that come after those of the last level, and that no level had."""
-        states = [
-            exp.alias_(_cast(value.sql, self.tags[name]), name, quoted=True)
-            for name, value in self.next.items()
-        ]
         items = [
             exp.alias_(_cast(item.sql, item.tag), key, quoted=True)
             for key, item in zip(keys, self.items, strict=True)
@@ -312,6 +313,7 @@ class _Search:
             this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
         )
         found = exp.alias_(exp.paren(self.found.copy()), "found")
+        states = self._as_states(self.next)
         select = exp.select(*states, *items, exp.alias_(place, "place"), found)
         known = exp.select(exp.Literal.number(1)).from_(
             exp.table_(_PATHS, db="recurring", alias="known")
@@ -349,6 +351,15 @@ class _Search:
             exp.EQ(this=_column(table, key), expression=_cast(item.sql, item.tag))
             for key, item in zip(keys, self.items, strict=True)
         ]
+
+
+def _column_names(states: Iterable[str]) -> dict[str, str]:
+    """What state variables are called in SQL, which does not tell upper from lower case."""
+    names: dict[str, str] = {}
+    for name in states:
+        alike = sum(name.casefold() == other.casefold() for other in names)
+        names[name] = f"state {name}" if not alike else f"state {name} {alike + 1}"
+    return names
 
 
 def _number(node: tree.Node) -> int:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from itertools import islice
 from typing import Any
 
 from sqlglot import exp
@@ -22,8 +24,24 @@ _COLUMN_TYPES: dict[str, ValueType] = {
 ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
 
 
+# A part of more nodes than this is not written twice, or it would grow without end.
+MOST_COPIED = 100
+
+
 class NotSqlError(Exception):
     """A part that is left to Python."""
+
+
+class Extent(IntEnum):
+    """Which reals a value may be: finite ones, infinities as well, what is no number as well.
+
+    DuckDB takes what is no number (NaN) for equal to itself and for greater than all numbers,
+    Python for neither, so that such a value must not come to be compared.
+    """
+
+    FINITE = 0
+    INFINITE = 1
+    NAN = 2
 
 
 @dataclass(frozen=True)
@@ -37,6 +55,7 @@ class SqlValue:
         elements: of a list that is written out, its elements.
         fields: of a record, what its keys hold.
         wide: whether it may be an integer that no DOUBLE is.
+        extent: which reals it may be; of a list, which its elements may be.
     """
 
     given: exp.Expr | None
@@ -45,6 +64,7 @@ class SqlValue:
     elements: tuple[SqlValue, ...] | None = None
     fields: Mapping[str, SqlValue] = field(default_factory=dict)
     wide: bool = False
+    extent: Extent = Extent.FINITE
 
     @property
     def sql(self) -> exp.Expr:
@@ -116,9 +136,20 @@ def literal(value: Any) -> exp.Expr:
         return exp.Array(expressions=[literal(element) for element in value])
     if isinstance(value, float):
         # DuckDB takes a number for a DOUBLE, and not for a DECIMAL, by its exponent.
-        text = repr(value)
+        text = repr(float(value))
         return exp.Literal.number(text if "e" in text else f"{text}e0")
     return exp.convert(value)
+
+
+def copied(sql: exp.Expr) -> exp.Expr:
+    """A part that is written a second time.
+
+    Raises:
+        NotSqlError: it is too long.
+    """
+    if next(islice(sql.walk(), MOST_COPIED, None), None) is not None:
+        raise NotSqlError
+    return sql.copy()
 
 
 def written(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:

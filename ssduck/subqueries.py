@@ -7,7 +7,7 @@ elements. Any other one is a subquery, which sees the rows around it as SQL's do
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -20,6 +20,7 @@ from ssduck.plan import Binding, Shape
 from ssduck.resolve import resolve
 from ssduck.sqlvalues import (
     ENTITY_COLUMNS,
+    Extent,
     NotSqlError,
     SqlValue,
     column_tag,
@@ -221,6 +222,7 @@ def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
 
 def _list(rows: Subquery) -> SqlValue:
     tag = _common(rows.items)
+    extent = _extent(rows.items)
     listed = rows.items[0].sql.copy()
     if len(rows.items) > 1:
         listed = exp.Array(expressions=[item.sql.copy() for item in rows.items])
@@ -233,7 +235,7 @@ def _list(rows: Subquery) -> SqlValue:
     subquery = exp.paren(rows.select(found))
     whole = Tag("list", tag)
     empty = exp.cast(exp.Array(expressions=[]), whole.sql_type, dialect="duckdb")
-    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole)
+    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole, extent=extent)
 
 
 def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
@@ -249,7 +251,9 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
     if item.tag.type != "entity":
         if not item.tag.is_sql or item.tag.type == "record":
             raise NotSqlError
-        return SqlValue(first(item.sql, item.tag), item.tag, wide=item.wide)
+        return SqlValue(
+            first(item.sql, item.tag), item.tag, wide=item.wide, extent=_extent(rows.items[:1])
+        )
     columns = item.column
     assert columns is not None
     return SqlValue(None, item.tag, lambda name: first(columns(name), column_tag(name)))
@@ -263,7 +267,8 @@ def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
 
 
 def _unrolled_list(rows: Unrolled) -> SqlValue:
-    tag = _common([item for _, items in rows.rows for item in items])
+    every = [item for _, items in rows.rows for item in items]
+    tag = _common(every)
     empty = exp.cast(exp.Array(expressions=[]), f"{tag.sql_type}[]", dialect="duckdb")
     parts = [
         exp.case()
@@ -272,17 +277,23 @@ def _unrolled_list(rows: Unrolled) -> SqlValue:
         for there, items in rows.rows
     ]
     listed = exp.Anonymous(this="flatten", expressions=[exp.Array(expressions=parts)])
-    return SqlValue(listed, Tag("list", tag))
+    return SqlValue(listed, Tag("list", tag), extent=_extent(every))
 
 
 def _unrolled_value(rows: Unrolled) -> SqlValue:
-    tag = _common([items[0] for _, items in rows.rows])
+    firsts = [items[0] for _, items in rows.rows]
+    tag = _common(firsts)
     if tag.type == "entity":
         raise NotSqlError
     case = exp.case()
     for there, items in rows.rows:
         case = case.when(there, items[0].sql.copy())
-    return SqlValue(or_failure(case, tag), tag)
+    return SqlValue(or_failure(case, tag), tag, extent=_extent(firsts))
+
+
+def _extent(items: Sequence[SqlValue]) -> Extent:
+    """Which reals the values of a list may be."""
+    return max((item.extent for item in items), default=Extent.FINITE)
 
 
 def _common(items: Sequence[SqlValue]) -> Tag:
@@ -333,7 +344,7 @@ def _subquery(
     resolved = resolve(query, shapes_in(inner, aliases), inner.names)
     conditions = () if query.where is None else (inner.truth(inner.value(query.where)),)
     before = inner.context.risks
-    items = tuple(inner.value(column.node) for column in resolved.columns)
+    items = tuple(inner.certain(inner.value(column.node)) for column in resolved.columns)
     order = ordered(inner, resolved.query.order)
     risky = inner.context.risks > before
     for entry in elements:
@@ -361,7 +372,7 @@ def _unrolled_row(
     resolved = resolve(query, shapes_in(inner, aliases), inner.names)
     there = exp.true() if query.where is None else inner.truth(inner.value(query.where))
     before = inner.context.risks
-    items = tuple(inner.value(column.node) for column in resolved.columns)
+    items = tuple(inner.certain(inner.value(column.node)) for column in resolved.columns)
     return (there, items), inner.context.risks > before
 
 
@@ -386,7 +397,7 @@ def ordered(inner: Expressions, keys: Sequence[tree.Key]) -> list[exp.Ordered]:
         if not (value.tag.is_number or value.tag.type in ("text", "flag")):
             raise NotSqlError
         if not isinstance(value.sql.unnest(), exp.Literal | exp.Boolean):
-            this = value.sql.copy()
+            this = inner.certain(value).sql.copy()
             found.append(exp.Ordered(this=this, desc=key.descending, nulls_first=False))
     return found
 
@@ -502,7 +513,8 @@ def unnested(name: str, values: SqlValue) -> Element:
     position = (_ascending(_column(name, "n")),)
     alias = exp.to_identifier(name)
     if tag.type != "entity":
-        return Element(SqlValue(_column(name, "value"), tag), table.subquery(alias), position)
+        value = SqlValue(_column(name, "value"), tag, extent=values.extent)
+        return Element(value, table.subquery(alias), position)
     entities = exp.table_("entities", db=tag.schema, alias="e")
     joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
     return Element(entity_value(tag.schema, name), joined.subquery(alias), position)
@@ -548,7 +560,7 @@ def _derived_items(rows: Subquery, name: str) -> Element:
     if item.tag.type != "entity":
         if not item.tag.is_sql or item.tag.type == "record":
             raise NotSqlError
-        value = SqlValue(_column(name, "value"), item.tag, wide=item.wide)
+        value = replace(item, given=_column(name, "value"), elements=None)
         return _derived_element(rows, name, value, {"value": item.sql})
     assert item.column is not None
     columns = {column: item.column(column) for column in ENTITY_COLUMNS}
@@ -567,7 +579,7 @@ def _derived_records(rows: Subquery, name: str) -> Element:
         if not item.tag.comes_back or item.tag.type == "entity" or item.tag.nullable:
             raise NotSqlError
         columns[f"f{index}"] = item.sql
-        fields[key] = SqlValue(_column(name, f"f{index}"), item.tag, wide=item.wide)
+        fields[key] = replace(item, given=_column(name, f"f{index}"), elements=None)
     tag = Tag("record", fields=tuple((key, field.tag) for key, field in fields.items()))
     return _derived_element(rows, name, SqlValue(None, tag, fields=fields), columns)
 

@@ -36,6 +36,10 @@ ValueType: TypeAlias = Literal[
 ]
 
 
+# Of an entity's numbers these may be infinite; the others are finite or unknown.
+BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A parameter of a relation; optional ones come last and together or not at all."""
@@ -92,6 +96,12 @@ class Relation:
         if self.sliced is not None:
             found[len(self.parameters)] = _parsed(self.sliced)
         return found
+
+    @cached_property
+    def is_unbounded(self) -> bool:
+        """Whether it may be infinite: it is of boxes, and that of a plane is."""
+        columns = self.expressions[self.required].find_all(exp.Column)
+        return self.result in ("real", "list") and any(c.name in BOX for c in columns)
 
     @cached_property
     def macro(self) -> str:

@@ -1,0 +1,139 @@
+"""Where SQL has other ideas than Python: infinities, what is no number, names that SQL folds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import queries
+
+EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
+
+
+@pytest.fixture(params=EVALUATORS)
+def ss(request, client, monkeypatch):
+    """A ground plane, whose box is infinite, and two boxes; short lists become SQL, too."""
+    monkeypatch.setattr(queries, "FEW_ROWS", 0)
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
+    )
+    names = {}
+    for name, shape, position in (
+        ("ground", plane, (0, 0, 0)),
+        ("low", box, (0, 0, 0.5)),
+        ("high", box, (3, 0, 2.5)),
+    ):
+        number = pybullet.createMultiBody(0, shape, basePosition=position, physicsClientId=client)
+        names[number] = name
+    world = ssduck.World.attach(client, names=names)
+    with ssduck.Interpreter(**EVALUATORS[request.param]) as interpreter:
+        interpreter.add_variable("w", world)
+        yield interpreter
+    world.close()
+
+
+NAN = math.nan
+# (program, value)
+NO_NUMBERS = [
+    # The plane's box less itself, and what DuckDB would say of it: NaN is equal, and greatest.
+    ("SELECT aabbVolume(this) - aabbVolume(this) FROM w AS list;", [NAN, 0.0, 0.0]),
+    ("SELECT id FROM w WHERE aabbVolume(this) - aabbVolume(this) > 0 AS list;", []),
+    ("SELECT id FROM w WHERE aabbVolume(this) - aabbVolume(this) == 0 AS list;", ["low", "high"]),
+    (
+        "SELECT id FROM w WHERE aabbVolume(this) - aabbVolume(this) != 0 AS list;",
+        ["ground"],
+    ),
+    ("SELECT id FROM w WHERE 1 < aabbVolume(this) / aabbVolume(this) AS list;", []),
+    ("SELECT id FROM w WHERE aabbVolume(this) * 0 >= 0 AS list;", ["low", "high"]),
+    ("SELECT id FROM w WHERE aabbVolume(this) * 2 >= 1 AS list;", ["ground", "low", "high"]),
+    ("SELECT id FROM w WHERE aabbVolume(this) % 3 <= 5 AS list;", ["low", "high"]),
+    ("SELECT id FROM w WHERE 2 % aabbVolume(this) == 2 AS list;", ["ground"]),
+    (
+        "SELECT id FROM w WHERE (aabbVolume(this) - aabbVolume(this)) IN [0, 1] AS list;",
+        ["low", "high"],
+    ),
+    ("SELECT id FROM w WHERE aabbVolume(this) - 5 > 0 AS list;", ["ground"]),
+    (
+        "SELECT id FROM w WHERE sum([aabbVolume(this), -aabbVolume(this)]) == 0 AS list;",
+        ["low", "high"],
+    ),
+    # Reals that grow beyond all others.
+    ("SELECT this * 1e308 * 10 - this * 1e308 * 10 == 0 FROM [0.05, 5.5] AS list;", [True, False]),
+    ("SELECT this * 1e308 * 10 > 1e308 FROM [0.5, 5.5] AS list;", [True, True]),
+    (
+        "SELECT max(SELECT a.this * 1e308 * 10 FROM a=[0.5, 5.5] AS list) FROM b=[1] AS list;",
+        [math.inf],
+    ),
+]
+
+
+@pytest.mark.parametrize(("program", "value"), NO_NUMBERS)
+def test_no_numbers_compare_as_in_python(ss, program, value):
+    assert repr(ss.eval(program)) == repr(value)
+
+
+@pytest.mark.parametrize("function", ["sin", "cos", "tan"])
+def test_no_angle_is_infinite(ss, function):
+    with pytest.raises(ssduck.SelectScriptError, match="math domain|expected a finite"):
+        ss.eval(f"SELECT {function}(aabbVolume(this)) FROM w AS list;")
+    finite = ss.eval(f"SELECT {function}(aabbVolume(this)) FROM w WHERE id(this) == 'low' AS list;")
+    assert finite == [getattr(math, function)(1.0)]
+
+
+@pytest.mark.parametrize("name", ["counted", "place", "found", "paths", "steps", "item", "PLACE"])
+def test_a_state_may_have_any_name(ss, name):
+    program = (
+        f"SELECT this FROM [1, 2] START WITH {name} = 0 CONNECT BY {name} = {name} + this "
+        f"STOP WITH {name} + this >= 3 AS list;"
+    )
+    assert ss.eval(program) == [[1, 1, 1], [1, 1, 2], [1, 2], [2, 1], [2, 2]]
+
+
+def test_states_may_differ_by_case(ss):
+    program = (
+        "SELECT this FROM [1, 2] START WITH a = 0, A = 1 CONNECT BY a = A, A = a + this "
+        "STOP WITH a + A + this >= 4 AS list;"
+    )
+    assert ss.eval(program) == [[1, 1, 1], [1, 1, 2], [1, 2], [2, 1], [2, 2]]
+
+
+@pytest.mark.parametrize("how", ["", "MEMORIZE 3"])
+def test_a_graph_may_have_such_states_too(ss, how):
+    found = [
+        ss.eval(
+            f"SELECT this, {name} FROM [1, 2] START WITH {name} = 0 CONNECT BY {how} "
+            f"{name} = {name} + this STOP WITH {name} + this >= 3 AS list;"
+        )
+        for name in ("level", "found", "place")
+    ]
+    assert found[0] == found[1] == found[2]
+    assert found[0]
+
+
+def test_a_list_of_zeros_that_change_their_sign(ss):
+    """A list that stays the same is written into the statement; 0.0 == -0.0."""
+    program = ss.compile("SELECT n.this FROM w=w, n=zeros AS list;")
+    for sign in ("", "", "-", "-", ""):
+        ss.eval(f"zeros = [{sign}0.0, {sign}0.0];")
+        assert repr(ss.eval(program)) == repr([float(f"{sign}0.0")] * 6)
+
+
+def test_numbers_of_numpy_in_lists(ss):
+    ss.add_variable("numbers", [np.float64(0.5), np.float64(1e300), np.float64(3)])
+    program = ss.compile("SELECT n.this FROM w=w, n=numbers WHERE n.this < 1e200 AS list;")
+    for _ in range(4):
+        assert ss.eval(program) == [0.5, 3.0] * 3
+
+
+@pytest.mark.parametrize("sign", "%^")
+def test_long_chains_do_not_grow_without_end(ss, sign):
+    other = "7.5" if sign == "%" else "1"
+    chain = f" {sign} ".join(["n.this", *[other] * 40])
+    program = f"SELECT {chain} FROM w=w, n=[3.5] AS list;"
+    assert ss.eval(program) == [3.5] * 3
+    assert len(ss.explain(program)) < 20_000
