@@ -76,7 +76,7 @@ def rows() -> Iterator[tuple[str, ...]]:
             else:
                 times = medians(ways, problem.rounds)
                 times |= medians(slow, problem.rows_rounds) if problem.rows_rounds else {}
-            yield (name, _told(times["ours"]), *_beside(times, "loop"), *_beside(times, "rows"))
+            yield (name, shown(times["ours"]), *_beside(times, "loop"), *_beside(times, "rows"))
 
 
 def _beside(times: dict[str, float], way: str) -> tuple[str, str]:
@@ -84,11 +84,7 @@ def _beside(times: dict[str, float], way: str) -> tuple[str, str]:
     if way not in times:
         return "", ""
     ratio = times["ours"] / times[way]
-    return _told(times[way]), f"{ratio:.2f}" if ratio >= 0.1 else f"{ratio:.2g}"
-
-
-def _told(seconds: float) -> str:
-    return f"{seconds:.1f} s" if seconds >= 1 else shown(seconds)
+    return shown(times[way]), f"{ratio:.2f}" if ratio >= 0.1 else f"{ratio:.2g}"
 
 
 HEADER = ("a program", "ssduck", "loop", "ratio", "row by row", "ratio")

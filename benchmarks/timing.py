@@ -37,4 +37,6 @@ def medians(ways: Mapping[str, Callable[[], object]], rounds: int = 300) -> dict
 
 def shown(seconds: float) -> str:
     """A time with its unit."""
+    if seconds >= 1:
+        return f"{seconds:.1f} s"
     return f"{seconds * 1e3:.2f} ms" if seconds >= 1e-3 else f"{seconds * 1e6:.0f} µs"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import sqlglot
@@ -54,11 +55,20 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
         raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)
     select = plan.select.transform(written(values))
     if dialect != "duckdb":
+        select = select.transform(_without_infinity)
         _refuse(select, query, dialect)
     try:
         return select.sql(dialect=dialect, unsupported_level=sqlglot.ErrorLevel.RAISE, pretty=True)
     except SqlglotError as error:
         raise UnsupportedError(f"{dialect}: {error}", span=query.span) from error
+
+
+def _without_infinity(part: exp.Expr) -> exp.Expr:
+    """`x < infinity` by the largest number that there is: not all engines have infinities."""
+    match part:
+        case exp.LT(this=value, expression=exp.Cast(this=exp.Literal(this="infinity"))):
+            return exp.LTE(this=value, expression=exp.Literal.number(repr(sys.float_info.max)))
+    return part
 
 
 def _refuse(select: exp.Expr, query: Query, dialect: str) -> None:

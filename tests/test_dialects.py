@@ -37,6 +37,8 @@ PORTABLE = [
     "SELECT id FROM kitchen WHERE isRobot(this) AS list;",
     "SELECT id, z, volume FROM kitchen WHERE above(table, this) AND volume(this) < 0.001 AS list;",
     "SELECT id FROM kitchen WHERE within(table, this) AS list;",
+    "SELECT id FROM kitchen WHERE below(table, this) AS list;",
+    "SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen WHERE below(a.this, b.this) AS list;",
     "SELECT id FROM kitchen WHERE distance(table, this) < 1.5 AND z(this) > low AS list;",
     "SELECT (z(this) + 1) * 2 - x(this) / 4 FROM kitchen AS list;",
     "SELECT id FROM kitchen WHERE isRobot(this) XOR z(this) > 1 AS list;",
