@@ -301,23 +301,36 @@ class Database:
         """Tell the tracer of a statement, run it, and end it in time.
 
         DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call behind
-        DuckDB's error, be it that of a context manager's `__exit__`; so none stands here.
+        DuckDB's error, or in DuckDB, which makes an error of its own of it, or nothing.
         """
         if self._tracer is not None:
             self._tracer(sql)
-        timer, listening = self._timer(), ctrl_c.listen(self._interrupt)
+        self._raised.clear()
+        listening = ctrl_c.Listening(self._interrupt)
         try:
-            return work()
-        except duckdb.Error as error:
-            self._complain(error)
-        except RuntimeError as error:  # so DuckDB tells of Ctrl-C
-            if "interrupted" not in str(error).lower():
+            result = self._in_time(work, listening)
+        except Exception as error:
+            if not (listening.pressed or _is_duckdbs(error)):
                 raise
-            self._complain(error)
-        finally:
-            ctrl_c.leave(listening)
+            self._complain(error, interrupted=listening.pressed)
+        if listening.pressed:
+            raise KeyboardInterrupt
+        return result
+
+    def _in_time(self, work: Callable[[], T], listening: ctrl_c.Listening) -> T:
+        timer = self._timer()
+        try:
+            listening.enter()
             if timer is not None:
-                timer.cancel()
+                timer.start()
+            result = work()
+        finally:
+            try:
+                _end(listening, timer)
+            except KeyboardInterrupt:  # it may have come before the end
+                _end(listening, timer)
+                raise
+        return result
 
     def _timer(self) -> threading.Timer | None:
         remaining = self.meter.remaining
@@ -325,19 +338,20 @@ class Database:
             return None
         timer = threading.Timer(remaining, self._connection.interrupt)
         timer.daemon = True
-        timer.start()
         return timer
 
     def _interrupt(self) -> None:
         with suppress(duckdb.Error):  # it was closed meanwhile
             self._connection.interrupt()
 
-    def _complain(self, error: Exception) -> NoReturn:
-        raised = self._raised.copy()
-        self._raised.clear()
-        for cause in raised:
-            if isinstance(cause, KeyboardInterrupt | LimitError):
-                raise cause from None
+    def _complain(self, error: Exception, *, interrupted: bool) -> NoReturn:
+        cause = self._raised.pop() if self._raised else None
+        if isinstance(cause, KeyboardInterrupt):
+            raise cause from None
+        if interrupted:
+            raise KeyboardInterrupt from error
+        if isinstance(cause, LimitError):
+            raise cause from None
         if not self._finalizer.alive:
             raise SqlError("the interpreter is closed", is_final=True) from error
         self.meter.check_time()
@@ -487,6 +501,19 @@ class Database:
     def worlds(self) -> dict[str, World]:
         """The worlds by the schema that ssduck's statements use, the first one first."""
         return {bound.schemas[0]: bound.world for bound in self._bound if bound.schemas}
+
+
+def _is_duckdbs(error: Exception) -> bool:
+    """Whether DuckDB raised it; of Ctrl-C it tells by a RuntimeError."""
+    if isinstance(error, RuntimeError):
+        return "interrupted" in str(error).lower()
+    return isinstance(error, duckdb.Error)
+
+
+def _end(listening: ctrl_c.Listening, timer: threading.Timer | None) -> None:
+    listening.leave()
+    if timer is not None:
+        timer.cancel()
 
 
 def _live(key: str, table: str) -> str:

@@ -6,11 +6,15 @@ evaluated. Variables, functions and nested queries are looked up through the fra
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import fields
 from itertools import islice
+from reprlib import Repr
 from typing import Any, Protocol, TypeAlias, cast
-from weakref import WeakKeyDictionary
+
+import numpy as np
 
 from ssduck.dependencies import aliases_of, free_aliases, is_impure
 from ssduck.errors import (
@@ -48,6 +52,8 @@ FEW = 4
 # So many keys and letters of what is wrong are told.
 MOST_KEYS = 20
 MOST_LETTERS = 200
+# So many parts keep the functions that they were made into; then all are made anew.
+MOST_COMPILED = 5000
 
 
 class Scope(Protocol):
@@ -170,13 +176,16 @@ class Deferred:
         return self.text[self.node.span.start : self.node.span.end]
 
 
-_COMPILED: WeakKeyDictionary[Node, Thunk] = WeakKeyDictionary()
+# Weak keys would stay, too: the functions know their parts.
+_COMPILED: dict[Node, Thunk] = {}
 
 
 def compiled(node: Node, scope: Scope) -> Thunk:
     """A part as a function of a frame; made once for a part, names checked each time."""
     thunk = _COMPILED.get(node)
     if thunk is None:
+        if len(_COMPILED) >= MOST_COMPILED:
+            _COMPILED.clear()
         thunk = _COMPILED[node] = Compiler(scope).thunk(node)
     return thunk
 
@@ -332,7 +341,7 @@ class Compiler:
             if isinstance(element, dict):
                 keys = [key for key in element if isinstance(key, str)]
                 raise UnknownNameError(
-                    f"there is no key, variable or function {name!r}",
+                    f"there is no key, variable or function {shown(name)}",
                     suggestions=nearest(name, [*keys, *frame.scope.names()]),
                 )
             frame.scope.check_call(call)
@@ -358,7 +367,7 @@ class Compiler:
                 error.span = error.span or node.span
                 raise
             except (ValueError, ArithmeticError, MemoryError) as error:
-                raise _unusable(error, node.span) from error
+                raise unusable(error, node.span) from error
 
         if not self.calls_once(node):
             return call
@@ -381,7 +390,7 @@ class Compiler:
             value = base(frame)
             for index, span in indices:
                 value = _indexed(value, index(frame), span)
-            return value
+            return value.item() if isinstance(value, NUMPYS) else value
 
         return element
 
@@ -483,7 +492,7 @@ def _placed(node: Node, thunk: Thunk) -> Thunk:
             error.span = error.span or node.span
             raise
         except (ValueError, ArithmeticError, MemoryError) as error:
-            raise _unusable(error, node.span) from error
+            raise unusable(error, node.span) from error
 
     return placed
 
@@ -516,7 +525,9 @@ def _variable(frame: Frame, name: str) -> Any:
     if not frame.scope.has_variable(name):
         element = frame.elements.get(None)
         if isinstance(element, dict) and name in element:
-            raise UnknownNameError(f"there is no variable {name!r}; write this.{name}")
+            raise UnknownNameError(
+                f"there is no variable {shown(name)}; write this.{bounded(name)}"
+            )
     value = frame.scope.variable(name)
     # Outside all queries it is passed on as it is.
     return resolved(value, frame) if isinstance(value, Deferred) and frame.elements else value
@@ -539,7 +550,7 @@ def _no_element(alias: str | None, frame: Frame, span: Span) -> SelectScriptErro
     names = [name for name in frame.elements if name is not None]
     if alias is not None:
         return UnknownNameError(
-            f"there is no source {alias!r} here",
+            f"there is no source {shown(alias)} here",
             span=span,
             suggestions=nearest(alias, names) or names[:3],
         )
@@ -559,33 +570,52 @@ def _indexed(value: Any, index: Any, span: Span) -> Any:
     except (IndexError, KeyError) as error:
         raise _no_such(value, index, span, error) from error
     except TypeError as error:
-        raise ArgumentError(f"{_kind(value)} has no element {_shown(index)}", span=span) from error
+        raise ArgumentError(f"{_kind(value)} has no element {shown(index)}", span=span) from error
     except Exception as error:
-        raise _unusable(error, span) from error
+        raise unusable(error, span) from error
 
 
 def _no_such(value: Any, index: Any, span: Span, error: Exception) -> EvaluationError:
     """Of an element that is not there, with what is there."""
-    missing = f"no element {_shown(index)}"
+    missing = f"no element {shown(index)}"
     if isinstance(value, dict):
         keys = list(islice(value, MOST_KEYS))
         more = ", …" if len(value) > MOST_KEYS else ""
-        told = ", ".join(map(_shown, keys))
+        told = ", ".join(map(shown, keys))
         near = nearest(index, map(str, keys))
         return EvaluationError(
             f"{missing}: there are keys [{told}{more}]", span=span, suggestions=near
         )
     if isinstance(value, list | tuple | str):
         return EvaluationError(f"{missing}: there are {len(value)} elements", span=span)
-    return EvaluationError(f"{missing}: {_bounded(str(error))}", span=span)
+    return EvaluationError(f"{missing}: {reason(error)}", span=span)
 
 
-def _shown(value: Any) -> str:
+_SHORT = Repr()
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MOST_KEYS
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MOST_LETTERS
+
+
+def shown(value: Any) -> str:
     """A value as it is written, if that is not too long."""
-    return _bounded(repr(value))
+    try:
+        return bounded(_SHORT.repr(value))
+    except ValueError:  # Python writes no number of thousands of digits
+        if not isinstance(value, int):
+            return _kind(value)
+        sign = "negative " if value < 0 else ""
+        return f"a {sign}number of some {int(value.bit_length() * math.log10(2))} digits"
 
 
-def _bounded(text: str) -> str:
+def reason(error: BaseException) -> str:
+    """What an error of whatever kind says, if that is not too long."""
+    try:
+        return bounded(str(error))
+    except Exception:  # noqa: BLE001  # a user's class may do anything
+        return "it does not tell why"
+
+
+def bounded(text: str) -> str:
     """The first line of a text, if that is not too long."""
     line = text.strip().partition("\n")[0]
     return line if len(line) <= MOST_LETTERS else f"{line[:MOST_LETTERS]}…"
@@ -602,15 +632,15 @@ def truth(value: Any, node: Node) -> bool:
     except (SelectScriptError, RecursionError):
         raise
     except Exception as error:
-        raise _unusable(error, node.span) from error
+        raise unusable(error, node.span) from error
 
 
-def _unusable(error: Exception, span: Span | None) -> EvaluationError:
+def unusable(error: Exception, span: Span | None) -> EvaluationError:
     """Of values that Python brought in: an array that is neither true nor false, say.
 
     Their libraries have errors of their own, of whatever kind and length.
     """
-    return EvaluationError(f"{type(error).__name__}: {_bounded(str(error))}", span=span)
+    return EvaluationError(f"{type(error).__name__}: {reason(error)}", span=span)
 
 
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
@@ -661,7 +691,7 @@ def apply(sign: str, left: Any, right: Any, span: Span | None = None) -> Any:
     except SelectScriptError:
         raise
     except Exception as error:
-        raise _unusable(error, span) from error
+        raise unusable(error, span) from error
     if isinstance(value, complex):
         raise EvaluationError(f"{sign} of these has no real value", span=span)
     return value
@@ -721,7 +751,7 @@ def apply_unary(sign: str, value: Any, span: Span) -> Any:
     except (SelectScriptError, RecursionError):
         raise
     except Exception as error:
-        raise _unusable(error, span) from error
+        raise unusable(error, span) from error
 
 
 def _kind(value: Any) -> str:
@@ -740,22 +770,42 @@ def _kind(value: Any) -> str:
 
 
 def written(node: Node) -> str:
-    """A part so that parts are written alike if they mean the same where they stand."""
-    match node:
-        case Literal(value=value):
-            return repr(value)
-        case Name(name=name) | Bare(name=name) | Given(name=name):
-            return name
-        case This(alias=alias):
-            return "this" if alias is None else f"{alias}.this"
-        case Query():
-            return f"query {id(node)}"
-    parts = ", ".join(map(written, node.children()))
-    told = getattr(node, "name", getattr(node, "operator", ""))
-    return f"{type(node).__name__} {told}({parts})"
+    """A part so that parts are written alike only if they mean the same where they stand."""
+    if isinstance(node, Query):
+        return f"Query({id(node)})"
+    values = (getattr(node, field.name) for field in fields(node))
+    parts = ", ".join(_written(value) for value in values if not isinstance(value, Span))
+    return f"{type(node).__name__}({parts})"
+
+
+def _written(value: Any) -> str:
+    """What is in a part: another one, some of them, or a name, a number, a text."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_written, value))})"
+    return written(value) if isinstance(value, Node) else repr(value)
 
 
 _ATOMS = frozenset((int, float, str, bool, type(None)))
+NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
+
+
+def plain(value: Any) -> Any:
+    """A value whose lists, tuples and dicts hold Python's numbers, truths and texts, not numpy's.
+
+    numpy's would overflow, and be infinite where Python's raise. It is the value itself where
+    there are none.
+    """
+    kind = type(value)
+    if kind is dict:
+        parts = {plain(key): plain(part) for key, part in value.items()}
+        same = all(map(operator.is_, parts.values(), value.values()))
+        return value if same and all(map(operator.is_, parts, value)) else parts
+    if kind is list or kind is tuple:
+        if _ATOMS.issuperset(map(type, value)):
+            return value
+        elements = kind(map(plain, value))
+        return value if all(map(operator.is_, elements, value)) else elements
+    return value.item() if isinstance(value, NUMPYS) else value
 
 
 def hashable(value: Any) -> Any:
@@ -784,7 +834,8 @@ _EXACT_ATOMS = frozenset((int, str, bool, type(None)))
 def exactly(value: Any) -> Any:
     """What stands for a value in sets: alike only for values that no function tells apart.
 
-    1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart.
+    1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart. So it may be
+    with equal values of any other type.
 
     Raises:
         ArgumentError: values of its type cannot be told apart.
@@ -798,7 +849,14 @@ def exactly(value: Any) -> Any:
         return (kind, *map(exactly, value))
     if kind is dict:
         return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])
-    return (kind, hashable(value))
+    return (kind, hashable(value), _told_apart(value))
+
+
+def _told_apart(value: Any) -> str:
+    try:
+        return repr(value)
+    except Exception as error:
+        raise ArgumentError(f"{_kind(value)} cannot be told apart from others") from error
 
 
 class Keys:

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from ssduck.errors import FunctionError, LimitError, SelectScriptError
-from ssduck.evaluate import apply, hashable
+from ssduck.evaluate import NUMPYS, apply, bounded, hashable, reason
 from ssduck.hints import Hints, hints_of
 
 # A double has no digits beyond these, before or behind the point.
@@ -26,8 +24,9 @@ class Function:
 
     Attributes:
         name: what programs call it.
-        call: the function; it gets copies of lists and dicts, and of what it gives, numpy's
-            numbers and truths become Python's.
+        call: the function; it gets copies of lists and dicts, and gives some: it may fill
+            the same list each time. Of what it gives, numpy's numbers and truths become
+            Python's.
         help: what `help('name')` tells after the name.
         least: how many arguments it takes at least.
         most: how many at most; None for any number.
@@ -59,24 +58,24 @@ class Function:
         """
         try:
             if self.builtin:  # these change nothing that they are given
-                return self.call(*arguments)
+                value = self.call(*arguments)
+                return value.item() if isinstance(value, NUMPYS) else value
             value = self.call(*map(_copied, arguments))
+            return value if type(value) in _ATOMS else _given(value)
         except (LimitError, RecursionError):
             raise
         except SelectScriptError as error:
             if self.builtin:
                 raise
-            raise self._failed(error, error.message) from error
+            raise self._failed(error, bounded(error.message)) from error
         except Exception as error:
-            raise self._failed(error, error) from error
-        return value.item() if type(value) is not list and isinstance(value, _NUMPYS) else value
+            raise self._failed(error, reason(error)) from error
 
-    def _failed(self, error: Exception, told: object) -> FunctionError:
-        return FunctionError(f"{self.name}: {type(error).__name__}: {told}")
+    def _failed(self, error: Exception, why: str) -> FunctionError:
+        return FunctionError(f"{self.name}: {type(error).__name__}: {why}")
 
 
 _ATOMS = frozenset((int, float, str, bool, type(None)))
-_NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
 
 
 def _copied(value: Any) -> Any:
@@ -86,6 +85,17 @@ def _copied(value: Any) -> Any:
     if type(value) is dict:
         return {key: _copied(element) for key, element in value.items()}
     return copy.deepcopy(value) if isinstance(value, list | dict) else value
+
+
+def _given(value: Any) -> Any:
+    """What a function gave: copies of lists and dicts, Python's numbers for numpy's."""
+    if type(value) is list:
+        return [part if type(part) in _ATOMS else _given(part) for part in value]
+    if type(value) is tuple:
+        return tuple([part if type(part) in _ATOMS else _given(part) for part in value])
+    if type(value) is dict:
+        return {_given(key): _given(element) for key, element in value.items()}
+    return value.item() if isinstance(value, NUMPYS) else value
 
 
 def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:

@@ -54,7 +54,7 @@ class Step:
     Attributes:
         frame: what the row's expressions see.
         found: whether a path up to this row is a result.
-        stops: whether STOP WITH holds.
+        stops: whether STOP WITH holds; nobody asks where a row is found, but under UNIQUE.
         selection: what is selected; None while it is not known.
         after: the rows of the state after its step; None while they are not known.
     """
@@ -238,24 +238,27 @@ class Hierarchy:
         """What makes the rows of a state, but those at which a path ends in vain."""
         stop_at, (stop, where) = self._recursion.stop, (self._stop, self._where)
         found_at = stop_at if self._query.where is None else self._query.where
-
-        scope, given, count_step = outer.scope, outer.given, outer.scope.meter.step
+        # Under UNIQUE it matters of a row that is found whether it counts.
+        always_stops = where is None or self._recursion.unique
+        scope, given, look = outer.scope, outer.given, outer.scope.meter.looks()
 
         def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[Step]:
             of_state: dict[Node, Any] = {}
             frame = None
             for elements, known in zip(rows(state), calls, strict=False):
-                count_step()
+                look()
                 if frame is None:
                     frame = Frame(scope, elements, state, given, (), kept, of_state)
                 frame.elements, frame.calls = elements, known
                 selection = self._selected_of(frame) if self._happens else None
-                stops = stop(frame)
-                if stops is not True and stops is not False:
-                    stops = truth(stops, stop_at)
-                found = stops if where is None else where(frame)
+                found = False if where is None else where(frame)
                 if found is not True and found is not False:
                     found = truth(found, found_at)
+                stops = stop(frame) if always_stops or not found else True
+                if stops is not True and stops is not False:
+                    stops = truth(stops, stop_at)
+                if where is None:
+                    found = stops
                 if found or not stops:
                     yield Step(frame, selection, found, stops)
                     frame = None  # else nobody knows of it
@@ -307,10 +310,10 @@ class Hierarchy:
         visited: set[int | None] = set()
         path: list[Step] = []
         open_rows = [_again(states(state))]
-        count_step = outer.scope.meter.step
+        look = outer.scope.meter.looks()
         while open_rows:
             for step in open_rows[-1]:
-                count_step()
+                look()
                 if tells_apart and self._key(step, keys) in visited:
                     continue
                 if step.found:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
+from weakref import WeakKeyDictionary
 
 from ssduck.adapters import ADAPTERS, Adapter, Rows
 from ssduck.database import Database
@@ -28,7 +29,7 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.evaluate import Deferred, Frame
+from ssduck.evaluate import MOST_LETTERS, Deferred, Frame, plain, shown
 from ssduck.explain import told
 from ssduck.functions import BUILTINS, Function
 from ssduck.language import is_reserved, parse
@@ -119,7 +120,7 @@ class Interpreter:
         self._functions.update((command.name, command) for command in self._commands())
         self._own: list[World] = []
         self._planner = Planner(self._database, self, self._limits, row_by_row=row_by_row)
-        self._relations: dict[Call, Query] = {}
+        self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._texts: list[str] = []
 
     def close(self) -> None:
@@ -240,6 +241,8 @@ class Interpreter:
     def add_variable(self, name: str, value: Any) -> Any:
         """Bind a value to a name; a world's tables become the schema of that name.
 
+        numpy's numbers become Python's; a list or a dict with some in it is copied for that.
+
         Returns:
             The value.
 
@@ -251,7 +254,7 @@ class Interpreter:
             if isinstance(value, World):
                 self._database.bind(name, value)
                 self._planner.forget()
-            self._variables[name] = value
+            self._variables[name] = _plain(value)
         return value
 
     def call_variable(self, name: str) -> Any:
@@ -281,7 +284,7 @@ class Interpreter:
         if name in RELATIONS or (known is not None and known.builtin):
             raise ArgumentError(f"{name!r} is a function of the language; choose another name")
         if not callable(function):
-            raise ArgumentError(f"{name}: {function!r} is no function")
+            raise ArgumentError(f"{name}: {shown(function)} is no function")
         with self._lock:
             self._functions[name] = Function.of(name, function, help)
             self._planner.forget()
@@ -297,7 +300,7 @@ class Interpreter:
         described: dict[str, Function | Relation] = {**self._functions, **RELATIONS}
         if name not in described:
             raise UnknownNameError(
-                f"there is no function {name!r}", suggestions=nearest(name, described)
+                f"there is no function {shown(name)}", suggestions=_nearest(name, described)
             )
         return f"{name}\n{described[name].help}"
 
@@ -370,7 +373,7 @@ class Interpreter:
         if not self._limits.eval:
             raise LimitError("eval is switched off here")
         if not isinstance(text, str):
-            raise ArgumentError(f"eval takes a text, not {text!r}")
+            raise ArgumentError(f"eval takes a text, not {shown(text)}")
         self._texts.append(text)
         try:
             program = parse(text)
@@ -394,7 +397,7 @@ class Interpreter:
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
         raise UnknownNameError(
-            f"there is no variable {name!r}", suggestions=nearest(name, self.names())
+            f"there is no variable {shown(name)}", suggestions=_nearest(name, self.names())
         )
 
     def has_variable(self, name: str) -> bool:
@@ -492,8 +495,20 @@ def _tree(program: str | Compiled) -> Program:
     if isinstance(program, Compiled):
         return program.tree
     if not isinstance(program, str):
-        raise ArgumentError(f"a program is a text or what compile gave, not {program!r}")
+        raise ArgumentError(f"a program is a text or what compile gave, not {shown(program)}")
     return parse(program)
+
+
+def _plain(value: Any) -> Any:
+    try:
+        return plain(value)
+    except RecursionError:  # a list that is in itself; where it is used tells
+        return value
+
+
+def _nearest(name: Any, known: Iterable[str]) -> tuple[str, ...]:
+    """The nearest of some names; to look for one of a million letters would take its time."""
+    return nearest(name[:MOST_LETTERS] if isinstance(name, str) else shown(name), known)
 
 
 def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
@@ -504,7 +519,7 @@ def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Fun
 
 def _check_name(name: str, what: str) -> None:
     if not isinstance(name, str) or not name.isidentifier():
-        raise ArgumentError(f"{name!r} cannot be {what}'s name: letters, digits and _ only")
+        raise ArgumentError(f"{shown(name)} cannot be {what}'s name: letters, digits and _ only")
     if is_reserved(name):
         raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +75,25 @@ class Meter:
         self._steps += 1
         if self._ends is not None and self._steps % _STRIDE == 0:
             self.check_time()
+
+    def looks(self) -> Callable[[], None]:
+        """What one query calls at each combination of its sources that Python looks at.
+
+        It raises a LimitError if there are too many, or the time is up.
+        """
+        most = self.limits.rows
+        if most is None:
+            return self.step
+        looked = 0
+
+        def look() -> None:
+            nonlocal looked
+            looked += 1
+            if looked > most:
+                raise LimitError(f"a query looks at more than {most} rows")
+            self.step()
+
+        return look
 
     def check_time(self) -> None:
         """Look at the clock.

@@ -6,6 +6,7 @@ that SQL has left, or all combinations of the sources where a query runs row by 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cmp_to_key
@@ -14,8 +15,8 @@ from typing import Any, TypeAlias
 
 from ssduck.adapters import Rows
 from ssduck.dependencies import free_aliases
-from ssduck.errors import ArgumentError, EvaluationError
-from ssduck.evaluate import Compiler, Frame, Thunk, apply, truth
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
+from ssduck.evaluate import Compiler, Frame, Thunk, apply, shown, truth, unusable
 from ssduck.functions import AGGREGATES
 from ssduck.tree import Call, Given, Key, Node, Query
 
@@ -89,7 +90,7 @@ class Clauses:
         self._conditions = [compiler.condition(node) for node in rest.conditions]
         self.items = Items(rest.columns, compiler)
         self._order = [(compiler.thunk(key.value), key) for key in rest.order]
-        self._group = [compiler.thunk(node) for node in rest.group]
+        self._group = [(compiler.thunk(node), node) for node in rest.group]
         self._having = None if rest.having is None else _Having(rest.having, compiler)
         self._limit = None if rest.limit is None else compiler.thunk(rest.limit)
 
@@ -128,7 +129,7 @@ class Clauses:
         groups: dict[str, list[Any]] = {}
         for entry in found:
             frame = row(entry)
-            key = ", ".join(printed(thunk(frame)) for thunk in self._group)
+            key = ", ".join(printed(thunk(frame), node) for thunk, node in self._group)
             groups.setdefault(key, []).append(entry)
         wanted = [
             (key, entries)
@@ -237,14 +238,32 @@ def checked_count(value: Any, what: str, node: Node) -> int:
         EvaluationError: it is none.
     """
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise EvaluationError(f"{what} takes a whole number, not {value!r}", span=node.span)
-    return value
+        raise EvaluationError(f"{what} takes a whole number, not {shown(value)}", span=node.span)
+    return min(value, sys.maxsize)  # there is nothing of which there are more
 
 
-def printed(value: Any) -> str:
-    """A value as a group's key: an entity by its name, a text without quotes."""
-    name = getattr(value, "name", None)
-    return name if isinstance(name, str) and not isinstance(value, str) else str(value)
+def printed(value: Any, node: Node) -> str:
+    """A value as a group's key: an entity by its name, a text without quotes.
+
+    Raises:
+        EvaluationError: it cannot be printed.
+    """
+    try:
+        name = getattr(value, "name", None)
+        if isinstance(name, str) and not isinstance(value, str):
+            return name
+        return str(_unsigned(value))
+    except (SelectScriptError, RecursionError):
+        raise
+    except Exception as error:
+        raise unusable(error, node.span) from error
+
+
+def _unsigned(value: Any) -> Any:
+    """-0.0 as 0.0: they are equal, and SQL has its own idea of which one a remainder is."""
+    if type(value) is float:
+        return value + 0.0
+    return [_unsigned(part) for part in value] if type(value) is list else value
 
 
 def combinations(
@@ -267,9 +286,9 @@ def row_frames(
     kept: dict[Node, Any],
 ) -> Iterator[Frame]:
     """The frames of all rows of a query, in order; each one is a step."""
-    step = outer.scope.meter.step
+    look = outer.scope.meter.looks()
     for elements in combinations(aliases, values, outer):
-        step()
+        look()
         yield outer.row(elements, kept)
 
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import gc
+from decimal import Decimal
+
 import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
 
 import ssduck
-from ssduck import queries
-from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError
+from ssduck import evaluate, queries
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    FunctionError,
+    SelectScriptError,
+    UnknownNameError,
+)
 from ssduck.evaluate import Keys, exactly
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
@@ -48,9 +57,8 @@ BROUGHT = {
 
 # (program, offending text, words)
 NO_ELEMENTS = [
-    ("grid[0][0][0];", "0", "no element 0: invalid index to scalar variable"),
     ("grid[0, 0, 1];", "1", "no element 1: invalid index"),
-    ("SELECT grid[0][0][7] FROM [1] AS list;", "7", "no element 7: invalid index"),
+    ("SELECT grid[0, 0, 7] FROM [1] AS list;", "7", "no element 7: invalid index"),
     ("grid[0][5];", "5", "no element 5: index 5 is out of bounds"),
     ("series[10];", "10", "no element 10: "),
     ("pandas[10];", "10", "no element 10: "),
@@ -266,7 +274,15 @@ def test_print_in_a_search_happens_at_each_row(ss, capsys):
 
 
 @pytest.mark.parametrize(
-    "values", [(1, 1.0, True), (0.0, -0.0), ([1], [1.0], [True]), ((1,), [1]), ({1: 2}, {1: 2.0})]
+    "values",
+    [
+        (1, 1.0, True),
+        (0.0, -0.0),
+        ([1], [1.0], [True]),
+        ((1,), [1]),
+        ({1: 2}, {1: 2.0}),
+        (Decimal("1.0"), Decimal("1.00")),
+    ],
 )
 def test_what_functions_tell_apart_is_no_state_twice(values):
     assert len({exactly(value) for value in values}) == len(values)
@@ -282,3 +298,252 @@ def test_equal_values_have_one_key():
     assert keys.of((state,), ("a",)) == keys.of((other,), ("a",)) == keys.of(([*state],), ("a",))
     assert keys.of((state,), ("a",)) != keys.of((state,), ("b",))
     assert keys.of((state, 1), ("a", "b")) == keys.of((other, True), ("a", "b"))
+
+
+class Mute:
+    """Nobody knows what it tells apart."""
+
+    def __repr__(self):
+        raise LookupError
+
+
+def test_what_cannot_be_told_apart_is_no_state():
+    with pytest.raises(ArgumentError, match="Mute cannot be told apart"):
+        exactly(Mute())
+
+
+def test_a_state_of_what_functions_tell_apart(ss):
+    ss.add_variable("ones", [Decimal("1.00")])
+    ss.add_variable("one", Decimal("1.0"))
+    program = (
+        "SELECT str(x) FROM ones START WITH x = one "
+        "CONNECT BY x = this STOP WITH str(x) == '1.00' AS list;"
+    )
+    assert ss.eval(program) == [["1.0", "1.00"]]
+
+
+def test_a_function_may_give_the_same_list_each_time(ss):
+    buffer, within = [0], [[0]]
+
+    def following(state):
+        buffer[0] = state[0] + 1
+        return buffer
+
+    def inner(state):
+        within[0][0] = state[0][0] + 1
+        return within
+
+    ss.add_function("following", following)
+    ss.add_function("inner", inner)
+    program = (
+        "SELECT s[0] FROM [1] START WITH s = [0] CONNECT BY s = following(s) "
+        "STOP WITH s[0] >= 3 AS list;"
+    )
+    assert ss.eval(program) == [[0, 1, 2, 3]]
+    program = (
+        "SELECT s[0][0] FROM [1] START WITH s = [[0]] CONNECT BY s = inner(s) "
+        "STOP WITH s[0][0] >= 3 AS list;"
+    )
+    assert ss.eval(program) == [[0, 1, 2, 3]]
+
+
+def test_where_is_asked_before_stop(ss):
+    """At a row that WHERE finds nobody asks whether the path ends in vain."""
+    program = (
+        "SELECT this FROM [0, 1, 2] WHERE this == 0 START WITH n=0 "
+        "CONNECT BY n = n + 1 STOP WITH 2 / this > 1 OR n == 1 AS list;"
+    )
+    assert ss.eval(program) == [[0], [2, 0]]
+    assert ss.eval(program.replace("BY n", "BY NO CYCLE n")) == [[0], [2, 0]]
+    assert ss.eval(program.replace("BY n", "BY MEMORIZE n")) == [[[0]], [[2], [0]]]
+
+
+def test_unique_does_not_count_a_row_that_is_found_and_stops(ss):
+    program = (
+        "SELECT this FROM [1, 2, 1] WHERE this == 1 START WITH n=0 "
+        "CONNECT BY UNIQUE n = n + 1 STOP WITH {} AS list;"
+    )
+    assert ss.eval(program.format("True")) == [[1], [1]]
+    assert ss.eval(program.format("n > 0")) == [[1]]
+
+
+# -- what is written alike --------------------------------------------------------------------
+
+# (program, value)
+ALIKE = [
+    ("SELECT f(IF(this>1; 1, 2)), to(f(IF(this>1; 1; 2)), 'b') FROM [2] AS list;", [2, 1]),
+    ("SELECT f(IF(this>1; 1; 2, 3)), to(f(IF(this>1; 1, 2; 3)), 'b') FROM [1] AS list;", [3, 3]),
+    ("SELECT f(IF(this>1; 1; 2, 3)), to(f(IF(this>1; 1, 2; 3)), 'b') FROM [2] AS list;", [1, 2]),
+    ("SELECT f(x) FROM t WHERE f(x) > 3 AS list;", [1, 2]),
+    ("SELECT f(x), to(f('x'), 'b') FROM [1] AS list;", [5, "x"]),
+    (
+        "SELECT f([1, 2]), to(f([[1, 2]]), 'b'), to(f(['1, 2']), 'c') FROM [1] AS list;",
+        [[1, 2], [[1, 2]], ["1, 2"]],
+    ),
+    ("SELECT f(nest[0, 1]), to(f(nest[0][1]), 'b') FROM [1] AS list;", [2, 2]),
+    (
+        "SELECT f(count(SELECT this FROM [1] AS list)), to(f(count(SELECT this FROM [1] AS dict) + 1),"
+        " 'b') FROM [1] AS list;",
+        [1, 2],
+    ),
+    (
+        "SELECT f(SELECT this FROM [1] AS list), to(f(SELECT this FROM [1] AS dict), 'b')"
+        " FROM [1] AS list;",
+        [[1], [{"this": 1}]],
+    ),
+]
+
+
+@pytest.mark.parametrize(("program", "value"), ALIKE)
+def test_different_calls_are_not_one(ss, program, value):
+    ss.add_variable("t", [{"x": 1}, {"x": 2, "y": 3}])
+    ss.add_variable("x", 5)
+    ss.add_variable("nest", [[1, 2]])
+    ss.add_function("f", lambda value: value)
+    assert ss.eval(program) == value
+
+
+# -- numpy's numbers ----------------------------------------------------------------------------
+
+# (program, value)
+NUMBERS = [
+    ("SELECT this^100 FROM threes AS list;", [3**100]),
+    ("threes[0]^100;", 3**100),
+    ("sum(threes)^100;", 3**100),
+    ("SELECT this.a - 10 FROM dicts AS list;", [-7]),
+    ("SELECT this.b[0] - 10 FROM dicts AS list;", [-7]),
+    ("three - 10;", -7),
+    ("array[0]^100;", 3**100),
+    ("sum(array)^100;", 3**100),
+    ("pairs[0][1] - 10;", -7),
+    ("given()[0] - 10;", -7),
+    ("SELECT given()[1].a[0] - 10 FROM [1] AS list;", [-7]),
+]
+
+
+@pytest.mark.parametrize(("program", "value"), NUMBERS)
+def test_numbers_of_numpy_are_pythons(ss, program, value):
+    small = np.uint8(3)
+    threes = [np.int64(3)]
+    ss.add_variable("threes", threes)
+    ss.add_variable("dicts", [{"a": small, "b": (small,)}])
+    ss.add_variable("three", small)
+    ss.add_variable("array", np.array([3]))
+    ss.add_variable("pairs", [("a", small)])
+    ss.add_function("given", lambda: [small, {"a": (small,)}])
+    assert repr(ss.eval(program)) == repr(value)
+    assert type(threes[0]) is np.int64
+
+
+def test_variables_without_numbers_of_numpy_stay_what_they_are(ss):
+    nested = [1, [2.0, {"a": (True, None)}], "b"]
+    ss.add_variable("nested", nested)
+    assert ss.eval("nested;") is nested
+    nested.append(nested)
+    ss.add_variable("nested", nested)
+    assert ss.eval("nested;") is nested
+
+
+# -- what errors tell ---------------------------------------------------------------------------
+
+HUGE = "10^5000"
+# (program, kind, offending text, words)
+LARGE = [
+    (f"[1, 2][{HUGE}];", EvaluationError, HUGE, "no element a number of some 5000 digits"),
+    (f"'abc'[{HUGE}];", EvaluationError, HUGE, "no element a number of some 5000 digits"),
+    (
+        f"SELECT this FROM [1] LIMIT -({HUGE}) AS list;",
+        EvaluationError,
+        f"-({HUGE})",
+        "LIMIT takes a whole number, not a negative number of some 5000 digits",
+    ),
+    (f"SELECT this FROM [1] GROUP BY {HUGE} AS list;", EvaluationError, HUGE, "digits"),
+    (f"eval({HUGE});", ArgumentError, f"eval({HUGE})", "takes a text, not a number of some"),
+    ("eval(ones);", ArgumentError, "eval(ones)", r"not \[1, 1, .*\.\.\.\]"),
+    ("SELECT this FROM [1] LIMIT long AS list;", EvaluationError, "long", "not 'aaa"),
+    (
+        "SELECT this FROM [1] START WITH n=1 CONNECT BY MAXIMUM long n=n STOP WITH True AS list;",
+        EvaluationError,
+        "long",
+        "not 'aaa",
+    ),
+    ("var(long);", UnknownNameError, "var(long)", "no variable 'aaa"),
+    ("help(long);", UnknownNameError, "help(long)", "no function 'aaa"),
+    ("float(long);", FunctionError, "float(long)", "float: ValueError: could not convert"),
+    ("fail(1);", FunctionError, "fail(1)", "fail: ValueError: yyy"),
+    ("odd(1);", FunctionError, "odd(1)", "odd: UntoldError: it does not tell why"),
+]
+
+
+class UntoldError(Exception):
+    def __str__(self):
+        raise LookupError
+
+
+def fail(_):
+    raise ValueError("y" * 10**6)
+
+
+def odd(_):
+    raise UntoldError
+
+
+@pytest.mark.parametrize(("program", "kind", "offending", "words"), LARGE)
+def test_large_values_are_told_in_few_words(ss, program, kind, offending, words):
+    ss.add_variable("long", "a" * 10**6)
+    ss.add_variable("ones", [1] * 10**6)
+    ss.add_function("fail", fail)
+    ss.add_function("odd", odd)
+    fails(ss, program, kind, offending, words)
+
+
+def test_a_long_name_is_told_in_few_letters(ss):
+    ss.add_variable("long", "a" * 10**6)
+    for program in ("eval(long);", "eval('SELECT a.this FROM ' + long);"):
+        with pytest.raises(SelectScriptError, match="no variable 'aaa") as caught:
+            ss.eval(program)
+        assert len(caught.value.message) < 400
+
+
+@pytest.mark.parametrize("clause", ["LIMIT (10^30)", "LIMIT (10^5000)"])
+def test_more_than_there_is(ss, clause):
+    assert ss.eval(f"SELECT this FROM [1, 2] {clause} AS list;") == [1, 2]
+    assert ss.eval(f"SELECT this FROM [1, 2] GROUP BY 1 {clause} AS list;") == {"1": [1, 2]}
+    search = "SELECT this FROM [1, 2] START WITH n=1 CONNECT BY {} n=n STOP WITH True AS list;"
+    assert ss.eval(search.format(clause.replace("LIMIT", "MAXIMUM"))) == [[1], [2]]
+
+
+# -- groups ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("key", ["this", "[this]", "this % (-2)", "-this"])
+def test_zeros_are_one_group(ss, key):
+    """They are equal; only SQL and Python do not agree which one a remainder is."""
+    printed = "[0.0]" if key == "[this]" else "0.0"
+    program = f"SELECT this == 0 FROM [0.0, -0.0] GROUP BY {key} AS list;"
+    assert ss.eval(program) == {printed: [True, True]}
+
+
+# -- long runs ---------------------------------------------------------------------------------
+
+
+def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
+    monkeypatch.setattr(evaluate, "MOST_COMPILED", 50)
+    evaluate._COMPILED.clear()
+    for number in range(200):
+        ss.eval(f"{number} + 1;")
+    assert len(evaluate._COMPILED) <= 50
+
+
+def test_relations_of_programs_that_are_gone_are_forgotten(ss, monkeypatch):
+    from ssduck.language import parse
+
+    monkeypatch.setattr(evaluate, "MOST_COMPILED", 1)
+    for number in range(5):
+        with pytest.raises(SelectScriptError):
+            ss.eval(f"above({number}, 1);")
+    assert ss._relations
+    parse.cache_clear()
+    evaluate._COMPILED.clear()
+    gc.collect()
+    assert not ss._relations

@@ -200,6 +200,28 @@ def test_without_limits_files_may_be_read(tmp_path):
         assert interpreter.sql("FROM read_csv($1)", [str(tmp_path / "a.csv")]).fetchall() == [(1,)]
 
 
+LOOKED_AT = [
+    "SELECT a.this FROM a=n, b=n AS list;",
+    "SELECT a.this FROM a=n, b=n WHERE a.this + b.this == -1 AS list;",
+    "count(SELECT same(a.this) FROM a=n START WITH s=0 CONNECT BY s=s+1 STOP WITH s==2 AS list);",
+    "SELECT this FROM n WHERE s == 5 START WITH s=0 CONNECT BY s=s+1 STOP WITH s > 2 AS list;",
+]
+
+
+@pytest.mark.parametrize("query", LOOKED_AT)
+def test_rows_that_python_looks_at_are_counted(query):
+    limits = ssduck.Limits(rows=1000)
+    with ssduck.Interpreter(limits=limits, row_by_row=True) as interpreter:
+        interpreter.add_variable("n", list(range(100)))
+        interpreter.add_function("same", lambda value: value)
+        with pytest.raises(LimitError, match="looks at more than 1000 rows") as caught:
+            interpreter.eval(query)
+        assert caught.value.span is not None
+        # Each query has its own thousand.
+        program = "SELECT count(SELECT b.this FROM b=n AS list) + a.this FROM a=n AS list;"
+        assert interpreter.eval(program) == list(range(100, 200))
+
+
 INTERRUPTED = """
 import signal, time, ssduck
 ss = ssduck.Interpreter()
