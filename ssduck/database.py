@@ -388,6 +388,8 @@ class Database:
         self.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
         for table in TABLES:
             rows = exp.select("*").from_(exp.table_(_live(bound.key, table), quoted=True))
+            if table in bound.world.snapshot.untold:
+                _refuse(rows, bound.world.snapshot.untold[table])
             view = exp.table_(table, db=name, quoted=True)
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
@@ -447,6 +449,14 @@ class Database:
     def worlds(self) -> dict[str, World]:
         """The worlds by the schema that ssduck's statements use, the first one first."""
         return {bound.schemas[0]: bound.world for bound in self._bound if bound.schemas}
+
+
+def _refuse(rows: exp.Select, why: str) -> None:
+    """Make a SELECT fail when it is read; a condition on no rows would not be looked at."""
+    failing = exp.func("error", exp.Literal.string(why)).as_("why")
+    rows.join(exp.select(failing).subquery("untold"), join_type="cross", copy=False)
+    rows.set("expressions", [exp.Star(except_=[exp.column("why")])])
+    rows.where(exp.column("why").is_(exp.null()), copy=False)
 
 
 def _live(key: str, table: str) -> str:

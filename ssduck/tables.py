@@ -9,6 +9,7 @@ holds the Arrow table (DuckDB does) sees the next tick without being told.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -169,6 +170,24 @@ class LiveTable:
             if name in values:
                 column[:] = values[name]
         self.publish()
+
+    def put(self, values: dict[str, Any]) -> None:
+        """Put other values in the place of columns that hold no numbers."""
+        kinds = {column.name: column.type for column in self.columns}
+        new = {name: pa.array(column, _ARROW[kinds[name]]) for name, column in values.items()}
+        self._others = self._others | new
+        self.publish()
+
+    def twin(self) -> LiveTable:
+        """The same rows in buffers of their own; what is never written in place is shared."""
+        twin = copy.copy(self)
+        twin.block = self.block.copy()
+        twin._numbers = {  # noqa: SLF001  # one class
+            name: twin.block[self._row[name]] if name in self._row else column.copy()
+            for name, column in self._numbers.items()
+        }
+        twin.publish()
+        return twin
 
     def publish(self) -> None:
         """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
