@@ -100,7 +100,12 @@ class Snapshot:
             untold: tables whose rows nobody knows, and why.
         """
         twin = copy.copy(self)
-        twin.tables = {name: table.twin() for name, table in self.tables.items()}
+        # What is made anew, here or there, leaves the other's as it is.
+        shared = ("geometries", *untold)
+        twin.tables = {
+            name: copy.copy(table) if name in shared else table.twin()
+            for name, table in self.tables.items()
+        }
         for name in untold:
             twin.tables[name].fill(0, {})
         twin.untold = untold

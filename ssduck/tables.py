@@ -191,12 +191,13 @@ class LiveTable:
 
     def publish(self) -> None:
         """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
-        self.whole = not any(np.isnan(row).any() for row in self.block)
+        unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
+        self.whole = not any(unknown)
         arrays = []
         for name, kind, _ in self.columns:
             if name not in self._numbers:
                 arrays.append(self._others[name])
-            elif np.isnan(self._numbers[name]).any():
+            elif name in self._row and unknown[self._row[name]]:
                 arrays.append(pa.array(self._numbers[name], from_pandas=True))
             else:
                 buffer = pa.py_buffer(self._numbers[name])

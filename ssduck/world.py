@@ -269,7 +269,7 @@ class World(WorldSpellings):
             row = self.snapshot.rows.get(entity.id)
             if row is None:
                 raise entity.removed()
-            yield entity.name, entity.body_of(self.snapshot.members[row]), value
+            yield entity.name, entity.body_of(self.snapshot.members[row], "move"), value
 
     # -- entities -------------------------------------------------------------------------
 
@@ -319,17 +319,17 @@ class World(WorldSpellings):
             if values:
                 self._simulator.set_joints(body, values)
 
-        self._change(entity, put)
+        self._change(entity, "move", put)
 
     def enable(self, entity: Entity, on: bool) -> None:
         """Let a body take part in collisions, or not, and take a tick."""
-        self._change(entity, lambda body: self._simulator.enable(body, on))
+        self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
 
     def show(self, entity: Entity, on: bool) -> None:
         """Let a body be drawn, or not, and take a tick."""
-        self._change(entity, lambda body: self._simulator.show(body, on))
+        self._change(entity, "show", lambda body: self._simulator.show(body, on))
 
-    def _change(self, entity: Entity, change: Callable[[Body], None]) -> None:
+    def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:
         """Change a body in the simulator, and take a tick."""
         with self.lock:
             self._check_not_held()
@@ -338,7 +338,7 @@ class World(WorldSpellings):
             member = next((member for member in self._members if member.id == entity.id), None)
             if member is None:
                 raise entity.removed()
-            change(entity.body_of(member))
+            change(entity.body_of(member, verb))
             self.snapshot.read_all_anew()
             self.tick()
 
@@ -563,14 +563,14 @@ class Entity(EntitySpellings):
     def visible(self, on: bool) -> None:
         self.world.show(self, on)
 
-    def body_of(self, member: Member) -> Body:
-        """What it is made of, of its entry in the world.
+    def body_of(self, member: Member, verb: str) -> Body:
+        """What it is made of, by its entry in the world; `verb` says what for.
 
         Raises:
             ArgumentError: it is a sensor.
         """
         if member.body is None:
-            raise ArgumentError(f"{self.name} is a sensor; move what it sits on")
+            raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
         return member.body
 
     def column(self, name: str) -> Any:
