@@ -349,9 +349,7 @@ class Database:
         """
         with self._lock:
             self._check_schema(name)
-            for other in self._bound:
-                if name in other.schemas and other.world is not world:
-                    other.schemas.remove(name)
+            self._unbind(name, world)
             if world.name == UNNAMED:
                 world.name = name
             bound = self._entry(world)
@@ -359,6 +357,17 @@ class Database:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
             self._set_search_path()
+
+    def _unbind(self, name: str, world: World) -> None:
+        """Take a name from another world; one without a name is not held any more."""
+        for other in [bound for bound in self._bound if name in bound.schemas]:
+            if other.world is world:
+                continue
+            other.schemas.remove(name)
+            if not other.schemas:
+                self._bound.remove(other)
+                for table in other.versions:
+                    self.unshow(_live(other.key, table))
 
     def _check_schema(self, name: str) -> None:
         ((database,),) = self.rows("SELECT current_database()")

@@ -469,12 +469,14 @@ def test_programs(kitchen, row_by_row):
             kitchen["can"].visible = True
 
 
-def test_worlds_of_a_list_and_one_name_for_several(kitchen):
+def test_one_name_for_several_worlds(kitchen):
     """A sweep: the same program on many what-if worlds, each bound to the same name in turn."""
     with ssduck.Interpreter() as ss:
         heights = []
         for height in (1.0, 2.0, 3.0):
-            ss.add_variable("maybe", kitchen.what_if({"can": [1, 0, 0, 0, 0, 0, height]}))
+            maybe = kitchen.what_if({"can": [1, 0, 0, 0, 0, 0, height]})
+            ss.add_variable("maybe", maybe)
+            assert [bound.world for bound in ss._database._bound] == [maybe]
             heights += ss.eval("SELECT z FROM maybe WHERE id(this) == 'can' AS list;")
         assert heights == [1.0, 2.0, 3.0]
 
