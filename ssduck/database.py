@@ -349,9 +349,7 @@ class Database:
         """
         with self._lock:
             self._check_schema(name)
-            for other in self._bound:
-                if name in other.schemas and other.world is not world:
-                    other.schemas.remove(name)
+            self._unbind(name, world)
             if world.name == UNNAMED:
                 world.name = name
             bound = self._entry(world)
@@ -359,6 +357,17 @@ class Database:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
             self._set_search_path()
+
+    def _unbind(self, name: str, world: World) -> None:
+        """Take a name from another world; one without a name is not held any more."""
+        for other in [bound for bound in self._bound if name in bound.schemas]:
+            if other.world is world:
+                continue
+            other.schemas.remove(name)
+            if not other.schemas:
+                self._bound.remove(other)
+                for table in other.versions:
+                    self.unshow(_live(other.key, table))
 
     def _check_schema(self, name: str) -> None:
         ((database,),) = self.rows("SELECT current_database()")
@@ -388,6 +397,8 @@ class Database:
         self.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
         for table in TABLES:
             rows = exp.select("*").from_(exp.table_(_live(bound.key, table), quoted=True))
+            if table in bound.world.snapshot.untold:
+                _refuse(rows, bound.world.snapshot.untold[table])
             view = exp.table_(table, db=name, quoted=True)
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
@@ -447,6 +458,14 @@ class Database:
     def worlds(self) -> dict[str, World]:
         """The worlds by the schema that ssduck's statements use, the first one first."""
         return {bound.schemas[0]: bound.world for bound in self._bound if bound.schemas}
+
+
+def _refuse(rows: exp.Select, why: str) -> None:
+    """Make a SELECT fail when it is read; a condition on no rows would not be looked at."""
+    failing = exp.func("error", exp.Literal.string(why)).as_("why")
+    rows.join(exp.select(failing).subquery("untold"), join_type="cross", copy=False)
+    rows.set("expressions", [exp.Star(except_=[exp.column("why")])])
+    rows.where(exp.column("why").is_(exp.null()), copy=False)
 
 
 def _live(key: str, table: str) -> str:

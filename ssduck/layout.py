@@ -91,6 +91,7 @@ class Part:
 
     Attributes:
         bodies: the bodies.
+        runs: of each body, where its links are among the frames.
         sensors_on_links: whether a sensor moves with a link that is no base.
     """
 
@@ -104,6 +105,8 @@ class Part:
         counts = [len(body.links) for body in self.bodies]
         starts = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
         self._bases = starts[:-1]
+        runs = map(slice, starts[:-1].tolist(), starts[1:].tolist())
+        self.runs = dict(zip(self.bodies, runs, strict=True))
         self._link_rows = _runs([first[member.id][0] for member in members], counts)
         shape_counts = [len(body.shapes) for body in self.bodies]
         self._shape_rows = _runs([first[member.id][1] for member in members], shape_counts)

@@ -12,15 +12,16 @@ ticks have passed without a question.
 
 from __future__ import annotations
 
+import copy
 import time
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ssduck.geometry import Array, Geometry
-from ssduck.layout import Layout, Member
+from ssduck.layout import Layout, Member, Part
 from ssduck.simulators import Body, Contact, Frames, Simulator
 from ssduck.tables import TABLES, LiveTable
 
@@ -35,16 +36,26 @@ class Snapshot:
         tables: by name.
         number: of the tick, from 1.
         time: of the tick, simulated seconds.
+        listed: the entities in load order, as they were given to `take`.
+        disabled: the bodies that take no part in collisions.
+        hidden: the bodies that are not drawn.
+        untold: tables whose rows nobody knows, and why: asking for them is an error.
     """
 
     def __init__(self) -> None:
         self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
         self.number = 0
         self.time = 0.0
-        self._listed: Sequence[Member] = ()
+        self.listed: list[Member] = []
+        self.untold: Mapping[str, str] = {}
+        self._is_final = False
         self._layout = Layout((), watched=False)
         # What cannot move is read once; None if that has to be done (again).
         self._still: Frames | None = None
+        # What the tables tell of: the frames of what cannot move, and of the rest.
+        self._frames: tuple[Frames, ...] = ()
+        self.disabled: frozenset[Body] = frozenset()
+        self.hidden: frozenset[Body] = frozenset()
         self._asked: dict[str, int] = {}
         self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
@@ -60,6 +71,49 @@ class Snapshot:
         """The row of each entity's id."""
         return self._layout.rows
 
+    @property
+    def parts(self) -> Iterator[tuple[Part, Frames]]:
+        """The bodies that are read together, and where their frames are at this tick."""
+        return zip((self._layout.still, self._layout.moving), self._frames, strict=True)
+
+    def joints(self) -> dict[Body, Array]:
+        """Of each body's joints, position, velocity and effort at this tick, (joints, 3).
+
+        The table of joints has to have been asked for.
+        """
+        told = self.tables["joints"].reals("position", "effort").T.copy()
+        first = 0
+        found = {}
+        for _, body in self._layout.bodies:
+            if body.joints:
+                found[body] = told[first : first + len(body.joints)]
+                first += len(body.joints)
+        return found
+
+    def twin(self, untold: Mapping[str, str]) -> Snapshot:
+        """The same tick, to be taken anew of the same entities in other poses, and for good.
+
+        It shares what does not depend on poses. What cannot move and has not been moved is not
+        read again: see `read_all_anew`.
+
+        Args:
+            untold: tables whose rows nobody knows, and why.
+        """
+        twin = copy.copy(self)
+        # What is made anew, here or there, leaves the other's as it is.
+        shared = ("geometries", *untold)
+        twin.tables = {
+            name: copy.copy(table) if name in shared else table.twin()
+            for name, table in self.tables.items()
+        }
+        for name in untold:
+            twin.tables[name].fill(0, {})
+        twin.untold = untold
+        twin._is_final = True  # noqa: SLF001  # one class
+        twin._asked, twin._read = {}, frozenset()  # noqa: SLF001
+        twin._warned = set(self._warned)  # noqa: SLF001
+        return twin
+
     # -- what is in the world -------------------------------------------------------------
 
     def _lay_out(self, layout: Layout) -> None:
@@ -74,8 +128,7 @@ class Snapshot:
                 "kind": [member.kind for member in listed],
                 "parent": [member.parent for member in listed],
                 "mass": [member.mass for member in listed],
-                "enabled": [member.body is not None for member in listed],
-                "visible": [member.body is not None for member in listed],
+                **self._flag_columns(),
             },
         )
         self._fill_links(layout.bodies)
@@ -83,6 +136,14 @@ class Snapshot:
         self._fill_shapes(layout.bodies)
         self.tables["contacts"].fill(0, {})
         self.tables["ticks"].fill(1, {})
+
+    def _flag_columns(self) -> dict[str, list[bool]]:
+        """Whether each entity takes part in collisions, and is drawn; a sensor does neither."""
+        bodies = [member.body for member in self.members]
+        return {
+            name: [body is not None and body not in absent for body in bodies]
+            for name, absent in (("enabled", self.disabled), ("visible", self.hidden))
+        }
 
     def _fill_links(self, bodies: Sequence[tuple[int, Body]]) -> None:
         links = [(id, n, link) for id, body in bodies for n, link in enumerate(body.links)]
@@ -152,16 +213,16 @@ class Snapshot:
 
     # A simulation that explodes has infinite numbers; it is told of in `_finish`.
     @np.errstate(invalid="ignore")
-    def take(self, simulator: Simulator, members: Sequence[Member]) -> None:
+    def take(self, simulator: Simulator, members: list[Member]) -> None:
         """Read a tick: the entities, and the tables that were asked for.
 
         Args:
             simulator: what knows where the members are.
             members: the entities in load order; the same object as long as they are the same.
         """
-        same = members is self._listed
+        same = members is self.listed
         layout = self._layout if same else Layout(members, simulator.watched)
-        coming = self.number + 1
+        coming = self.number + (not self._is_final)
         wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
         still = self._still if same else None
         if still is None:
@@ -175,18 +236,29 @@ class Snapshot:
         if "contacts" in wanted:
             contacts = list(simulator.read_contacts())
         # All of this tick is read before anything of the last one is overwritten.
+        self._note_flags(simulator, same=same)
         if not same:
             self._lay_out(layout)
-            self._listed = members
+            self.listed = members
         self._read = frozenset(wanted)
         self.number, self.time = coming, simulator.time
         self._write_frames(still, moving, anew=still is not self._still)
         self._still = still
+        self._frames = still, moving
         if joints is not None:
             self.tables["joints"].reals("position", "effort")[:] = joints.T
         if contacts is not None:
             self._write_contacts(contacts)
         self._finish()
+
+    def _note_flags(self, simulator: Simulator, *, same: bool) -> None:
+        """Take note of bodies that came to take part in collisions, or to be drawn, or ceased."""
+        disabled, hidden = simulator.disabled, simulator.hidden
+        if disabled is self.disabled and hidden is self.hidden:
+            return
+        self.disabled, self.hidden = disabled, hidden
+        if same:  # else all columns are made anew
+            self.tables["entities"].put(self._flag_columns())
 
     def _write_frames(self, still: Frames, moving: Frames, *, anew: bool) -> None:
         """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 import threading
 import time
 import weakref
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +27,15 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.geometry import Array
+from ssduck.kinematics import JointValues, Pose, finite, pose_of, positions_of, unit
 from ssduck.layout import Member
 from ssduck.openrave import EntitySpellings, WorldSpellings
 from ssduck.scenes import Camera, Scene, SensorSpec
-from ssduck.simulators import Kind, Simulator
+from ssduck.simulators import Body, Kind, Simulator
 from ssduck.snapshot import Snapshot
+from ssduck.what_if import imagined
+
+T = TypeVar("T")
 
 # What a world is called before it gets a name.
 UNNAMED = "world"
@@ -57,6 +60,8 @@ class World(WorldSpellings):
         serial: the order in which worlds were made, and in which several are held.
     """
 
+    _members: list[Member]
+
     def __init__(
         self,
         simulator: Simulator,
@@ -65,21 +70,24 @@ class World(WorldSpellings):
         sensors: Sequence[SensorSpec] = (),
         camera: Camera | None = None,
     ) -> None:
-        self.name = name
-        self.camera = camera or Camera()
-        self.lock = threading.RLock()
-        self.serial = next(_serials)
-        self.snapshot = Snapshot()
-        self._queries = 0
-        self._waiting = 0
-        self._simulator = simulator
-        self._ids = count(1)
-        self._members: list[Member] = []
+        self._begin(simulator, Snapshot(), name, camera or Camera())
         # Ids count as worlds list: sensors first.
         sensor_ids = [next(self._ids) for _ in sensors]
         self._update_members()
         self._members = self._mounted(sensor_ids, sensors) + self._members
         self.tick()
+
+    def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
+        self.name = name
+        self.camera = camera
+        self.lock = threading.RLock()
+        self.serial = next(_serials)
+        self.snapshot = snapshot
+        self._queries = 0
+        self._waiting = 0
+        self._simulator = simulator
+        self._ids = count(1)
+        self._members = snapshot.listed
 
     @classmethod
     def load(cls, scene: Scene) -> World:
@@ -208,6 +216,61 @@ class World(WorldSpellings):
         with self.lock:
             return self._simulator.render(camera or self.camera, width, height)
 
+    # -- what if --------------------------------------------------------------------------
+
+    def what_if(
+        self,
+        poses: Mapping[str | Entity, Sequence[float]] | None = None,
+        joints: Mapping[str | Entity, JointValues] | None = None,
+    ) -> World:
+        """The world of this tick with some bodies elsewhere; the simulator is not touched.
+
+        It has the same entities, of the same ids and names, the same time and tick, and is
+        queried like any other. It never changes, whatever this world does later. What is moved
+        is at rest, and sensors move with what they sit on. It was not simulated, so that it has
+        no contacts (asking for them is an error), the efforts of joints are unknown, and it can
+        neither be stepped nor drawn.
+
+        Args:
+            poses: of link frames in the world by entity: orientation, then position, [w, x, y,
+                z, x, y, z], as `Entity.pose`; the orientation of any length but 0.
+            joints: positions by entity, rad or m: by the joint's name, or one for each
+                revolute and prismatic joint in order. The others stay as they are.
+
+        Raises:
+            UnknownNameError: there is no entity or no joint of a name, with the nearest names.
+            StateError: a number is not finite, an orientation is all 0, or a joint is beyond
+                its limits.
+            ArgumentError: an entity is a sensor or of another world, a joint's position is not
+                one number, or there are too many values or too few.
+            RemovedEntityError: an entity is no longer in this world.
+        """
+        has_links = any(m.body and m.body.joints for m in self.snapshot.members)
+        with self.held(("links", "joints") if has_links else ()):
+            places = {body: pose_of(pose, name) for name, body, pose in self._bodies(poses or {})}
+            positions = {
+                body: positions_of(values, body, name)
+                for name, body, values in self._bodies(joints or {})
+            }
+            posed, snapshot = imagined(self.snapshot, places, positions)
+        world = World.__new__(World)
+        world._begin(posed, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
+        return world.tick()
+
+    def _bodies(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
+        """What is said of entities, with their names and what they are at this tick."""
+        for key, value in by_entity.items():
+            entity = key if isinstance(key, Entity) else self[key]
+            if entity.world is not self:
+                raise ArgumentError(
+                    f"{entity!r} is in world {entity.world.name!r}, not in {self.name!r}; "
+                    "give its name"
+                )
+            row = self.snapshot.rows.get(entity.id)
+            if row is None:
+                raise entity.removed()
+            yield entity.name, entity.body_of(self.snapshot.members[row], "move"), value
+
     # -- entities -------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[Entity]:
@@ -246,8 +309,28 @@ class World(WorldSpellings):
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
 
-    def place(self, entity: Entity, position: Array, orientation: Array) -> None:
-        """Put a body's link frame there and take a tick; see `Entity.move`."""
+    def place(self, entity: Entity, pose: Pose | None, joints: JointValues | None) -> None:
+        """Put a body's link frame and its joints there and take a tick; see `Entity.move`."""
+
+        def put(body: Body) -> None:
+            values = {} if joints is None else positions_of(joints, body, entity.name)
+            if pose is not None:
+                self._simulator.place(body, *pose)
+            if values:
+                self._simulator.set_joints(body, values)
+
+        self._change(entity, "move", put)
+
+    def enable(self, entity: Entity, on: bool) -> None:
+        """Let a body take part in collisions, or not, and take a tick."""
+        self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
+
+    def show(self, entity: Entity, on: bool) -> None:
+        """Let a body be drawn, or not, and take a tick."""
+        self._change(entity, "show", lambda body: self._simulator.show(body, on))
+
+    def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:
+        """Change a body in the simulator, and take a tick."""
         with self.lock:
             self._check_not_held()
             # Its number may be another body's by now.
@@ -255,9 +338,7 @@ class World(WorldSpellings):
             member = next((member for member in self._members if member.id == entity.id), None)
             if member is None:
                 raise entity.removed()
-            if member.body is None:
-                raise ArgumentError(f"{entity.name} is a sensor; move what it sits on")
-            self._simulator.place(member.body, position, orientation)
+            change(entity.body_of(member, verb))
             self.snapshot.read_all_anew()
             self.tick()
 
@@ -326,13 +407,16 @@ class LinkState:
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """A joint at a tick: position (rad or m), velocity, effort of its motor, limits."""
+    """A joint at a tick: position (rad or m), velocity, effort of its motor, limits.
+
+    The effort is None where nobody knows it, in a what-if world.
+    """
 
     name: str
     type: str
     position: float
     velocity: float
-    effort: float
+    effort: float | None
     lower: float | None
     upper: float | None
 
@@ -410,25 +494,84 @@ class Entity(EntitySpellings):
         return [JointState(**{key: row[key] for key in keys}) for row in self._table("joints")]
 
     def move(
-        self, position: Sequence[float] | None = None, orientation: Sequence[float] | None = None
+        self,
+        position: Sequence[float] | None = None,
+        orientation: Sequence[float] | None = None,
+        joints: JointValues | None = None,
     ) -> None:
         """Put it elsewhere at rest, and take a tick: the next query sees it.
+
+        In a simulation that ssduck loaded, motors that hold joints hold them at the new
+        positions; in one of yours they are as you set them.
 
         Args:
             position: of its link frame, [x, y, z], metres; None leaves it.
             orientation: of its link frame, [w, x, y, z], any length but 0; None leaves it.
+            joints: positions, rad or m: by the joint's name, or one for each revolute and
+                prismatic joint in order. The others stay as they are; joints alone leave the
+                body where it is, and as fast.
 
         Raises:
-            ValueError: a number is not finite, or the orientation is all 0.
+            StateError: a number is not finite, the orientation is all 0, or a joint is beyond
+                its limits.
+            UnknownNameError: there is no joint of a name, with the nearest names.
+            ArgumentError: it is a sensor, a joint's position is not one number, or there are
+                too many values or too few.
+            RemovedEntityError: it is no longer in its world.
+            UnsupportedError: it is in a what-if world.
+        """
+        pose = None
+        if joints is None or position is not None or orientation is not None:
+            place = self.position if position is None else position
+            turn = self.orientation if orientation is None else orientation
+            pose = (
+                finite(place, 3, f"{self.name}: position"),
+                unit(finite(turn, 4, f"{self.name}: orientation"), self.name),
+            )
+        self.world.place(self, pose, joints)
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it takes part in collisions; setting it takes a tick.
+
+        Rays do not meet what is not enabled either. PyBullet does not tell what a body may
+        collide with; enabled again, it is what PyBullet begins with.
+
+        Raises:
             ArgumentError: it is a sensor.
             RemovedEntityError: it is no longer in its world.
+            UnsupportedError: it is in a what-if world.
         """
-        place = _finite(self.position if position is None else position, 3, "position")
-        turn = _finite(self.orientation if orientation is None else orientation, 4, "orientation")
-        length = float(np.linalg.norm(turn))
-        if length < 1e-9:
-            raise ValueError("orientation: w, x, y, z are all 0")
-        self.world.place(self, place, turn / length)
+        return bool(self.column("enabled"))
+
+    @enabled.setter
+    def enabled(self, on: bool) -> None:
+        self.world.enable(self, on)
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is drawn; setting it takes a tick. It gets its colours back.
+
+        Raises:
+            ArgumentError: it is a sensor.
+            RemovedEntityError: it is no longer in its world.
+            UnsupportedError: it is in a what-if world.
+        """
+        return bool(self.column("visible"))
+
+    @visible.setter
+    def visible(self, on: bool) -> None:
+        self.world.show(self, on)
+
+    def body_of(self, member: Member, verb: str) -> Body:
+        """What it is made of, by its entry in the world; `verb` says what for.
+
+        Raises:
+            ArgumentError: it is a sensor.
+        """
+        if member.body is None:
+            raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
+        return member.body
 
     def column(self, name: str) -> Any:
         """Its value in a column of the table of entities; None for an unknown one."""
@@ -485,10 +628,3 @@ class Sensor(Entity):
         spec = self.world.snapshot.members[self._row()].sensor
         assert spec is not None
         return spec
-
-
-def _finite(values: Sequence[float], count: int, what: str) -> Array:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"{what}: expected {count} finite numbers, found {list(values)!r}")
-    return array
