@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import math
 import re
 import threading
 import weakref
@@ -11,19 +10,22 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, Literal, NoReturn, TypeAlias
+from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
 
 import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck.errors import ArgumentError, LimitError, SelectScriptError, SqlError
+from ssduck import ctrl_c
+from ssduck.errors import ArgumentError, LimitError, SelectScriptError, Span, SqlError
 from ssduck.functions import Function
 from ssduck.limits import Limits, Meter
 from ssduck.tables import TABLES, Column, LiveTable
-from ssduck.types import Signature, converter
+from ssduck.types import Signature, Tag, converter, is_exactly
 from ssduck.udfs import RELATIONS
 from ssduck.world import UNNAMED, World
+
+T = TypeVar("T")
 
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
@@ -33,6 +35,11 @@ _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 
+
+# SQL with more words, or with more brackets around one of them, takes DuckDB's parser a time that
+# nothing ends.
+MOST_WORDS = 200_000
+MOST_BRACKETS = 100
 
 # What our prepared statements are called, in front of a number.
 _OURS = "ssduck statement "
@@ -106,12 +113,32 @@ class Statement:
             self._database.unshow(self._name)
 
 
-def _usable(value: Any) -> Any:
-    """A value that SQL gives back as it is: it would make nothing of a NaN."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+def _check_length(sql: str) -> None:
+    """Complain of SQL that DuckDB would parse for a long time; it cannot be stopped there.
+
+    Raises:
+        LimitError: it is too long, or nested too deeply.
+    """
+    letters = sql.encode("utf-8", "replace")  # DuckDB itself complains of what is no letter
+    words = duckdb.tokenize(letters.decode())
+    if len(words) > MOST_WORDS:
+        raise LimitError(f"SQL of {len(words)} words; under a limit it may have {MOST_WORDS}")
+    depth = 0
+    for place, _ in words:
+        depth += _DEEPER.get(letters[place], 0)
+        if depth > MOST_BRACKETS:
+            start = len(letters[:place].decode())
+            told = f"SQL nested deeper than {MOST_BRACKETS} brackets"
+            raise LimitError(told, text=sql, span=Span(start, start + 1))
+
+
+_DEEPER = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}
+
+
+def _usable(value: Any, tag: Tag) -> Any:
+    """A value that SQL gives back as it is: it would make 3.0 of 3, and nothing of a NaN."""
+    if not is_exactly(value, tag):
         raise ValueError("no value for SQL")
-    if isinstance(value, list):
-        return [_usable(element) for element in value]
     return value
 
 
@@ -216,12 +243,13 @@ class Database:
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """All rows of a statement that the translator wrote; the caller holds the worlds."""
-        with self._told(sql):
+        most = self.meter.limits.rows
+
+        def fetched() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
-            most = self.meter.limits.rows
-            rows: list[tuple[Any, ...]] = (
-                result.fetchall() if most is None else result.fetchmany(most + 1)
-            )
+            return result.fetchall() if most is None else result.fetchmany(most + 1)
+
+        rows = self._told(sql, fetched)
         self.meter.check_rows(len(rows))
         return rows
 
@@ -232,6 +260,8 @@ class Database:
         when it is used, under another name; so what such a statement names is asked for from
         then on.
         """
+        if self.meter.limits.seconds is not None:
+            _check_length(sql)
         asked = {word.lower() for word in _TABLE_WORDS.findall(sql)}
         if _KEEPS_A_QUERY.search(sql):
             self._asked_for_good |= asked
@@ -251,28 +281,33 @@ class Database:
             yield
 
     def _arrow(self, sql: str, parameters: Parameters) -> pa.Table:
-        with self._told(sql):
+        most = self.meter.limits.rows
+
+        def fetched() -> pa.Table:
             relation = self._connection.sql(sql, params=parameters)
             if relation is None:
                 return pa.table({})
-            most = self.meter.limits.rows
-            table = (relation if most is None else relation.limit(most + 1)).to_arrow_table()
+            return (relation if most is None else relation.limit(most + 1)).to_arrow_table()
+
+        table = self._told(sql, fetched)
         self.meter.check_rows(table.num_rows)
         return table
 
     def run(self, sql: str) -> None:
         """Run a statement of ssduck's own."""
-        with self._told(sql):
-            self._connection.execute(sql).fetchall()
+        self._told(sql, lambda: self._connection.execute(sql).fetchall())
 
-    @contextmanager
-    def _told(self, sql: str) -> Iterator[None]:
-        """Tell the tracer of a statement, and end it in time; DuckDB's errors become ssduck's."""
+    def _told(self, sql: str, work: Callable[[], T]) -> T:
+        """Tell the tracer of a statement, run it, and end it in time.
+
+        DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call behind
+        DuckDB's error, be it that of a context manager's `__exit__`; so none stands here.
+        """
         if self._tracer is not None:
             self._tracer(sql)
-        timer = self._timer()
+        timer, listening = self._timer(), ctrl_c.listen(self._interrupt)
         try:
-            yield
+            return work()
         except duckdb.Error as error:
             self._complain(error)
         except RuntimeError as error:  # so DuckDB tells of Ctrl-C
@@ -280,6 +315,7 @@ class Database:
                 raise
             self._complain(error)
         finally:
+            ctrl_c.leave(listening)
             if timer is not None:
                 timer.cancel()
 
@@ -291,6 +327,10 @@ class Database:
         timer.daemon = True
         timer.start()
         return timer
+
+    def _interrupt(self) -> None:
+        with suppress(duckdb.Error):  # it was closed meanwhile
+            self._connection.interrupt()
 
     def _complain(self, error: Exception) -> NoReturn:
         raised = self._raised.copy()
@@ -323,7 +363,7 @@ class Database:
                     value if convert is None else convert(value)
                     for convert, value in zip(converters, arguments, strict=True)
                 ]
-                return _usable(function(values))
+                return _usable(function(values), signature.result)
             except BaseException as error:
                 raised[:] = [error]
                 raise

@@ -2,14 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from functools import wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
+
+T = TypeVar("T")
 
 # Calls that do something, or see more than their arguments: made row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
 
 
+def _known(look: Callable[[Node], T]) -> Callable[[Node], T]:
+    """Look at a part once: a planner asks of each part, and of each that it is in.
+
+    What is in it is looked at before, so that nothing recurses.
+    """
+    found: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
+
+    @wraps(look)
+    def known(node: Node) -> T:
+        if node not in found:
+            parts = [node]
+            for part in parts:  # which grows meanwhile
+                parts.extend(child for child in part.children() if child not in found)
+            for part in reversed(parts):
+                found[part] = look(part)
+        return found[node]
+
+    return known
+
+
+@_known
 def free_aliases(node: Node) -> frozenset[str | None]:
     """The aliases whose `this` a part mentions, and that no query in it has as a source."""
     if isinstance(node, This):
@@ -35,6 +61,7 @@ def sees_outside(query: Query) -> bool:
     return bool(free_aliases(query))
 
 
+@_known
 def is_impure(node: Node) -> bool:
     """Whether evaluating it does something, so that order and number matter."""
     match node:
@@ -63,4 +90,11 @@ def changing(query: Query) -> frozenset[str]:
 
 def mentions(node: Node, names: Collection[str]) -> bool:
     """Whether a part reads one of these variables."""
-    return any(isinstance(part, Name) and part.name in names for part in node.walk())
+    return not _read(node).isdisjoint(names)
+
+
+@_known
+def _read(node: Node) -> frozenset[str]:
+    """The variables that a part reads."""
+    own = (node.name,) if isinstance(node, Name) else ()
+    return frozenset(own).union(*map(_read, node.children()))

@@ -78,6 +78,7 @@ class Expressions:
         self.rows: dict[str, SqlValue] = {}
         self.only: str | None = None
         self.locals: Mapping[str, SqlValue] = around.locals if around else {}
+        self._are_constant: dict[Node, bool] = {}
 
     def inside(self) -> Expressions:
         """The expressions of a query nested in this one."""
@@ -110,6 +111,11 @@ class Expressions:
 
     def is_constant(self, node: Node) -> bool:
         """Whether it is the same for all rows of the statement."""
+        if node not in self._are_constant:  # each part is asked about, and all that it is in
+            self._are_constant[node] = self._is_constant(node)
+        return self._are_constant[node]
+
+    def _is_constant(self, node: Node) -> bool:
         match node:
             case This():
                 return self._is_outside(node)

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from ssduck.errors import FunctionError, SelectScriptError
+import numpy as np
+
+from ssduck.errors import FunctionError, LimitError, SelectScriptError
 from ssduck.evaluate import apply, hashable
 from ssduck.hints import Hints, hints_of
 
@@ -24,7 +26,8 @@ class Function:
 
     Attributes:
         name: what programs call it.
-        call: the function; it gets copies of lists and dicts.
+        call: the function; it gets copies of lists and dicts, and of what it gives, numpy's
+            numbers and truths become Python's.
         help: what `help('name')` tells after the name.
         least: how many arguments it takes at least.
         most: how many at most; None for any number.
@@ -52,18 +55,28 @@ class Function:
 
         Raises:
             FunctionError: it raised; the original is the cause.
+            LimitError: a program that it ran used up what there is.
         """
         try:
             if self.builtin:  # these change nothing that they are given
                 return self.call(*arguments)
-            return self.call(*map(_copied, arguments))
-        except (SelectScriptError, RecursionError):
+            value = self.call(*map(_copied, arguments))
+        except (LimitError, RecursionError):
             raise
+        except SelectScriptError as error:
+            if self.builtin:
+                raise
+            raise self._failed(error, error.message) from error
         except Exception as error:
-            raise FunctionError(f"{self.name}: {type(error).__name__}: {error}") from error
+            raise self._failed(error, error) from error
+        return value.item() if isinstance(value, _NUMPYS) else value
+
+    def _failed(self, error: Exception, told: object) -> FunctionError:
+        return FunctionError(f"{self.name}: {type(error).__name__}: {told}")
 
 
 _ATOMS = frozenset((int, float, str, bool, type(None)))
+_NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
 
 
 def _copied(value: Any) -> Any:
@@ -88,6 +101,8 @@ def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
 
 def _uniq(values: list[Any]) -> list[Any]:
     """Without repetitions, in order of first appearance."""
+    if _ATOMS.issuperset(map(type, values)):
+        return list(dict.fromkeys(values))
     kept: dict[Any, Any] = {}
     for value in values:
         kept.setdefault(hashable(value), value)

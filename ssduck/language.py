@@ -389,9 +389,11 @@ class _Parser:
         start = self.here()
         signs = []
         while self.at(TokenType.DASH) or self.at(TokenType.PLUS):
+            self.descend()
             signs.append(self.tokens[self.index].text)
             self.index += 1
         node = self.postfix()
+        self.depth -= len(signs)
         for sign in reversed(signs):
             node = Unary(self.since(start), sign, node)
         return node
@@ -399,16 +401,19 @@ class _Parser:
     def postfix(self) -> Node:
         start = self.here()
         node = self.primary()
-        while True:
+        depth = self.depth
+        while self.at(TokenType.L_BRACKET) or self.at(TokenType.DOT):
+            self.descend()
             if self.take(TokenType.L_BRACKET):
                 indices = self.separated(self.expression)
                 self.expect(TokenType.R_BRACKET, "']'")
-            elif self.take(TokenType.DOT):
+            else:
+                self.expect(TokenType.DOT, "'.'")
                 key = self.expect_name("a key")
                 indices = (Literal(_span(key), key.text),)
-            else:
-                return node
             node = Index(self.since(start), node, indices)
+        self.depth = depth
+        return node
 
     def primary(self) -> Node:
         token = self.token

@@ -44,7 +44,7 @@ class Result:
         """The next rows, at most that many."""
         part = self._table.slice(self._fetched, size)
         self._fetched += part.num_rows
-        columns = [_values(column) for column in part.columns]
+        columns = [values_of(column) for column in part.columns]
         return list(zip(*columns, strict=True)) if columns else []
 
     def fetchone(self) -> tuple[Any, ...] | None:
@@ -87,8 +87,8 @@ class Result:
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
 
 
-def _values(column: pa.ChunkedArray) -> list[Any]:
-    """Python values as DuckDB gives them: its 128-bit integers travel as decimals."""
+def values_of(column: pa.ChunkedArray) -> list[Any]:
+    """A column's values as DuckDB gives them: its 128-bit integers travel as decimals."""
     values: list[Any] = column.to_pylist()
     if pa.types.is_decimal(column.type) and (column.type.precision, column.type.scale) == (38, 0):
         return [None if value is None else int(value) for value in values]

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from ssduck.errors import ArgumentError
 from ssduck.plan import Shape
-from ssduck.result import Result
+from ssduck.result import Result, values_of
 from ssduck.subqueries import aliases_of
 from ssduck.tree import Query
-from ssduck.types import ANY, INTEGER, SchemaOf, Tag, merged, tag_of
+from ssduck.types import ANY, INTEGER, SchemaOf, Tag, tag_of_any, to_sql
 from ssduck.world import World
 
 
@@ -23,6 +27,9 @@ def elements_of(value: Any) -> Sequence[Any]:
         value: a world (its entities), a list or a tuple, an array (its rows), a table of
             pandas, polars, Arrow or of `Interpreter.sql` (its rows as dicts); anything else is
             an element itself.
+
+    Raises:
+        ArgumentError: two columns of a table have the same name.
     """
     if isinstance(value, list | tuple):
         return value
@@ -31,25 +38,63 @@ def elements_of(value: Any) -> Sequence[Any]:
     if isinstance(value, np.ndarray) and value.ndim:
         rows: list[Any] = value.tolist()
         return rows
-    table = table_of(value)
-    return [value] if table is None else table.to_pylist()
+    table = _table(value)
+    return [value] if table is None else table.rows()
 
 
-def table_of(value: Any) -> pa.Table | None:
-    """A data frame as an Arrow table; None if it is none."""
-    if isinstance(value, pa.Table):
-        return value
+@dataclass(frozen=True)
+class _Table:
+    """A data frame: its columns' names, and their values."""
+
+    names: list[str]
+    columns: list[list[Any]]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Its rows as dicts."""
+        twice = [name for name, times in Counter(self.names).items() if times > 1]
+        if twice:
+            raise ArgumentError(f"a table has two columns that are called {twice[0]!r}")
+        return [dict(zip(self.names, row, strict=True)) for row in zip(*self.columns, strict=True)]
+
+
+def _table(value: Any) -> _Table | None:
+    """A data frame; None if it is none."""
     if isinstance(value, Result):
-        return value.arrow()
-    if isinstance(value, pa.RecordBatch):
-        return pa.Table.from_batches([value])
+        return _Table(value.columns, [values_of(column) for column in value.arrow().columns])
+    if isinstance(value, pa.Table | pa.RecordBatch):
+        return _Table(value.column_names, [column.to_pylist() for column in value.columns])
     # Without importing what may not be installed.
     match type(value).__module__.partition(".")[0], type(value).__name__:
         case "pandas", "DataFrame":
-            return pa.Table.from_pandas(value, preserve_index=False)
+            columns = [value.iloc[:, place] for place in range(value.shape[1])]
+            return _Table(list(map(str, value.columns)), list(map(_of_pandas, columns)))
         case "polars", "DataFrame":
-            return value.to_arrow()
+            return _Table(value.columns, list(map(_of_polars, value.get_columns())))
     return None
+
+
+def _of_pandas(column: Any) -> list[Any]:
+    """A column's values: Python's, None where there is none."""
+    if column.dtype != object:
+        with suppress(pa.ArrowException, TypeError):  # there are kinds that Arrow has not
+            found = pa.array(column, from_pandas=True)
+            if not isinstance(found.type, pa.BaseExtensionType):
+                values: list[Any] = found.to_pylist()
+                return values
+    pairs = zip(column.tolist(), column.isna().tolist(), strict=True)
+    return [None if missing else _of_numpy(value) for value, missing in pairs]
+
+
+def _of_numpy(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _of_polars(column: Any) -> list[Any]:
+    """A column's values; Arrow would see the addresses of Python's objects."""
+    if str(column.dtype) == "Object":
+        return [_of_numpy(value) for value in column.to_list()]
+    values: list[Any] = column.to_arrow().to_pylist()
+    return values
 
 
 def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[Shape, ...]:
@@ -83,13 +128,12 @@ def _shape(alias: str, value: Any, schema_of: SchemaOf) -> Shape:
         return Shape(alias, schema_of(value))
     elements = elements_of(value)
     tag = _common(elements, schema_of)
-    dicts = any(isinstance(element, dict) for element in elements)
+    dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
     return Shape(alias, tag=tag, dicts=dicts, known=bool(elements))
 
 
-def _common(elements: Iterable[Any], schema_of: SchemaOf) -> Tag:
-    tags = {tag_of(element, schema_of) for element in elements}
-    tag = merged(tags)
+def _common(elements: Sequence[Any], schema_of: SchemaOf) -> Tag:
+    tag = tag_of_any(elements, schema_of)
     if tag is None or tag.type == "nothing":
         return ANY
     if tag.type == "record":
@@ -105,8 +149,8 @@ def arrow_of(elements: Sequence[Any], tag: Tag) -> pa.Table:
     """Records as a table: `n` from 1, and a column a key."""
     columns: dict[str, Any] = {"n": pa.array(range(1, len(elements) + 1), pa.int64())}
     for index, (key, part) in enumerate(tag.fields):
-        if part.is_sql and part.type not in ("record", "entity"):
-            values = [element[key] for element in elements]
+        if part.is_sql and part.type != "record":
+            values = [to_sql(element[key]) for element in elements]
             columns[f"f{index}"] = pa.array(values, _arrow_type(part))
     return pa.table(columns)
 
@@ -118,6 +162,7 @@ def _arrow_type(tag: Tag) -> pa.DataType:
 
 
 _ARROW_TYPES = {
+    "entity": pa.int64(),
     "integer": pa.int64(),
     "real": pa.float64(),
     "number": pa.float64(),

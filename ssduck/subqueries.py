@@ -533,7 +533,7 @@ def record_table(name: str, table: str, tag: Tag) -> Element:
     fields = {
         key: SqlValue(_column(name, f"f{index}"), part)
         for index, (key, part) in enumerate(tag.fields)
-        if part.is_sql and part.type != "record"
+        if part.is_sql and part.type not in ("record", "entity")
     }
     value = SqlValue(_column(name, "n"), tag, fields=fields)
     source = exp.table_(table, quoted=True, alias=exp.to_identifier(name))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import chain
+from operator import itemgetter
 from typing import Any, TypeAlias
 
 from ssduck.udfs import ValueType
@@ -57,7 +59,8 @@ class Tag:
         """Whether SQL has such values."""
         match self.type:
             case "list":
-                return self.element is None or self.element.is_sql
+                element = self.element
+                return element is None or (element.is_sql and element.type != "record")
             case "record":
                 return all(tag.is_sql for _, tag in self.fields)
         return self.type in ("entity", "real", "integer", "number", "text", "flag")
@@ -124,38 +127,115 @@ def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
         case bool():
             return FLAG
         case int():
-            return INTEGER if abs(value) < EXACT else ANY
+            return _integer((value,))
         case float():
-            return REAL if math.isfinite(value) else ANY
+            return _real((value,))
         case str():
-            return ANY if "\0" in value or (not value.isprintable() and _is_torn(value)) else TEXT
+            return _text((value,))
         case None:
             return Tag("nothing")
         case Entity():
             return Tag("entity", schema=schema_of(value.world))
         case list():
-            tag = merged(tag_of(element, schema_of) for element in value)
-            if tag is not None and not tag.is_sql:
-                return ANY
-            return Tag("list", tag, 3 if len(value) == 3 else None)
+            return _list((value,), schema_of)
         case dict():
-            return _record(value, schema_of)
+            return _record((value,), schema_of)
     return ANY
+
+
+def tag_of_any(values: Sequence[Any], schema_of: SchemaOf) -> Tag | None:
+    """The type of what is one of many values; None of none.
+
+    Values of one kind are looked at together: there may be millions.
+
+    Args:
+        values: any values.
+        schema_of: gives the schema of a world.
+    """
+    kinds = dict.fromkeys(map(type, values))
+    return merged(
+        _of_kind(kind, values if len(kinds) == 1 else _of(kind, values), schema_of)
+        for kind in kinds
+    )
+
+
+def _of(kind: type, values: Sequence[Any]) -> list[Any]:
+    return [value for value in values if type(value) is kind]
+
+
+def _of_kind(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> Tag:
+    if kind in _PLAIN:
+        return _PLAIN[kind](values)
+    if kind is list:
+        return _list(values, schema_of)
+    if kind is dict:
+        return _record(values, schema_of)
+    return merged(tag_of(value, schema_of) for value in values) or ANY
+
+
+def _integer(values: Sequence[int]) -> Tag:
+    return INTEGER if min(values) > -EXACT and max(values) < EXACT else ANY
+
+
+def _real(values: Sequence[float]) -> Tag:
+    return REAL if all(map(math.isfinite, values)) else ANY
+
+
+def _text(values: Sequence[str]) -> Tag:
+    odd = [text for text in values if not text.isprintable()]
+    return ANY if any("\0" in text or _is_torn(text) for text in odd) else TEXT
 
 
 def _is_torn(text: str) -> bool:
     """Whether it has half of a surrogate pair, which UTF-8 has no letters for."""
-    return any("\ud800" <= letter <= "\udfff" for letter in text)
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return True
+    return False
 
 
-def _record(value: Mapping[Any, Any], schema_of: SchemaOf) -> Tag:
-    if not value or len(value) > MOST_FIELDS:
+_PLAIN: dict[type, Callable[[Sequence[Any]], Tag]] = {
+    bool: lambda _: FLAG,
+    int: _integer,
+    float: _real,
+    str: _text,
+}
+
+
+def _list(values: Sequence[list[Any]], schema_of: SchemaOf) -> Tag:
+    lists = list({id(value): value for value in values}.values())
+    parts = lists[0] if len(lists) == 1 else list(chain.from_iterable(lists))
+    tag = tag_of_any(parts, schema_of)
+    whole = Tag("list", tag, 3 if set(map(len, lists)) == {3} else None)
+    return whole if whole.is_sql else ANY
+
+
+def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> Tag:
+    different = set(map(tuple, values))
+    keys = different.pop()
+    if different or not keys or len(keys) > MOST_FIELDS:
         return ANY
-    folded = {key.casefold() for key in value if isinstance(key, str) and key}
-    if len(folded) < len(value):  # SQL does not tell upper from lower case
+    folded = {key.casefold() for key in keys if isinstance(key, str) and key}
+    if len(folded) < len(keys):  # SQL does not tell upper from lower case
         return ANY
-    fields = tuple((key, tag_of(part, schema_of)) for key, part in value.items())
-    return Tag("record", fields=fields)
+    parts = [(key, tag_of_any(list(map(itemgetter(key), values)), schema_of)) for key in keys]
+    return Tag("record", fields=tuple((key, tag or ANY) for key, tag in parts))
+
+
+def is_exactly(value: Any, tag: Tag) -> bool:
+    """Whether a value is of a type, and SQL gives it back as it is: 3 is no real, 3.0 is.
+
+    Args:
+        value: any value.
+        tag: True or False, a number, a text, or lists of these.
+    """
+    element = tag.element
+    if tag.type == "list":
+        of_lists = type(value) is list
+        return of_lists and (element is None or all(is_exactly(part, element) for part in value))
+    kind = type(value)
+    return kind in _PLAIN and _PLAIN[kind]((value,)).type == tag.type
 
 
 def merged(tags: Iterable[Tag]) -> Tag | None:
@@ -177,7 +257,7 @@ def _both(a: Tag, b: Tag) -> Tag:
     if a.type == b.type == "record" and [k for k, _ in a.fields] == [k for k, _ in b.fields]:
         pairs = zip(a.fields, b.fields, strict=True)
         return Tag("record", fields=tuple((k, _both(t, u)) for (k, t), (_, u) in pairs))
-    if a.type == b.type and a.schema == b.schema:
+    if a.type == b.type != "record" and a.schema == b.schema:
         return replace(a, nullable=a.nullable or b.nullable)
     return ANY
 

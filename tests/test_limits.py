@@ -38,7 +38,7 @@ ENDLESS = [
     (BIG + "round(a.this + b.this) == -1 AS list;", "took more|more memory|more than 1000 rows"),
     (
         "SELECT this FROM n START WITH s=0 CONNECT BY s=s+1 STOP WITH False AS list;",
-        "more than 1000 rows|more memory",
+        "took more|more than 1000 rows|more memory",
     ),
     (
         "SELECT this FROM n WHERE s == 5 START WITH s=0 CONNECT BY s=s+1 STOP WITH s > 9 AS list;",
@@ -125,12 +125,41 @@ SQL = [
     ),
     ("FROM range(1001)", "more than 1000 rows"),
     ("SELECT list(range) FROM range(100000000)", "more memory|more than 0.5 s"),
+    ("SELECT " + "(" * 5000, "nested deeper than 100 brackets"),
+    ("SELECT " + "[" * 500 + "1" + "]" * 500, "nested deeper than 100 brackets"),
+    ("SELECT 'ü', " + "{'a': (" * 60 + "1" + ")}" * 60, "nested deeper than 100 brackets"),
+    ("SELECT [" + "1, " * 200_000 + "1]", "SQL of 400004 words"),
 ]
 
 
 @pytest.mark.parametrize(("text", "words"), SQL)
 def test_sql_ends(strict, text, words):
     fails(strict, lambda: strict.sql(text), LimitError, words)
+
+
+def test_deep_sql_is_told_where(strict):
+    with pytest.raises(LimitError) as caught:
+        strict.sql("SELECT 'ü' || " + "(" * 200)
+    assert caught.value.column == len("SELECT 'ü' || ") + 101
+
+
+LONG_BUT_FLAT = [
+    "SELECT '" + "(" * 5000 + "'",
+    "SELECT E'\\'" + "(" * 5000 + "'",
+    "SELECT $a$" + "(" * 5000 + "$a$",
+    "SELECT 1 /* " + "(" * 5000 + " */ -- " + "[" * 5000,
+    "SELECT " + "(1) + " * 200 + "1",
+    "SELECT '" + "a " * 300_000 + "'",
+]
+
+
+@pytest.mark.parametrize("text", LONG_BUT_FLAT, ids=lambda text: text[:15])
+def test_brackets_in_texts_and_comments_do_not_count(strict, text):
+    assert len(strict.sql(text)) == 1
+
+
+def test_what_is_no_text_is_an_error_under_limits_too(strict):
+    fails(strict, lambda: strict.sql("SELECT '\ud800'"), SqlError, "surrogate")
 
 
 def test_a_limit_within_a_function_that_sql_calls():
@@ -172,7 +201,7 @@ def test_without_limits_files_may_be_read(tmp_path):
 
 
 INTERRUPTED = """
-import time, ssduck
+import signal, time, ssduck
 ss = ssduck.Interpreter()
 ss.add_variable("n", list(range(3000)))
 ss.eval("kept = 1;")
@@ -187,26 +216,58 @@ try:
 except KeyboardInterrupt:
     assert ss.eval("kept;") == 1
     assert ss.eval("SELECT this FROM n WHERE this < 1 AS list;") == [0]
+    assert ss.sql("SELECT 42").fetchone() == (42,)
+    assert signal.set_wakeup_fd(-1) == -1
     print("went on", flush=True)
 """
+# DuckDB makes one task of it, at whose end only it looks for signals.
+PRODUCT = "SELECT count(*) FROM range(10000000) a, range(10000000) b"
 LONG = [
     'ss.eval("kept = 2; SELECT count(SELECT a.this FROM a=n, b=n, c=n WHERE a.this*b.this*c.this == -1 AS list) FROM d=n, e=n AS list;")',
     'ss.eval("kept = 2; SELECT a.this FROM a=n, b=n WHERE any(a.this) == -1 AS list;")',
     'ss.eval("kept = 2; SELECT a.this FROM a=n, b=n WHERE slow(a.this + b.this) == -1 AS list;")',
     'ss.eval("kept = 2; SELECT any(this) FROM n WHERE s == 9 START WITH s=0 CONNECT BY s=s+1 STOP WITH s > 9 AS list;")',
+    'ss.eval("kept = 2; SELECT a.this FROM a=n, b=n, c=n, d=n WHERE a.this*b.this*c.this*d.this == -1 AS list;")',
+    f'ss.sql("{PRODUCT} WHERE a.range * b.range = -7")',
+    f'ss.sql("CREATE TABLE t AS {PRODUCT} WHERE a.range * b.range = -7")',
+    f'ss.sql("{PRODUCT} WHERE a.range < b.range")',
 ]
 
 
 @pytest.mark.parametrize("statement", LONG)
 def test_ctrl_c_stops_a_query_and_the_session_goes_on(statement):
     process = subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTED.format(statement)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", INTERRUPTED.format(statement)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         assert process.stdout.readline() == "ready\n"
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
-        out, _ = process.communicate(timeout=30)
+        told = process.communicate(timeout=30)
     finally:
         process.kill()
-    assert out == "went on\n"
+    assert told == ("went on\n", "")
+
+
+HANDLED = """
+import os, signal, threading, ssduck
+pressed = []
+signal.signal(signal.SIGINT, lambda *_: pressed.append(1))
+ss = ssduck.Interpreter()
+threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+count = 0
+while not pressed:
+    (count,) = ss.sql("SELECT count(*) FROM range(3000000) WHERE range % 7 = 1").fetchone()
+assert count == 428572
+"""
+
+
+def test_a_handler_of_the_users_has_ctrl_c():
+    """It does not stop the query; what it does is its own affair."""
+    done = subprocess.run(
+        [sys.executable, "-c", HANDLED], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")

@@ -235,11 +235,24 @@ def test_the_mark_stands_under_the_mistake():
         "NOT " * 3000 + "a",
         "f(" * 3000,
         "a = " * 3000,
+        "- " * 100 + "1",
+        "+ - " * 50 + "1",
+        "x" + "[0]" * 100,
+        "x" + ".key" * 100,
+        "x" + "[0].key" * 50,
     ],
 )
 def test_deep_nesting_is_an_error_and_no_crash(text):
     with pytest.raises(ParseError):
         parse(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["- " * 40 + "1", "x" + "[0].key" * 20, "[x[0], " * 20 + "1" + "]" * 20]
+)
+def test_signs_and_indices_beside_each_other_are_not_nested(text):
+    (statement,) = parse(f"[{', '.join([text] * 30)}];").statements
+    assert len(statement.items) == 30
 
 
 def test_a_long_flat_program_is_no_deep_one():

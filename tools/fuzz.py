@@ -113,8 +113,7 @@ _TOKEN = re.compile(
     | \d+\.?\d* | \w+ | \s+ | [=!<>]= | .""",
     re.VERBOSE | re.DOTALL,
 )
-# DuckDB's parser takes a time that is quadratic in the depth of brackets.
-_LONGEST, _LONGEST_SQL = 20_000, 1500
+_LONGEST = 20_000
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def input_of(seed: int, number: int) -> Input:
     for _ in range(chance.choice((1, 1, 1, 2, 2, 3, 5))):
         mutation = chance.choices(_MUTATIONS, _WEIGHTS)[0]
         tokens = mutation(chance, tokens, corpus)
-    return Input("".join(tokens)[: _LONGEST_SQL if is_sql else _LONGEST], is_sql)
+    return Input("".join(tokens)[:_LONGEST], is_sql)
 
 
 def _at(chance: random.Random, tokens: Sequence[str], kind: str = r"\S") -> int:
