@@ -32,7 +32,7 @@ class _Listener:
         self._sender: socket.socket | None = None
         self._process = 0
 
-    def socket(self) -> int:
+    def listened(self) -> int:
         """The socket that a thread of this process listens to."""
         if self._sender is None or self._process != os.getpid():
             receiver, self._sender = socket.socketpair()
@@ -43,9 +43,13 @@ class _Listener:
 
     def _listen(self, receiver: socket.socket) -> None:
         while signals := receiver.recv(64):
-            stop = self.stop
-            if signal.SIGINT in signals and stop is not None:
-                stop()
+            if signal.SIGINT in signals:
+                self._interrupt()
+
+    def _interrupt(self) -> None:
+        stop = self.stop  # not in `_listen`, which would keep it
+        if stop is not None:
+            stop()
 
 
 _LISTENER = _Listener()
@@ -61,7 +65,7 @@ def listen(stop: Stop) -> Listening | None:
     main = threading.current_thread() is threading.main_thread()
     if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return None
-    before = signal.set_wakeup_fd(_LISTENER.socket(), warn_on_full_buffer=False)
+    before = signal.set_wakeup_fd(_LISTENER.listened(), warn_on_full_buffer=False)
     listening = Listening(_LISTENER.stop, before)
     _LISTENER.stop = stop
     return listening

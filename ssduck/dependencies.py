@@ -15,7 +15,7 @@ T = TypeVar("T")
 IMPURE = frozenset(("print", "eval", "clear"))
 
 
-def _known(look: Callable[[Node], T]) -> Callable[[Node], T]:
+def known(look: Callable[[Node], T]) -> Callable[[Node], T]:
     """Look at a part once: a planner asks of each part, and of each that it is in.
 
     What is in it is looked at before, so that nothing recurses.
@@ -23,7 +23,7 @@ def _known(look: Callable[[Node], T]) -> Callable[[Node], T]:
     found: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
 
     @wraps(look)
-    def known(node: Node) -> T:
+    def once(node: Node) -> T:
         if node not in found:
             parts = [node]
             for part in parts:  # which grows meanwhile
@@ -32,10 +32,10 @@ def _known(look: Callable[[Node], T]) -> Callable[[Node], T]:
                 found[part] = look(part)
         return found[node]
 
-    return known
+    return once
 
 
-@_known
+@known
 def free_aliases(node: Node) -> frozenset[str | None]:
     """The aliases whose `this` a part mentions, and that no query in it has as a source."""
     if isinstance(node, This):
@@ -61,7 +61,7 @@ def sees_outside(query: Query) -> bool:
     return bool(free_aliases(query))
 
 
-@_known
+@known
 def is_impure(node: Node) -> bool:
     """Whether evaluating it does something, so that order and number matter."""
     match node:
@@ -93,7 +93,7 @@ def mentions(node: Node, names: Collection[str]) -> bool:
     return not _read(node).isdisjoint(names)
 
 
-@_known
+@known
 def _read(node: Node) -> frozenset[str]:
     """The variables that a part reads."""
     own = (node.name,) if isinstance(node, Name) else ()

@@ -7,7 +7,8 @@ evaluated. Variables, functions and nested queries are looked up through the fra
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from itertools import islice
 from typing import Any, Protocol, TypeAlias, cast
 from weakref import WeakKeyDictionary
 
@@ -44,6 +45,9 @@ from ssduck.tree import (
 MOST_BITS = 1_000_000
 MOST_ELEMENTS = 10_000_000
 FEW = 4
+# So many keys and letters of what is wrong are told.
+MOST_KEYS = 20
+MOST_LETTERS = 200
 
 
 class Scope(Protocol):
@@ -66,6 +70,9 @@ class Scope(Protocol):
 
     def builtin(self, name: str) -> Callable[[list[Any]], Any] | None:
         """A function of plain values that comes with the language, and stays what it is."""
+
+    def function(self, name: str) -> Callable[[list[Any]], Any] | None:
+        """A function that is no relation."""
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call."""
@@ -211,6 +218,35 @@ class Compiler:
             return _kept(node, thunk)
         return _kept_in_state(node, thunk) if node in self._of_state else thunk
 
+    def condition(self, node: Node) -> Callable[[Frame], bool]:
+        """A part as a function that tells whether it holds."""
+        thunk = self.thunk(node)
+        if isinstance(node, Binary) and node.operator in _CHAINS:
+            return thunk  # which is True or False
+
+        def holds(frame: Frame) -> bool:
+            value = thunk(frame)
+            return value if value is True or value is False else truth(value, node)
+
+        return holds
+
+    def calls_once(self, node: Node) -> bool:
+        """Whether a part is a call that is made once for a row, however often it is written."""
+        return (
+            self._memorize
+            and isinstance(node, Call)
+            and self._scope.is_users(node.name)
+            and not is_impure(node)
+        )
+
+    def is_deferred(self, node: Node) -> bool:
+        """Whether a part is a variable that holds a list for the query that uses it."""
+        return (
+            isinstance(node, Name)
+            and self._scope.has_variable(node.name)
+            and isinstance(self._scope.variable(node.name), Deferred)
+        )
+
     def _thunk(self, node: Node) -> Thunk:
         match node:
             case Literal(value=value):
@@ -230,6 +266,9 @@ class Compiler:
             case Index():
                 return self._index(node)
             case Unary(operator=sign, operand=operand):
+                if sign == "NOT":
+                    holds = self.condition(operand)
+                    return lambda frame: not holds(frame)
                 inner = self.thunk(operand)
                 return lambda frame: apply_unary(sign, inner(frame), node.span)
             case Binary():
@@ -303,6 +342,8 @@ class Compiler:
         thunks = [self.thunk(argument) for argument in node.arguments]
 
         function = self._scope.builtin(node.name)
+        if self.calls_once(node):  # what a name means does not change while a query runs
+            function = self._scope.function(node.name)
 
         def call(frame: Frame) -> Any:
             arguments = [thunk(frame) for thunk in thunks]
@@ -316,15 +357,16 @@ class Compiler:
             except (ValueError, ArithmeticError, MemoryError) as error:
                 raise _unusable(error, node.span) from error
 
-        if not self._memorize or not self._scope.is_users(node.name) or is_impure(node):
+        if not self.calls_once(node):
             return call
         key = written(node)
 
         def once_a_row(frame: Frame) -> Any:
             calls = frame.calls
-            if key not in calls:
-                calls[key] = call(frame)
-            return calls[key]
+            if key in calls:
+                return calls[key]
+            value = calls[key] = call(frame)
+            return value
 
         return once_a_row
 
@@ -342,14 +384,21 @@ class Compiler:
 
     def _binary(self, node: Binary) -> Thunk:
         sign = node.operator
-        left, right = self.thunk(node.left), self.thunk(node.right)
-        if sign == "AND":
-            return lambda frame: _truth(left(frame), node) and _truth(right(frame), node)
-        if sign == "OR":
-            return lambda frame: _truth(left(frame), node) or _truth(right(frame), node)
-        if sign in _GROWING:
-            return lambda frame: apply(sign, left(frame), right(frame), node.span)
+        if sign in _CHAINS:
+            return self._chain(node)
         operate = _OPERATORS[sign]
+        if sign in _GROWING:
+            left, right = self.thunk(node.left), self.thunk(node.right)
+            quick = _QUICK[sign]
+
+            def growing(frame: Frame) -> Any:
+                a, b = left(frame), right(frame)
+                if type(a) is type(b) and type(a) in quick:
+                    return operate(a, b)
+                return apply(sign, a, b, node.span)
+
+            return growing
+        left, right = self._operand(node.left), self._operand(node.right)
 
         def operation(frame: Frame) -> Any:
             a, b = left(frame), right(frame)
@@ -360,14 +409,37 @@ class Compiler:
 
         return operation
 
+    def _operand(self, node: Node) -> Thunk:
+        """A side of an operator, which keeps nothing of it: a list is made once."""
+        if not isinstance(node, ListOf) or not _is_written_out(node):
+            return self.thunk(node)
+        fixed = self._thunk(node)(Frame(self._scope))
+        return lambda _: fixed
+
+    def _chain(self, node: Binary) -> Callable[[Frame], bool]:
+        """AND, OR: the right side counts if the left one does not decide."""
+        decides = node.operator == "OR"
+        left, right = self.thunk(node.left), self.thunk(node.right)
+
+        def holds(frame: Frame) -> bool:
+            value = left(frame)
+            if value is not True and value is not False:
+                value = truth(value, node.left)
+            if value is decides:
+                return decides
+            value = right(frame)
+            return value if value is True or value is False else truth(value, node.right)
+
+        return holds
+
     def _choice(self, node: If) -> Thunk:
-        condition = self.thunk(node.condition)
+        condition = self.condition(node.condition)
         then = [self.thunk(part) for part in node.then]
         otherwise = [self.thunk(part) for part in node.otherwise]
 
         def choice(frame: Frame) -> Any:
             value: Any = False
-            for part in then if _truth(condition(frame), node.condition) else otherwise:
+            for part in then if condition(frame) else otherwise:
                 value = part(frame)
             return value
 
@@ -378,7 +450,7 @@ class Compiler:
         seen = free_aliases(node.value) if isinstance(node.value, ListOf) else frozenset()
 
         def assign(frame: Frame) -> Any:
-            if None not in seen and not seen <= frame.elements.keys():
+            if seen and None not in seen and not frame.elements:
                 assigned: Any = frame.scope.deferred(node.value)
             else:
                 assigned = value(frame)
@@ -390,6 +462,12 @@ class Compiler:
             return assigned
 
         return assign
+
+
+def _is_written_out(node: Node) -> bool:
+    if isinstance(node, ListOf):
+        return all(map(_is_written_out, node.items))
+    return isinstance(node, Literal)
 
 
 def _placed(node: Node, thunk: Thunk) -> Thunk:
@@ -409,19 +487,22 @@ def _placed(node: Node, thunk: Thunk) -> Thunk:
 
 def _kept(node: Node, thunk: Thunk) -> Thunk:
     def kept(frame: Frame) -> Any:
-        if node not in frame.kept:
-            frame.kept[node] = thunk(frame)
-        return frame.kept[node]
+        known = frame.kept
+        if node in known:
+            return known[node]
+        value = known[node] = thunk(frame)
+        return value
 
     return kept
 
 
 def _kept_in_state(node: Node, thunk: Thunk) -> Thunk:
     def kept(frame: Frame) -> Any:
-        state = frame.state
-        if node not in state:
-            state[node] = thunk(frame)
-        return state[node]
+        known = frame.state
+        if node in known:
+            return known[node]
+        value = known[node] = thunk(frame)
+        return value
 
     return kept
 
@@ -434,13 +515,16 @@ def _variable(frame: Frame, name: str) -> Any:
         if isinstance(element, dict) and name in element:
             raise UnknownNameError(f"there is no variable {name!r}; write this.{name}")
     value = frame.scope.variable(name)
-    return resolved(value, frame) if isinstance(value, Deferred) else value
+    # Outside all queries it is passed on as it is.
+    return resolved(value, frame) if isinstance(value, Deferred) and frame.elements else value
 
 
 def resolved(deferred: Deferred, frame: Frame) -> Any:
-    """The value of a deferred list where it is used; itself where its sources are not yet."""
-    if not free_aliases(deferred.node) <= frame.elements.keys():
-        return deferred
+    """The value of a deferred list in the query that uses it.
+
+    Raises:
+        UnknownNameError: the query has no such source.
+    """
     try:
         return frame.value(deferred.node)
     except SelectScriptError as error:
@@ -467,26 +551,63 @@ def _no_element(alias: str | None, frame: Frame, span: Span) -> SelectScriptErro
 def _indexed(value: Any, index: Any, span: Span) -> Any:
     try:
         return value[index]
+    except (SelectScriptError, RecursionError):
+        raise
     except (IndexError, KeyError) as error:
-        size = f"{len(value)} elements" if isinstance(value, list) else f"keys {list(value)}"
-        near = nearest(index, map(str, value)) if isinstance(value, dict) else ()
-        raise EvaluationError(
-            f"no element {index!r}: there are {size}", span=span, suggestions=near
-        ) from error
+        raise _no_such(value, index, span, error) from error
     except TypeError as error:
-        raise ArgumentError(f"{_kind(value)} has no element {index!r}", span=span) from error
+        raise ArgumentError(f"{_kind(value)} has no element {_shown(index)}", span=span) from error
+    except Exception as error:
+        raise _unusable(error, span) from error
 
 
-def _truth(value: Any, node: Node) -> bool:
+def _no_such(value: Any, index: Any, span: Span, error: Exception) -> EvaluationError:
+    """Of an element that is not there, with what is there."""
+    missing = f"no element {_shown(index)}"
+    if isinstance(value, dict):
+        keys = list(islice(value, MOST_KEYS))
+        more = ", …" if len(value) > MOST_KEYS else ""
+        told = ", ".join(map(_shown, keys))
+        near = nearest(index, map(str, keys))
+        return EvaluationError(
+            f"{missing}: there are keys [{told}{more}]", span=span, suggestions=near
+        )
+    if isinstance(value, list | tuple | str):
+        return EvaluationError(f"{missing}: there are {len(value)} elements", span=span)
+    return EvaluationError(f"{missing}: {_bounded(str(error))}", span=span)
+
+
+def _shown(value: Any) -> str:
+    """A value as it is written, if that is not too long."""
+    return _bounded(repr(value))
+
+
+def _bounded(text: str) -> str:
+    """The first line of a text, if that is not too long."""
+    line = text.strip().partition("\n")[0]
+    return line if len(line) <= MOST_LETTERS else f"{line[:MOST_LETTERS]}…"
+
+
+def truth(value: Any, node: Node) -> bool:
+    """Whether a value holds.
+
+    Raises:
+        EvaluationError: it is neither true nor false.
+    """
     try:
         return bool(value)
-    except (ValueError, TypeError, ArithmeticError) as error:
+    except (SelectScriptError, RecursionError):
+        raise
+    except Exception as error:
         raise _unusable(error, node.span) from error
 
 
-def _unusable(error: Exception, span: Span) -> EvaluationError:
-    """Of values that Python brought in: an array that is neither true nor false, say."""
-    return EvaluationError(f"{type(error).__name__}: {error}", span=span)
+def _unusable(error: Exception, span: Span | None) -> EvaluationError:
+    """Of values that Python brought in: an array that is neither true nor false, say.
+
+    Their libraries have errors of their own, of whatever kind and length.
+    """
+    return EvaluationError(f"{type(error).__name__}: {_bounded(str(error))}", span=span)
 
 
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
@@ -506,11 +627,13 @@ _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "^": operator.pow,
 }
 _UNARY: dict[str, Callable[[Any], Any]] = {
-    "NOT": operator.not_,
     "-": operator.neg,
     "+": operator.pos,
 }
 _GROWING = frozenset("+*^")
+# Of two values of these types a result is never too large.
+_QUICK = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[type]()}
+_CHAINS = frozenset(("AND", "OR"))
 
 
 def apply(sign: str, left: Any, right: Any, span: Span | None = None) -> Any:
@@ -532,8 +655,10 @@ def apply(sign: str, left: Any, right: Any, span: Span | None = None) -> Any:
         raise ArgumentError(
             f"{sign} does not take {_kind(left)} and {_kind(right)}", span=span
         ) from error
-    except (ValueError, ArithmeticError, RecursionError) as error:
-        raise EvaluationError(f"{type(error).__name__}: {error}", span=span) from error
+    except SelectScriptError:
+        raise
+    except Exception as error:
+        raise _unusable(error, span) from error
     if isinstance(value, complex):
         raise EvaluationError(f"{sign} of these has no real value", span=span)
     return value
@@ -568,15 +693,20 @@ def _leaves(values: list[Any], counted: dict[int, int]) -> int:
     """How many elements a list has, all the way down; each list is counted once."""
     count = len(values)
     for value in values:
-        if type(value) is list:
-            if id(value) not in counted:
-                counted[id(value)] = _leaves(value, counted)
+        if type(value) is not list:
+            continue
+        if list not in map(type, value):
+            count += len(value)
+        elif id(value) in counted:
             count += counted[id(value)]
+        else:
+            known = counted[id(value)] = _leaves(value, counted)
+            count += known
     return count
 
 
 def apply_unary(sign: str, value: Any, span: Span) -> Any:
-    """The value of NOT, - or +.
+    """The value of - or +.
 
     Raises:
         ArgumentError: a sign before what is no number.
@@ -585,7 +715,9 @@ def apply_unary(sign: str, value: Any, span: Span) -> Any:
         return _UNARY[sign](value)
     except TypeError as error:
         raise ArgumentError(f"{sign} does not take {_kind(value)}", span=span) from error
-    except ValueError as error:
+    except (SelectScriptError, RecursionError):
+        raise
+    except Exception as error:
         raise _unusable(error, span) from error
 
 
@@ -599,6 +731,7 @@ def _kind(value: Any) -> str:
         float: "a number",
         str: "a text",
         list: "a list",
+        Deferred: "a list for the query that uses it",
     }
     return words.get(type(value), type(value).__name__)
 
@@ -642,30 +775,69 @@ def hashable(value: Any) -> Any:
     return cast("Any", value)
 
 
+_EXACT_ATOMS = frozenset((int, str, bool, type(None)))
+
+
+def exactly(value: Any) -> Any:
+    """What stands for a value in sets: alike only for values that no function tells apart.
+
+    1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart.
+
+    Raises:
+        ArgumentError: values of its type cannot be told apart.
+    """
+    kind = type(value)
+    if kind in _EXACT_ATOMS:
+        return (kind, value)
+    if kind is float:
+        return (float, repr(value))
+    if kind is list or kind is tuple:
+        return (kind, *map(exactly, value))
+    if kind is dict:
+        return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])
+    return (kind, hashable(value))
+
+
 class Keys:
-    """Numbers for values: the same for equal ones; for one search.
+    """What stands for values, so that it is quick to look up; for one search.
 
     Lists that were seen before are known by what they are, without being looked into; they
     must not change meanwhile.
     """
 
     def __init__(self) -> None:
-        self._numbers: dict[Any, int] = {}
         self._seen: dict[int, tuple[Any, int]] = {}
+        self._exact: dict[Any, int] = {}
+        self._equal: dict[int, Any] = {}
+        self._numbers: dict[Any, int] = {}
+
+    def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
+        """What stands for each of some values, alike only for what no function tells apart."""
+        seen = self._seen
+        return tuple(
+            [seen[id(value)][1] if id(value) in seen else self._exactly(value) for value in values]
+        )
+
+    def _exactly(self, value: Any) -> Any:
+        if type(value) is not list:
+            return exactly(value)
+        number = self._exact.setdefault(exactly(value), len(self._exact))
+        self._seen[id(value)] = (value, number)
+        return number
 
     def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
-        """The number of what is selected of a row, and what it is called."""
+        """A number for what is selected of a row and what it is called, alike for equal ones."""
         parts = [value if type(value) in _ATOMS else self._part(value) for value in values]
-        return self._number((tuple(parts), hashable(names)))
+        called = names if _ATOMS.issuperset(map(type, names)) else hashable(names)
+        return self._numbers.setdefault((*parts, called), len(self._numbers))
 
     def _part(self, value: Any) -> Any:
         if type(value) is not list:
             return hashable(value)
         seen = self._seen.get(id(value))
         if seen is None:
-            parts = [part if type(part) in _ATOMS else self._part(part) for part in value]
-            seen = self._seen[id(value)] = (value, self._number((list, *parts)))
-        return (list, seen[1])
-
-    def _number(self, key: Any) -> int:
-        return self._numbers.setdefault(key, len(self._numbers))
+            return (list, *[part if type(part) in _ATOMS else self._part(part) for part in value])
+        part = self._equal.get(seen[1])
+        if part is None:
+            part = self._equal[seen[1]] = hashable(value)
+        return part

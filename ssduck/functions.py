@@ -69,7 +69,7 @@ class Function:
             raise self._failed(error, error.message) from error
         except Exception as error:
             raise self._failed(error, error) from error
-        return value.item() if isinstance(value, _NUMPYS) else value
+        return value.item() if type(value) is not list and isinstance(value, _NUMPYS) else value
 
     def _failed(self, error: Exception, told: object) -> FunctionError:
         return FunctionError(f"{self.name}: {type(error).__name__}: {told}")

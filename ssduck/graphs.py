@@ -35,6 +35,8 @@ def simple_paths(
 ) -> Iterator[list[T]]:
     """The paths from a root to a vertex that is found, none met twice; the shortest first.
 
+    At the end the graph is taken apart, for the garbage collector would be slower.
+
     Args:
         roots: where paths begin.
         vertices: all there are.
@@ -43,10 +45,15 @@ def simple_paths(
     """
     _measure(vertices)
     most = len(vertices) if longest is None else min(longest, len(vertices))
-    for length in range(1, most + 1):
-        for root in roots:
-            for path in _paths_of_length(root, length, count):
-                yield [vertex.value for vertex in path]
+    try:
+        for length in range(1, most + 1):
+            for root in roots:
+                if root.distance is not None and root.distance < length:
+                    for path in _paths_of_length(root, length, count):
+                        yield [vertex.value for vertex in path]
+    finally:
+        for vertex in vertices:
+            vertex.next.clear()
 
 
 def _measure(vertices: Sequence[Vertex[T]]) -> None:

@@ -40,7 +40,7 @@ from ssduck.scenes import find_scene
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS, Relation
-from ssduck.world import World
+from ssduck.world import Entity, World
 
 
 def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
@@ -480,6 +480,11 @@ class Interpreter:
             query = self._relations[node] = Query(node.span, (asked,), ())
         given = {f"argument_{index}": value for index, value in enumerate(values)}
         with self._database.held():
+            for argument, value in zip(node.arguments, values, strict=True):
+                if isinstance(value, Entity) and value not in value.world:
+                    error = value.removed()
+                    error.span = argument.span
+                    raise error
             return self._planner.relation(query, Frame(self, given=given))
 
 

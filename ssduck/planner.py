@@ -28,6 +28,20 @@ MOST_PLANS = 500
 _UNKNOWN = Tag("any")
 
 
+class _SmallError(NotSqlError):
+    """A query is quicker row by row.
+
+    Attributes:
+        values: those of its sources.
+        shapes: what they are.
+    """
+
+    def __init__(self, values: list[Any], shapes: tuple[Shape, ...]) -> None:
+        super().__init__()
+        self.values = values
+        self.shapes = shapes
+
+
 class Functions(Scope, Protocol):
     """What a planner needs of the interpreter: a scope that tells of users' functions."""
 
@@ -80,6 +94,8 @@ class Planner:
                     return self._run_planned(query, frame, check, cautious=cautious)
                 except SqlFailedError:
                     continue
+                except _SmallError as error:
+                    return self._rows_of(query, error.shapes, frame, check).run(frame, error.values)
                 except NotSqlError:
                     break
         return self._run_row_by_row(query, frame, check)
@@ -146,7 +162,7 @@ class Planner:
             values = self._values(query, frame)
             shapes = shapes_of(query, values, self._database.schema_of)
             if quickest and query.sources and is_small(query, shapes, values):
-                raise NotSqlError
+                raise _SmallError(values, shapes)
             found = self._kept(query, shapes, typed, cautious=cautious)
             if found is not None:
                 return found, values
@@ -197,11 +213,20 @@ class Planner:
             for source in query.sources
         ]
         shapes = shapes_of(query, values, self._database.schema_of)
-        rows = self._rows_of(query, shapes, frame)
-        check(rows.columns)
-        return rows.run(frame, values)
+        return self._rows_of(query, shapes, frame, check).run(frame, values)
 
-    def _rows_of(self, query: Query, shapes: tuple[Shape, ...], frame: Frame) -> RowByRow:
+    def _rows_of(
+        self,
+        query: Query,
+        shapes: tuple[Shape, ...],
+        frame: Frame,
+        check: Callable[[Any], None],
+    ) -> RowByRow:
+        rows = self._known_rows(query, shapes, frame)
+        check(rows.columns)
+        return rows
+
+    def _known_rows(self, query: Query, shapes: tuple[Shape, ...], frame: Frame) -> RowByRow:
         typed = self._typed(frame)
         for known, rows in self._rows.get(query, ()):
             if known == shapes and typed.knows(rows.resolved.bare) and typed.defers(rows.deferred):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import islice
 from math import prod
@@ -13,7 +13,7 @@ from sqlglot import exp
 
 from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
-from ssduck.dependencies import changing, free_aliases, is_impure, mentions, states
+from ssduck.dependencies import changing, free_aliases, is_impure, known, mentions, states
 from ssduck.errors import SelectScriptError, SqlError
 from ssduck.evaluate import Compiler, Frame, Scope, Thunk
 from ssduck.graphs import Vertex, simple_paths
@@ -348,24 +348,16 @@ class RowByRow:
         kept = dict(outer.kept)
         if self._search is None:
             return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
-        return self._search.selected(outer, self._rows_of_states(outer, elements, kept))
+        return self._search.selected(outer, self._rows_of_states(outer, elements, kept), kept)
 
     def _rows_of_states(
         self, outer: Frame, elements: list[Sequence[Any]], kept: dict[Node, Any]
-    ) -> Callable[[dict[str, Any]], Iterator[Frame]]:
-        scope, given, step = outer.scope, outer.given, outer.scope.meter.step
-        same = None
-        if not self._sources_change and prod(map(len, elements)) <= MOST_COMBINATIONS:
-            same = list(combinations(self._aliases, elements, outer))
-
-        def rows(state: dict[str, Any]) -> Iterator[Frame]:
-            rows = same if same is not None else self._combinations(outer, state, elements, kept)
-            of_state: dict[Node, Any] = {}
-            for row in rows:
-                step()
-                yield Frame(scope, row, state, given, (), kept, of_state)
-
-        return rows
+    ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
+        """The elements of the sources at each row of a state."""
+        if self._sources_change or prod(map(len, elements)) > MOST_COMBINATIONS:
+            return lambda state: self._combinations(outer, state, elements, kept)
+        same = list(combinations(self._aliases, elements, outer))
+        return lambda _: same
 
     def _combinations(
         self,
@@ -416,8 +408,12 @@ def is_small(query: Query, shapes: Sequence[Shape], values: Sequence[Any]) -> bo
         return False
     if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
         return False
-    return not any(
-        (isinstance(node, Call) and node.name in RELATIONS)
-        or (isinstance(node, Query) and node is not query)
-        for node in query.walk()
-    )
+    return not any(map(_takes_a_statement, query.children()))
+
+
+@known
+def _takes_a_statement(node: Node) -> bool:
+    """Whether a part is, or has in it, a relation or a query."""
+    if isinstance(node, Query) or (isinstance(node, Call) and node.name in RELATIONS):
+        return True
+    return any(map(_takes_a_statement, node.children()))

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from ssduck.adapters import Rows
 from ssduck.dependencies import free_aliases
 from ssduck.errors import ArgumentError, EvaluationError
-from ssduck.evaluate import Compiler, Frame, Thunk, apply
+from ssduck.evaluate import Compiler, Frame, Thunk, apply, truth
 from ssduck.functions import AGGREGATES
 from ssduck.tree import Call, Given, Key, Node, Query
 
@@ -86,7 +86,7 @@ class Clauses:
 
     def __init__(self, rest: Rest, compiler: Compiler) -> None:
         self._rest = rest
-        self._conditions = [compiler.thunk(node) for node in rest.conditions]
+        self._conditions = [compiler.condition(node) for node in rest.conditions]
         self.items = Items(rest.columns, compiler)
         self._order = [(compiler.thunk(key.value), key) for key in rest.order]
         self._group = [compiler.thunk(node) for node in rest.group]
@@ -95,7 +95,7 @@ class Clauses:
 
     def holds(self, frame: Frame) -> bool:
         """Whether a row fulfils the conditions."""
-        return all(bool(condition(frame)) for condition in self._conditions)
+        return all(condition(frame) for condition in self._conditions)
 
     def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
         """What is selected of rows."""
@@ -143,8 +143,8 @@ class Clauses:
 
         def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
             for (_, key), a, b in zip(self._order, left[0], right[0], strict=True):
-                if apply("!=", a, b, key.value.span):
-                    less = bool(apply("<", a, b, key.value.span))
+                if truth(apply("!=", a, b, key.value.span), key.value):
+                    less = truth(apply("<", a, b, key.value.span), key.value)
                     return -1 if less != key.descending else 1
             return 0
 
@@ -177,7 +177,7 @@ class Items:
         """What a row calls its columns."""
         if len(self._fixed) == len(self._names):
             return self._fixed
-        return tuple(name if isinstance(name, str) else name(frame) for name in self._names)
+        return tuple([name if isinstance(name, str) else name(frame) for name in self._names])
 
     def rows(self, frames: list[Frame]) -> Rows:
         """The rows of these frames."""
@@ -219,7 +219,7 @@ class _Having:
             name = f"aggregate {len(self._aggregates)}"
             self._aggregates.append((name, call.name, compiler.thunk(call.arguments[0])))
             given[call] = Given(call.span, name)
-        self._condition = compiler.thunk(node.replaced(given.get))
+        self._condition = compiler.condition(node.replaced(given.get))
 
     def __call__(self, rows: list[Frame]) -> bool:
         first = rows[0]
@@ -227,7 +227,7 @@ class _Having:
         for name, function, argument in self._aggregates:
             given[name] = AGGREGATES[function]([[argument(row) for row in rows]])
         frame = Frame(first.scope, first.elements, first.local, given, first.columns, first.kept)
-        return bool(self._condition(frame))
+        return self._condition(frame)
 
 
 def checked_count(value: Any, what: str, node: Node) -> int:

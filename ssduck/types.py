@@ -134,8 +134,8 @@ def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
             return _text((value,))
         case None:
             return Tag("nothing")
-        case Entity():
-            return Tag("entity", schema=schema_of(value.world))
+        case Entity():  # of one that is gone SQL knows nothing
+            return Tag("entity", schema=schema_of(value.world)) if value in value.world else ANY
         case list():
             return _list((value,), schema_of)
         case dict():

@@ -10,6 +10,7 @@ import pytest
 
 import ssduck
 from ssduck import queries
+from ssduck.errors import RemovedEntityError
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 
@@ -137,3 +138,44 @@ def test_long_chains_do_not_grow_without_end(ss, sign):
     program = f"SELECT {chain} FROM w=w, n=[3.5] AS list;"
     assert ss.eval(program) == [3.5] * 3
     assert len(ss.explain(program)) < 20_000
+
+
+@pytest.mark.parametrize(
+    ("program", "value"),
+    [
+        ("SELECT id FROM w WHERE this == gone AS list;", []),
+        ("SELECT id FROM w WHERE this != gone AS list;", ["ground", "low"]),
+        ("SELECT id FROM w WHERE this IN [gone] AS list;", []),
+        ("SELECT id FROM w WHERE this IN both AS list;", ["low"]),
+        ("SELECT id FROM w WHERE gone AS list;", ["ground", "low"]),
+        ("SELECT count(this) FROM [gone, gone] AS list;", None),
+        ("SELECT this == kept FROM both AS list;", [False, True]),
+    ],
+)
+def test_what_is_gone_is_equal_to_nothing_else(ss, program, value):
+    kept, gone = ss.eval("SELECT obj FROM w WHERE id(this) IN ['low', 'high'] AS list;")
+    world = ss.call_variable("w")
+    pybullet.removeBody(2, physicsClientId=world._simulator.client)
+    world.tick()
+    ss.add_variable("gone", gone)
+    ss.add_variable("kept", kept)
+    ss.add_variable("both", [gone, kept])
+    if value is None:
+        with pytest.raises(ssduck.SelectScriptError, match="count"):
+            ss.eval(program)
+    else:
+        assert ss.eval(program) == value
+
+
+@pytest.mark.parametrize("call", ["z(gone)", "id(gone)", "above(gone, this)", "above(this, gone)"])
+def test_what_is_gone_has_no_relations(ss, call):
+    gone = ss.eval("SELECT obj FROM w WHERE id(this) == 'high' AS value;")
+    world = ss.call_variable("w")
+    pybullet.removeBody(2, physicsClientId=world._simulator.client)
+    world.tick()
+    ss.add_variable("gone", gone)
+    program = f"SELECT {call} FROM w AS list;"
+    with pytest.raises(RemovedEntityError, match="'high' is no longer in world") as caught:
+        ss.eval(program)
+    span = caught.value.span
+    assert program[span.start : span.end] == "gone"
