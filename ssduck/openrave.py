@@ -6,6 +6,7 @@ Only what its tutorial uses: names, boxes, transforms and the getters of an envi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,6 +56,37 @@ class EntitySpellings:
         matrix[:3, :3] = rotation_matrices(np.array([self.orientation]))[0]
         matrix[:3, 3] = self.position
         return matrix
+
+
+class SensorCommand(Enum):
+    """What OpenRAVE tells a sensor to do; drawing is told, and nothing is drawn."""
+
+    PowerOn = 0x10
+    PowerOff = 0x11
+    PowerCheck = 0x12
+    RenderDataOn = 0x20
+    RenderDataOff = 0x21
+    RenderDataCheck = 0x23
+
+
+class SensorSpellings:
+    """OpenRAVE's names of what a `Sensor` has."""
+
+    __slots__ = ()
+
+    ConfigureCommand = SensorCommand
+
+    def Configure(self: Any, command: SensorCommand) -> bool:  # noqa: N802  # OpenRAVE's name
+        """Switch it on or off, or tell whether it is on."""
+        match command:
+            case SensorCommand.PowerOn | SensorCommand.PowerOff:
+                self.power(command is SensorCommand.PowerOn)
+                return True
+            case SensorCommand.PowerCheck:
+                return bool(self.powered)
+            case SensorCommand.RenderDataOn | SensorCommand.RenderDataOff:
+                return True
+        return False
 
 
 class WorldSpellings:

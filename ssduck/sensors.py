@@ -89,10 +89,9 @@ class SensorType:
                 return low, f"{settings[low]:g} is more than {high}, which is {settings[high]:g}"
             if settings[high] - settings[low] > 360:
                 return high, f"more than a turn from {low}, which is {settings[low]:g}"
-        count = math.prod(self.shape(settings)) if self.rays is not None else 0
-        if count > MOST_RAYS:
+        if self.rays is not None and math.prod(self.shape(settings)) > MOST_RAYS:
             finest = "resolution" if "resolution" in settings else "width"
-            return finest, f"that makes {count:,} rays; at most {MOST_RAYS:,} are cast"
+            return finest, f"that makes more than {MOST_RAYS:,} rays"
         return None
 
 

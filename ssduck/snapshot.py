@@ -14,18 +14,18 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ssduck.geometry import Array, Geometry
 from ssduck.layout import Layout, Member
+from ssduck.sensing import Reading, Scan, Sensing, has_rays, posed
 from ssduck.simulators import Body, Contact, Frames, Simulator
-from ssduck.tables import TABLES, LiveTable
+from ssduck.tables import FORGOTTEN_AFTER, TABLES, LiveTable
 
-FORGOTTEN_AFTER = 240
-ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts"))
+ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
 
 
 class Snapshot:
@@ -35,6 +35,7 @@ class Snapshot:
         tables: by name.
         number: of the tick, from 1.
         time: of the tick, simulated seconds.
+        sensing: what its sensors have measured.
     """
 
     def __init__(self) -> None:
@@ -48,6 +49,7 @@ class Snapshot:
         self._asked: dict[str, int] = {}
         self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
+        self.sensing = Sensing()
         self._warned: set[int] = set()
 
     @property
@@ -82,6 +84,7 @@ class Snapshot:
         self._fill_joints(layout.bodies)
         self._fill_shapes(layout.bodies)
         self.tables["contacts"].fill(0, {})
+        self.tables["sensings"].fill(0, {})
         self.tables["ticks"].fill(1, {})
 
     def _fill_links(self, bodies: Sequence[tuple[int, Body]]) -> None:
@@ -146,6 +149,15 @@ class Snapshot:
         self._asked |= dict.fromkeys(wanted, self.number)
         return not wanted <= self._read
 
+    def ask_picture(self, sensor: int) -> bool:
+        """Note that a camera's colours are asked for; tells whether this tick lacks them."""
+        return self.sensing.ask_picture(sensor, self.number)
+
+    def switch(self, sensor: int, *, on: bool) -> None:
+        """Switch a sensor on or off: the table of sensings is to be read once more."""
+        self.sensing.switch(sensor, on=on)
+        self._read -= {"sensings"}
+
     def read_all_anew(self) -> None:
         """Read what cannot move once more with the next tick: it was moved by hand."""
         self._still = None
@@ -168,12 +180,19 @@ class Snapshot:
             still = simulator.read_frames(layout.still.bodies, links_move=True)
         links_move = "links" in wanted or layout.moving.sensors_on_links
         moving = simulator.read_frames(layout.moving.bodies, links_move=links_move)
-        joints = contacts = None
+        joints = None
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
             joints = simulator.read_joints(jointed)
-        if "contacts" in wanted:
+        scan = Scan(coming, simulator.time, layout, anew=still is not self._still)
+        sensors = []
+        if "sensings" in wanted:
+            due = self.sensing.due(scan, watched=simulator.watched)
+            sensors = posed(layout, still, moving, due)
+        contacts: list[Contact] = []
+        if "contacts" in wanted or not all(has_rays(sensor.member) for sensor in sensors):
             contacts = list(simulator.read_contacts())
+        readings = self.sensing.read(simulator, scan, sensors, contacts)
         # All of this tick is read before anything of the last one is overwritten.
         if not same:
             self._lay_out(layout)
@@ -184,8 +203,11 @@ class Snapshot:
         self._still = still
         if joints is not None:
             self.tables["joints"].reals("position", "effort")[:] = joints.T
-        if contacts is not None:
+        if "contacts" in wanted:
             self._write_contacts(contacts)
+        self.sensing.readings = readings
+        if "sensings" in wanted:
+            self._write_sensings(readings)
         self._finish()
 
     def _write_frames(self, still: Frames, moving: Frames, *, anew: bool) -> None:
@@ -237,6 +259,20 @@ class Snapshot:
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
             table[name][:] = numbers[:, column]
         table.reals("ax", "force")[:] = numbers[:, 4:].T
+
+    def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
+        table = self.tables["sensings"]
+        rows = [
+            (sensor, entity, hits, reading.rays, reading.time)
+            for sensor, reading in sorted(readings.items())
+            for entity, hits in reading.hits.items()
+            if entity in self.rows  # it may have gone since
+        ]
+        if len(rows) != table.count:
+            table.fill(len(rows), {})
+        numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
+        for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
+            table[name][:] = numbers[:, column]
 
 
 def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:
