@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from weakref import WeakKeyDictionary
 
 from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
+from ssduck.udfs import RELATIONS
 
 # Calls that do something, or see more than their arguments: made row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
@@ -46,6 +48,20 @@ def is_impure(node: Node) -> bool:
             # State variables are nothing that anything else sees.
             return is_impure(stop) or any(is_impure(a.value) for a in (*start, *step))
     return any(map(is_impure, node.children()))
+
+
+_LOOKS_UP: WeakKeyDictionary[Node, tuple[frozenset[str], frozenset[str]]] = WeakKeyDictionary()
+
+
+def looks_up(node: Node) -> tuple[frozenset[str], frozenset[str]]:
+    """The tables that relations in a part look things up in, and the names of its variables."""
+    if node not in _LOOKS_UP:
+        parts = list(node.walk())
+        calls = {part.name for part in parts if isinstance(part, Call)} & RELATIONS.keys()
+        tables = frozenset(table for name in calls for table in RELATIONS[name].tables)
+        names = frozenset(part.name for part in parts if isinstance(part, Name))
+        _LOOKS_UP[node] = tables, names
+    return _LOOKS_UP[node]
 
 
 def states(query: Query) -> frozenset[str]:
