@@ -17,8 +17,8 @@ from ssduck.geometry import Array, Indices
 from ssduck.simulators import Hits
 from ssduck.simulators.pybullet_console import pybullet
 
-# PyBullet takes no more rays in one call.
-MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE
+# PyBullet refuses more rays than its maximum in one call, and of as many it tells nothing.
+MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
 # Waking other threads takes longer than casting fewer rays than this.
 WORTH_THREADS = 50
 _ALL_THREADS = 0
