@@ -148,6 +148,12 @@ class Sensing:
         self._forget(id)  # its depth and its colours are of one moment
         return True
 
+    def _forget_gone(self, layout: Layout) -> None:
+        """Let go of what is kept of sensors that are gone."""
+        self._off &= layout.rows.keys()
+        self._pictures = {id: at for id, at in self._pictures.items() if id in layout.rows}
+        self._rays = {id: ends for id, ends in self._rays.items() if id in layout.rows}
+
     def _forget(self, id: int) -> None:
         self.readings = {key: value for key, value in self.readings.items() if key != id}
 
@@ -185,6 +191,8 @@ class Sensing:
         contacts: Sequence[Contact],
     ) -> Mapping[int, Reading]:
         """The readings at a tick: new ones of these sensors, the last ones of the others."""
+        if scan.anew:
+            self._forget_gone(scan.layout)
         if not posed:
             return {} if scan.anew else self.readings
         due = {sensor.member.id for sensor in posed}

@@ -696,7 +696,7 @@ def test_two_worlds_do_not_see_each_other(mast):
             # A row does not tell which world it is of.
             for relation in ("isSensing(a, b)", "sensingAmount(a, b)", "sensingEnvIDs(a)"):
                 with pytest.raises(
-                    SelectScriptError, match="for one world.*join the table sensings"
+                    SelectScriptError, match=r"for one world.*join the table sensings"
                 ):
                     ss.sql(f"SELECT {relation} FROM entities a, entities b")
             assert ss.sql("SELECT count(*) FROM sim.sensings").fetchone() == (1,)
@@ -1014,8 +1014,7 @@ def standing(stage):
     stage.box("floor", [5, 5, 0.5], [0, 0, -0.5])
     stage.box("crate", [0.5, 0.5, 0.5], [0, 0, 0.5], mass=2.0)
     stage.box("lamp", [0.5, 0.5, 0.5], [0, 0, 1.6])
-    world = stage.open()
-    return world
+    return stage.open()
 
 
 def test_a_contact_sensor_feels_what_presses(stage):
