@@ -226,6 +226,12 @@ def test_every_type_is_complete(kind):
         assert f"`{setting.name}`" in page
 
 
+def test_only_the_simulators_know_pybullet():
+    for path in (ROOT / "ssduck").glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert "import pybullet" not in text.replace("from ssduck.simulators import pybullet", "")
+
+
 # -- a camera and a sphere ---------------------------------------------------------------------
 
 
