@@ -7,7 +7,7 @@ reading is kept. All rays of a tick are cast in one call.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -159,18 +159,18 @@ class Sensing:
 
     # -- a tick ---------------------------------------------------------------------------
 
-    def due(self, scan: Scan, *, watched: bool) -> set[int]:
-        """The sensors that are to be read, by their ids.
+    def due(self, scan: Scan, sensors: Iterable[Member], *, watched: bool) -> set[int]:
+        """Those of these sensors that are to be read, by their ids.
 
         Args:
             scan: the tick.
+            sensors: those that are asked for.
             watched: whether others may move things while no time passes that is known of.
         """
         return {
             member.id
-            for member in scan.layout.members
-            if member.sensor is not None
-            and self.is_on(member.id)
+            for member in sensors
+            if self.is_on(member.id)
             and (scan.anew or self._is_over(member, scan.time, watched=watched))
         }
 

@@ -50,6 +50,9 @@ class Snapshot:
         self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
         self.sensing = Sensing()
+        # When each sensor was asked for by itself, and which are as they are at this tick.
+        self._asked_sensors: dict[int, int] = {}
+        self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
 
     @property
@@ -149,14 +152,17 @@ class Snapshot:
         self._asked |= dict.fromkeys(wanted, self.number)
         return not wanted <= self._read
 
-    def ask_picture(self, sensor: int) -> bool:
-        """Note that a camera's colours are asked for; tells whether this tick lacks them."""
-        return self.sensing.ask_picture(sensor, self.number)
+    def ask_sensor(self, sensor: int, *, picture: bool) -> bool:
+        """Note that a sensor is asked for; tells whether this tick lacks it, or its colours."""
+        self._asked_sensors[sensor] = self.number
+        lacks_picture = picture and self.sensing.ask_picture(sensor, self.number)
+        return lacks_picture or sensor not in self._read_sensors
 
     def switch(self, sensor: int, *, on: bool) -> None:
         """Switch a sensor on or off: the table of sensings is to be read once more."""
         self.sensing.switch(sensor, on=on)
         self._read -= {"sensings"}
+        self._read_sensors -= {sensor}
 
     def read_all_anew(self) -> None:
         """Read what cannot move once more with the next tick: it was moved by hand."""
@@ -185,10 +191,9 @@ class Snapshot:
             jointed = [body for _, body in layout.bodies if body.joints]
             joints = simulator.read_joints(jointed)
         scan = Scan(coming, simulator.time, layout, anew=still is not self._still)
-        sensors = []
-        if "sensings" in wanted:
-            due = self.sensing.due(scan, watched=simulator.watched)
-            sensors = posed(layout, still, moving, due)
+        perceiving = self._perceiving(layout, coming, together="sensings" in wanted)
+        due = self.sensing.due(scan, perceiving, watched=simulator.watched)
+        sensors = posed(layout, still, moving, due)
         contacts: list[Contact] = []
         if "contacts" in wanted or not all(has_rays(sensor.member) for sensor in sensors):
             contacts = list(simulator.read_contacts())
@@ -206,9 +211,19 @@ class Snapshot:
         if "contacts" in wanted:
             self._write_contacts(contacts)
         self.sensing.readings = readings
+        self._read_sensors = frozenset(member.id for member in perceiving)
         if "sensings" in wanted:
             self._write_sensings(readings)
         self._finish()
+
+    def _perceiving(self, layout: Layout, coming: int, *, together: bool) -> list[Member]:
+        """The sensors that are asked for: all of them together, or some."""
+        asked = {id: at for id, at in self._asked_sensors.items() if coming - at <= FORGOTTEN_AFTER}
+        self._asked_sensors = asked
+        if not (together or asked):
+            return []
+        sensors = [member for member in layout.members if member.sensor is not None]
+        return sensors if together else [member for member in sensors if member.id in asked]
 
     def _write_frames(self, still: Frames, moving: Frames, *, anew: bool) -> None:
         """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""

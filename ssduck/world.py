@@ -363,8 +363,7 @@ class World(WorldSpellings):
         with self.lock:
             if sensor not in self:
                 raise sensor.removed()
-            lacks_picture = picture and self.snapshot.ask_picture(sensor.id)
-            if self.snapshot.ask(["sensings"]) or lacks_picture:
+            if self.snapshot.ask_sensor(sensor.id, picture=picture):
                 self._take_asked()
                 if sensor not in self:  # its body went
                     raise sensor.removed()

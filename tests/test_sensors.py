@@ -866,6 +866,31 @@ def test_all_rays_of_a_tick_are_cast_in_one_call(mast, monkeypatch):
     assert calls[2:] == [(16 * 360 + all_rays, 0)]
 
 
+def test_one_sensor_is_read_by_itself(mast):
+    """An expensive one is not read for the sake of a cheap one; a query reads all."""
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    camera = world.add_sensor("depth_camera", "mast", **CAMERA)
+    finder = world.add_sensor("range_finder", "mast", max_range=5, period=0.1)
+    assert finder.ranges == pytest.approx([1.5], abs=EXACT)
+    assert mast.casts == [1]
+    world.step(24)
+    assert mast.casts == [1, 1]
+    assert camera.rays == 64 * 48  # asked for now, in the same tick
+    assert mast.casts == [1, 1, 64 * 48]
+    assert world.snapshot.tables["sensings"].count == 0
+    for ss in evaluators(world):
+        assert ss.sql("SELECT count(*) FROM sensings").fetchone() == (2,)
+        assert ss.eval("SELECT id FROM sim WHERE count(sensingEnvIDs(this)) > 0 AS list;") == [
+            camera.name,
+            finder.name,
+        ]
+    finder.power(False)
+    assert finder.reading is None
+    finder.power(True)
+    assert finder.reading.hits
+
+
 @pytest.mark.parametrize(("rays", "threads"), [(1, 1), (49, 1), (50, 0), (51, 0)])
 def test_few_rays_wake_no_threads(mast, monkeypatch, rays, threads):
     world = mast.open()
