@@ -6,7 +6,7 @@ import inspect
 import re
 import threading
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
@@ -32,7 +32,13 @@ Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 _REFUSALS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
 # Schemas that DuckDB has already.
 _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
-_TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
+# The tables that a word in a statement stands for: a table's name, or that of a relation that
+# looks things up in some.
+_TABLES_OF = {
+    **{name.lower(): frozenset((name,)) for name in TABLES},
+    **{r.name.lower(): r.tables for r in RELATIONS.values() if r.tables},
+}
+_TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 
 
@@ -41,7 +47,7 @@ _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 MOST_WORDS = 200_000
 MOST_BRACKETS = 100
 
-# What our prepared statements are called, in front of a number.
+# What our prepared statements are called, in front of a number and of the tables that they read.
 _OURS = "ssduck statement "
 # No source can be called so, for it is no name.
 _PARAMETERS = "the parameters"
@@ -70,10 +76,12 @@ class Statement:
         types: Mapping[str, Literal["real", "integer"]],
     ) -> None:
         self._database = database
-        self._name = f"{_OURS}{next(self._numbers)}"
+        # The entities' buffers are made anew, too, when nothing else of the worlds is as it was.
+        self._reads = frozenset(("entities", *(t.name for t in select.find_all(exp.Table))))
+        self._name = _statement_name(next(self._numbers), self._reads)
         self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
         self._row.fill(1, {})
-        self._prepared_for = -1
+        self._prepared_for: int | None = None
         tree = select.copy()
         self._has_parameters = bool(types)
         if types:
@@ -87,11 +95,12 @@ class Statement:
         """All rows for these values of the parameters; the caller holds the worlds."""
         for name, value in values.items():
             self._row[name][0] = value
-        if self._prepared_for != self._database.generation:
+        generation = self._database.generation(self._reads)
+        if self._prepared_for != generation:
             if self._has_parameters:
                 self._database.show(self._name, self._row.arrow)
             self._database.run(self._prepare)
-            self._prepared_for = self._database.generation
+            self._prepared_for = generation
         try:
             return self._database.rows(self._execute)
         except SelectScriptError:
@@ -100,17 +109,22 @@ class Statement:
 
     def _release(self) -> None:
         """Let go of the memory that DuckDB keeps for a statement that failed."""
-        self._prepared_for = -1
+        self._prepared_for = None
         with suppress(SelectScriptError):
             self._database.run(self._deallocate)
 
     def forget(self) -> None:
         """Let DuckDB forget it."""
-        if self._prepared_for == self._database.generation:
+        if self._prepared_for == self._database.generation(self._reads):
             self._database.run(self._deallocate)
-            self._prepared_for = -1
+            self._prepared_for = None
         if self._has_parameters:
             self._database.unshow(self._name)
+
+
+def _statement_name(number: int, reads: Iterable[str]) -> str:
+    """What a prepared statement of ours is called."""
+    return f"{_OURS}{number} {' '.join(sorted(TABLES.keys() & set(reads)))}"
 
 
 def _check_length(sql: str) -> None:
@@ -185,7 +199,6 @@ class Database:
 
     Attributes:
         meter: how much of its limits the running program has used.
-        generation: counts up when prepared statements lose their validity.
     """
 
     def __init__(
@@ -205,7 +218,8 @@ class Database:
         self._raised: list[BaseException] = []
         self._bound: list[_Bound] = []
         self._numbers = count(1)
-        self.generation = 0
+        # Counts up, by table, when prepared statements that read it lose their validity.
+        self._generations = dict.fromkeys(TABLES, 0)
         self._asked_for_good: set[str] = set()
         # The data are small and the queries many: a second thread costs more than it gives.
         self.run("SET threads = 1")
@@ -214,7 +228,7 @@ class Database:
         # A name that no table has is an error, not a variable of the caller's.
         self.run("SET python_enable_replacements = false")
         for relation in RELATIONS.values():
-            self.run(relation.macro)
+            self.run(relation.macro())
         self._confine(self.meter.limits)
 
     def _confine(self, limits: Limits) -> None:
@@ -262,7 +276,8 @@ class Database:
         """
         if self.meter.limits.seconds is not None:
             _check_length(sql)
-        asked = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+        words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+        asked = {table for word in words for table in _TABLES_OF[word]}
         if _KEEPS_A_QUERY.search(sql):
             self._asked_for_good |= asked
         with self.held(asked | self._asked_for_good):
@@ -397,6 +412,7 @@ class Database:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
             self._set_search_path()
+            self._set_lookups()
 
     def _unbind(self, name: str, world: World) -> None:
         """Take a name from another world; one without a name is not held any more."""
@@ -465,6 +481,18 @@ class Database:
             path = exp.Literal.string(f"main,{name}").sql("duckdb")
             self.run(f"SET search_path = {path}")
 
+    def _set_lookups(self) -> None:
+        """Let relations look things up in the only world: a row does not tell which it is of."""
+        schemas = list(self.worlds)
+        only = schemas[0] if len(schemas) == 1 else None
+        for relation in RELATIONS.values():
+            if relation.tables:
+                self.run(relation.macro(only))
+
+    def generation(self, tables: Iterable[str]) -> int:
+        """Counts up when prepared statements that read one of these tables lose their validity."""
+        return sum(self._generations.get(table, 0) for table in tables)
+
     def _show(self, bound: _Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         for table, live in bound.world.snapshot.tables.items():
@@ -485,13 +513,13 @@ class Database:
     def _forget_plans(self, table: str = "entities") -> None:
         """Drop prepared statements that would go on reading a table's old buffers.
 
-        Our own read the entities only. Of a user's it is not known, so that all are dropped if
-        any statement that DuckDB keeps names the table.
+        Our own say by their names what they read. Of a user's it is not known, so that all are
+        dropped if any statement that DuckDB keeps names the table.
         """
-        ours, theirs = table == "entities", table in self._asked_for_good
-        self.generation += ours
+        theirs = table in self._asked_for_good
+        self._generations[table] += 1
         for (name,) in self.rows("SELECT name FROM duckdb_prepared_statements()"):
-            if ours if name.startswith(_OURS) else theirs:
+            if table in name.split() if name.startswith(_OURS) else theirs:
                 self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
 
     @property

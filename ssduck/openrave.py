@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,6 +116,37 @@ class EntitySpellings:
     def IsVisible(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
         """Whether it is drawn."""
         return bool(self.visible)
+
+
+class SensorCommand(Enum):
+    """What OpenRAVE tells a sensor to do; drawing is told, and nothing is drawn."""
+
+    PowerOn = 0x10
+    PowerOff = 0x11
+    PowerCheck = 0x12
+    RenderDataOn = 0x20
+    RenderDataOff = 0x21
+    RenderDataCheck = 0x23
+
+
+class SensorSpellings:
+    """OpenRAVE's names of what a `Sensor` has."""
+
+    __slots__ = ()
+
+    ConfigureCommand = SensorCommand
+
+    def Configure(self: Any, command: SensorCommand) -> bool:  # noqa: N802  # OpenRAVE's name
+        """Switch it on or off, or tell whether it is on."""
+        match command:
+            case SensorCommand.PowerOn | SensorCommand.PowerOff:
+                self.power(command is SensorCommand.PowerOn)
+                return True
+            case SensorCommand.PowerCheck:
+                return bool(self.powered)
+            case SensorCommand.RenderDataOn | SensorCommand.RenderDataOff:
+                return True
+        return False
 
 
 class WorldSpellings:

@@ -22,11 +22,11 @@ import numpy as np
 
 from ssduck.geometry import Array, Geometry
 from ssduck.layout import Layout, Member, Part
+from ssduck.sensing import Reading, Scan, Sensing, has_rays, posed
 from ssduck.simulators import Body, Contact, Frames, Simulator
-from ssduck.tables import TABLES, LiveTable
+from ssduck.tables import FORGOTTEN_AFTER, TABLES, LiveTable
 
-FORGOTTEN_AFTER = 240
-ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts"))
+ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
 
 
 class Snapshot:
@@ -40,6 +40,7 @@ class Snapshot:
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
         untold: tables whose rows nobody knows, and why: asking for them is an error.
+        sensing: what its sensors have measured.
     """
 
     def __init__(self) -> None:
@@ -59,6 +60,10 @@ class Snapshot:
         self._asked: dict[str, int] = {}
         self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
+        self.sensing = Sensing()
+        # When each sensor was asked for by itself, and which are as they are at this tick.
+        self._asked_sensors: dict[int, int] = {}
+        self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
 
     @property
@@ -109,8 +114,10 @@ class Snapshot:
         for name in untold:
             twin.tables[name].fill(0, {})
         twin.untold = untold
+        twin.sensing = self.sensing.twin()
         twin._is_final = True  # noqa: SLF001  # one class
         twin._asked, twin._read = {}, frozenset()  # noqa: SLF001
+        twin._asked_sensors, twin._read_sensors = {}, frozenset()  # noqa: SLF001
         twin._warned = set(self._warned)  # noqa: SLF001
         return twin
 
@@ -135,6 +142,7 @@ class Snapshot:
         self._fill_joints(layout.bodies)
         self._fill_shapes(layout.bodies)
         self.tables["contacts"].fill(0, {})
+        self.tables["sensings"].fill(0, {})
         self.tables["ticks"].fill(1, {})
 
     def _flag_columns(self) -> dict[str, list[bool]]:
@@ -207,6 +215,18 @@ class Snapshot:
         self._asked |= dict.fromkeys(wanted, self.number)
         return not wanted <= self._read
 
+    def ask_sensor(self, sensor: int, *, picture: bool) -> bool:
+        """Note that a sensor is asked for; tells whether this tick lacks it, or its colours."""
+        self._asked_sensors[sensor] = self.number
+        lacks_picture = picture and self.sensing.ask_picture(sensor, self.number)
+        return lacks_picture or sensor not in self._read_sensors
+
+    def switch(self, sensor: int, *, on: bool) -> None:
+        """Switch a sensor on or off: the table of sensings is to be read once more."""
+        self.sensing.switch(sensor, on=on)
+        self._read -= {"sensings"}
+        self._read_sensors -= {sensor}
+
     def read_all_anew(self) -> None:
         """Read what cannot move once more with the next tick: it was moved by hand."""
         self._still = None
@@ -229,12 +249,18 @@ class Snapshot:
             still = simulator.read_frames(layout.still.bodies, links_move=True)
         links_move = "links" in wanted or layout.moving.sensors_on_links
         moving = simulator.read_frames(layout.moving.bodies, links_move=links_move)
-        joints = contacts = None
+        joints = None
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
             joints = simulator.read_joints(jointed)
-        if "contacts" in wanted:
+        scan = Scan(coming, simulator.time, layout, anew=still is not self._still)
+        perceiving = self._perceiving(layout, coming, together="sensings" in wanted)
+        due = self.sensing.due(scan, perceiving, watched=simulator.watched)
+        sensors = posed(layout, still, moving, due)
+        contacts: list[Contact] = []
+        if "contacts" in wanted or not all(has_rays(sensor.member) for sensor in sensors):
             contacts = list(simulator.read_contacts())
+        readings = self.sensing.read(simulator, scan, sensors, contacts)
         # All of this tick is read before anything of the last one is overwritten.
         self._note_flags(simulator, same=same)
         if not same:
@@ -247,8 +273,12 @@ class Snapshot:
         self._frames = still, moving
         if joints is not None:
             self.tables["joints"].reals("position", "effort")[:] = joints.T
-        if contacts is not None:
+        if "contacts" in wanted:
             self._write_contacts(contacts)
+        self.sensing.readings = readings
+        self._read_sensors = frozenset(member.id for member in perceiving)
+        if "sensings" in wanted:
+            self._write_sensings(readings)
         self._finish()
 
     def _note_flags(self, simulator: Simulator, *, same: bool) -> None:
@@ -259,6 +289,15 @@ class Snapshot:
         self.disabled, self.hidden = disabled, hidden
         if same:  # else all columns are made anew
             self.tables["entities"].put(self._flag_columns())
+
+    def _perceiving(self, layout: Layout, coming: int, *, together: bool) -> list[Member]:
+        """The sensors that are asked for: all of them together, or some."""
+        asked = {id: at for id, at in self._asked_sensors.items() if coming - at <= FORGOTTEN_AFTER}
+        self._asked_sensors = asked
+        if not (together or asked):
+            return []
+        sensors = [member for member in layout.members if member.sensor is not None]
+        return sensors if together else [member for member in sensors if member.id in asked]
 
     def _write_frames(self, still: Frames, moving: Frames, *, anew: bool) -> None:
         """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""
@@ -309,6 +348,20 @@ class Snapshot:
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
             table[name][:] = numbers[:, column]
         table.reals("ax", "force")[:] = numbers[:, 4:].T
+
+    def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
+        table = self.tables["sensings"]
+        rows = [
+            (sensor, entity, hits, reading.rays, reading.time)
+            for sensor, reading in sorted(readings.items())
+            for entity, hits in reading.hits.items()
+            if entity in self.rows  # it may have gone since
+        ]
+        if len(rows) != table.count:
+            table.fill(len(rows), {})
+        numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
+        for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
+            table[name][:] = numbers[:, column]
 
 
 def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:

@@ -19,6 +19,9 @@ import pyarrow as pa
 
 from ssduck.geometry import Array
 
+# So many ticks is what was asked for read without another question.
+FORGOTTEN_AFTER = 240
+
 ColumnType: TypeAlias = Literal["real", "integer", "text", "flag", "points", "triples"]
 _ARROW: dict[ColumnType, pa.DataType] = {
     "real": pa.float64(),
@@ -122,6 +125,14 @@ TABLES: dict[str, tuple[Column, ...]] = {
         *_reals("nx ny nz", "unit normal, from b to a"),
         Column("depth", "real", "penetration, m"),
         Column("force", "real", "normal force, N"),
+    ),
+    "sensings": (
+        *_TICK,
+        Column("sensor", "integer", "id of a sensor that is switched on"),
+        Column("entity", "integer", "id of an entity that it perceives"),
+        Column("hits", "integer", "how many of its rays, pixels or contact points end on that"),
+        Column("rays", "integer", "how many it has"),
+        Column("measured", "real", "simulated time of the reading, s"),
     ),
     "ticks": (*_TICK, Column("wall_time", "real", "seconds since 1970")),
 }

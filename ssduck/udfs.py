@@ -7,6 +7,10 @@ A relation that is a formula of the columns of its entities is an SQL expression
 Python is never called. Its parameters are rows of `entities`, or values. World frame, metres,
 radians, kilograms; quaternions w, x, y, z. A relation of an entity with itself is False (a
 distance 0); an unknown value is NULL.
+
+A formula may look things up in another table of the entities' world, in a subquery that sees
+nothing of the rows around it: a macro's parameters are unknown in there, and an alias of the rows
+could be taken for a column of that table.
 """
 
 from __future__ import annotations
@@ -63,6 +67,8 @@ class Relation:
         about: what it means, in a sentence or two, with its boundary.
         unit: of the result.
         symmetric: whether the order of two entities does not matter.
+        element: of a list, what its elements are.
+        apart: of a formula that looks things up, what it is of entities of two worlds.
     """
 
     name: str
@@ -73,6 +79,8 @@ class Relation:
     sliced: str | None = None
     unit: str = ""
     symmetric: bool = False
+    element: ValueType = "real"
+    apart: str = ""
 
     @property
     def usage(self) -> str:
@@ -104,13 +112,39 @@ class Relation:
         return self.result in ("real", "list") and any(c.name in BOX for c in columns)
 
     @cached_property
-    def macro(self) -> str:
-        """The statement that makes the DuckDB macro of the same name."""
+    def when_apart(self) -> exp.Expr:
+        """What it is of entities of two worlds, if it looks things up in one."""
+        return _parsed(self.apart)
+
+    @cached_property
+    def tables(self) -> frozenset[str]:
+        """The tables that it looks things up in."""
+        tables = self.expressions[self.required].find_all(exp.Table)
+        return frozenset(table.name for table in tables)
+
+    def macro(self, schema: str | None = None) -> str:
+        """The statement that makes the DuckDB macro of the same name.
+
+        Args:
+            schema: that of the tables that it looks things up in; without one it fails.
+        """
         overloads = [
-            f"({', '.join(p.name for p in self.parameters[:count])}) AS ({tree.sql('duckdb')})"
+            f"({', '.join(p.name for p in self.parameters[:count])}) "
+            f"AS ({self._body(tree, schema).sql('duckdb')})"
             for count, tree in self.expressions.items()
         ]
         return f'CREATE OR REPLACE TEMP MACRO "{self.name}" {", ".join(overloads)}'
+
+    def _body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
+        if not self.tables:
+            return tree
+        if schema is not None:
+            return in_schema(tree, schema)
+        reason = (
+            f"{self.name}: in SQL it is for one world, and there is none or several; "
+            f"join the table {', '.join(sorted(self.tables))} of the world that is meant"
+        )
+        return exp.Anonymous(this="error", expressions=[exp.Literal.string(reason)])
 
 
 _RESULT_WORDS: dict[ValueType, str] = {
@@ -130,6 +164,14 @@ _RESULT_WORDS: dict[ValueType, str] = {
 
 def _parsed(formula: str) -> exp.Expr:
     return sqlglot.parse_one(formula, dialect="duckdb")
+
+
+def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
+    """A formula with the tables of that schema."""
+    found = formula.copy()
+    for table in list(found.find_all(exp.Table)):
+        table.set("db", exp.to_identifier(schema))
+    return found
 
 
 def _listed(parameters: tuple[Parameter, ...]) -> str:
@@ -158,6 +200,9 @@ def _sliced(name: str, formula: str, about: str, unit: str) -> Relation:
     )
     return Relation(name, _ENTITY + _SLICE, "list", formula, about, sliced=part, unit=unit)
 
+
+_SENSOR = (Parameter("s", "entity", "a sensor"),)
+_SENSOR_AND_OTHER = (*_SENSOR, Parameter("e", "entity", "another entity"))
 
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 
@@ -274,6 +319,37 @@ _LISTED = (
     _of_entity("isVisible", "flag", "object.visible", "Checks if object is drawn."),
     _of_entity(
         "environmentID", "integer", "object.id", "Returns the number of the object in its world."
+    ),
+    Relation(
+        "isSensing",
+        _SENSOR_AND_OTHER,
+        "flag",
+        "(s.id, e.id) IN (SELECT sensor, entity FROM sensings)",
+        "Checks if sensor s perceives e now: if one of its rays, pixels or contact points ends "
+        "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
+        "what is no sensor.",
+        apart="FALSE",
+    ),
+    Relation(
+        "sensingAmount",
+        _SENSOR_AND_OTHER,
+        "real",
+        "COALESCE(map_extract_value((SELECT map(list((sensor, entity)), list(hits / rays)) "
+        "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
+        "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
+        "0 to 1; 0 where isSensing(s, e) is False.",
+        apart="0.0::DOUBLE",
+    ),
+    Relation(
+        "sensingEnvIDs",
+        _SENSOR,
+        "list",
+        "COALESCE(map_extract_value((SELECT map(list(sensor), list(ids)) FROM (SELECT sensor, "
+        "list(entity ORDER BY entity) AS ids FROM sensings GROUP BY sensor) AS seen), s.id), "
+        "[]::BIGINT[])",
+        "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
+        "order; an empty list while it is switched off.",
+        element="integer",
     ),
 )
 

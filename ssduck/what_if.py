@@ -15,7 +15,9 @@ from ssduck.snapshot import Snapshot
 
 UNTOLD = {
     "contacts": "a what-if world has no contacts: they are what a solver finds in a step, and it "
-    "was never simulated; compare boxes, or move the bodies themselves"
+    "was never simulated; compare boxes, or move the bodies themselves",
+    "sensings": "sensors perceive nothing in a what-if world: its rays would have to be cast in "
+    "the simulation; move the bodies themselves",
 }
 
 

@@ -27,10 +27,13 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
+from ssduck.geometry import Array, Indices
 from ssduck.kinematics import JointValues, Pose, finite, pose_of, positions_of, unit
 from ssduck.layout import Member
-from ssduck.openrave import EntitySpellings, WorldSpellings
-from ssduck.scenes import Camera, Scene, SensorSpec
+from ssduck.openrave import EntitySpellings, SensorSpellings, WorldSpellings
+from ssduck.scenes import Camera, Scene, SensorSpec, read_sensor
+from ssduck.sensing import Reading
+from ssduck.sensors import SENSOR_TYPES
 from ssduck.simulators import Body, Kind, Simulator
 from ssduck.snapshot import Snapshot
 from ssduck.what_if import imagined
@@ -75,6 +78,9 @@ class World(WorldSpellings):
         sensor_ids = [next(self._ids) for _ in sensors]
         self._update_members()
         self._members = self._mounted(sensor_ids, sensors) + self._members
+        for member in self._members:
+            if member.sensor is not None and not member.sensor.powered:
+                self.snapshot.switch(member.id, on=False)
         self.tick()
 
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
@@ -176,11 +182,14 @@ class World(WorldSpellings):
         """See to it that the current tick has these tables; takes a fresh one if it has not."""
         with self.lock:
             if self.snapshot.ask(tables):
-                if self._simulator.watched:
-                    self._check_not_held()
-                # Under a query nothing has moved in a world that ssduck alone steps.
-                self._update_members()
-                self.snapshot.take(self._simulator, self._members)
+                self._take_asked()
+
+    def _take_asked(self) -> None:
+        if self._simulator.watched:
+            self._check_not_held()
+        # Under a query nothing has moved in a world that ssduck alone steps.
+        self._update_members()
+        self.snapshot.take(self._simulator, self._members)
 
     @contextmanager
     def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
@@ -308,6 +317,123 @@ class World(WorldSpellings):
 
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
+
+    # -- sensors --------------------------------------------------------------------------
+
+    def add_sensor(
+        self,
+        type: str,
+        on: str | Entity,
+        name: str | None = None,
+        link: str | None = None,
+        *,
+        position: Sequence[float] = (0.0, 0.0, 0.0),
+        orientation: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+        **settings: float,
+    ) -> Sensor:
+        """Put a sensor on a body, and take a tick.
+
+        Args:
+            type: one of `ssduck.sensors.SENSOR_TYPES`.
+            on: the body, or its name. The sensor does not perceive it.
+            name: unique in the world; made of the two above if it is not given.
+            link: the link that it sits on; by default the base.
+            position: in that link's frame, metres.
+            orientation: in that link's frame, w, x, y, z; it looks along its own +x, with z up.
+            **settings: `max_range` (m), those of its type, `period` (seconds between two
+                measurements; 0: each tick is one) and `powered` (whether it is switched on).
+
+        Raises:
+            UnknownNameError: there is no such body or link, with the nearest names.
+            ArgumentError: a setting is wrong.
+            RemovedEntityError: the body is no longer in the world.
+        """
+        with self.lock:
+            self._check_not_held()
+            self._update_members()
+            host = self._host(on)
+            taken = {member.name for member in self._members}
+            if name in taken:
+                raise ArgumentError(f"add_sensor: name: {name!r} is there already")
+            values = {
+                "type": type,
+                "on": host.name,
+                "name": name if name is not None else _unique(f"{host.name}_{type}", taken),
+                "position": _plain(position),
+                "orientation": _plain(orientation),
+                **({} if link is None else {"link": link}),
+                **settings,
+            }
+            try:
+                spec = read_sensor(values, [host.name])
+                (member,) = self._mounted([next(self._ids)], [spec])
+            except SceneError as error:
+                message = f"add_sensor: {error.message.removeprefix('sensor[0].')}"
+                raise ArgumentError(message, suggestions=error.suggestions) from error
+            self._members = [*self._members, member]
+            self.snapshot.switch(member.id, on=spec.powered)
+            self.tick()
+            sensor = self.entity(member.id)
+        assert isinstance(sensor, Sensor)
+        return sensor
+
+    def _host(self, on: str | Entity) -> Member:
+        """The body of that name, or that entity."""
+        if isinstance(on, Entity):
+            if on.world is not self:
+                raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
+            found = [member for member in self._members if member.id == on.id]
+            if not found:
+                raise on.removed()
+        else:
+            found = [member for member in self._members if member.name == on]
+        if not found:
+            known = [member.name for member in self._members if member.body is not None]
+            raise UnknownNameError(
+                f"world {self.name!r} has no body {on!r}", suggestions=nearest(str(on), known)
+            )
+        if found[0].body is None:
+            raise ArgumentError(f"add_sensor: on: {found[0].name!r} is a sensor, not a body")
+        return found[0]
+
+    def remove_sensor(self, sensor: str | Sensor) -> None:
+        """Take a sensor off its body, and take a tick.
+
+        Raises:
+            UnknownNameError: there is no such sensor, with the nearest names.
+            RemovedEntityError: it is no longer in the world.
+        """
+        with self.lock:
+            self._check_not_held()
+            entity = sensor if isinstance(sensor, Entity) else self[sensor]
+            if entity not in self:
+                raise entity.removed()
+            if not isinstance(entity, Sensor):
+                raise ArgumentError(f"{entity.name!r} is a {entity.kind}, no sensor")
+            self._members = [member for member in self._members if member.id != entity.id]
+            self.tick()
+
+    def switch(self, sensor: Sensor, *, on: bool) -> None:
+        """Switch a sensor on or off; see `Sensor.power`."""
+        with self.lock:
+            self._check_not_held()
+            if sensor not in self:
+                raise sensor.removed()
+            if on != self.snapshot.sensing.is_on(sensor.id):
+                self.snapshot.switch(sensor.id, on=on)
+
+    def reading(self, sensor: Sensor, *, picture: bool = False) -> Reading | None:
+        """What a sensor measured last, with its colours if they are asked for; None if off."""
+        with self.lock:
+            if sensor not in self:
+                raise sensor.removed()
+            if self.snapshot.ask_sensor(sensor.id, picture=picture):
+                self._take_asked()
+                if sensor not in self:  # its body went
+                    raise sensor.removed()
+            return self.snapshot.sensing.readings.get(sensor.id)
+
+    # -- bodies ---------------------------------------------------------------------------
 
     def place(self, entity: Entity, pose: Pose | None, joints: JointValues | None) -> None:
         """Put a body's link frame and its joints there and take a tick; see `Entity.move`."""
@@ -617,10 +743,84 @@ class Entity(EntitySpellings):
         return f"<{self.kind} {self.name!r}>"
 
 
-class Sensor(Entity):
-    """A handle of a sensor."""
+class Sensor(SensorSpellings, Entity):
+    """A handle of a sensor: what it measured last, by its world's last tick.
+
+    It is read from the simulator when it is asked for, and then again when its `period` has
+    passed. A ray is a ray of a laser, a pixel of a camera (row by row from the upper left) or a
+    contact point of a contact sensor. All arrays are numpy's, and cannot be written to.
+    """
 
     __slots__ = ()
+
+    def power(self, on: bool) -> None:
+        """Switch it on or off; the next query sees it. It perceives nothing while it is off."""
+        self.world.switch(self, on=on)
+
+    @property
+    def powered(self) -> bool:
+        """Whether it is switched on."""
+        self._row()
+        return self.world.snapshot.sensing.is_on(self.id)
+
+    @property
+    def reading(self) -> Reading | None:
+        """All that it measured last, and when; None while it is switched off."""
+        return self.world.reading(self)
+
+    @property
+    def rays(self) -> int:
+        """How many rays, pixels or contact points its reading has."""
+        return self._measured("rays")  # type: ignore[no-any-return]
+
+    @property
+    def ranges(self) -> Array:
+        """How long each ray is, m, (n,); inf for one that ends on nothing within range."""
+        return self._measured("ranges")  # type: ignore[no-any-return]
+
+    @property
+    def points(self) -> Array:
+        """Where rays end on something, [x, y, z] in the world frame, m, (hits, 3)."""
+        return self._measured("points")  # type: ignore[no-any-return]
+
+    @property
+    def depth(self) -> Array:
+        """Of a camera, how far along its axis each pixel is, m, (height, width); else inf."""
+        return self._measured("depth")  # type: ignore[no-any-return]
+
+    @property
+    def segmentation(self) -> Indices:
+        """Of a camera, the id of what each pixel shows, (height, width); 0 for nothing."""
+        return self._measured("segmentation")  # type: ignore[no-any-return]
+
+    @property
+    def image(self) -> npt.NDArray[np.uint8]:
+        """Of a camera, its colours: red, green, blue, (height, width, 3), from 0 to 255.
+
+        It shows what is drawn, the sensor's own body and what is out of range included.
+        """
+        return self._measured("image")  # type: ignore[no-any-return]
+
+    @property
+    def forces(self) -> Array:
+        """Of a contact sensor, the normal force at each contact point, N, (n,)."""
+        return self._measured("forces")  # type: ignore[no-any-return]
+
+    def _measured(self, what: str) -> Any:
+        reading = self.world.reading(self, picture=what == "image" and self._has_picture())
+        if reading is None:
+            raise SelectScriptError(
+                f"{self.name!r} measures nothing: it is switched off, or nowhere; "
+                "power(True) switches it on"
+            )
+        value = getattr(reading, what)
+        if value is None:
+            has = ", ".join(k for k, v in vars(reading).items() if isinstance(v, np.ndarray))
+            raise ArgumentError(f"{self.name!r} is a {self.spec.type}: no {what}, but {has}")
+        return value
+
+    def _has_picture(self) -> bool:
+        return SENSOR_TYPES[self.spec.type].has_picture
 
     @property
     def spec(self) -> SensorSpec:
@@ -628,3 +828,8 @@ class Sensor(Entity):
         spec = self.world.snapshot.members[self._row()].sensor
         assert spec is not None
         return spec
+
+
+def _plain(values: Any) -> Any:
+    """Numbers of an array or a sequence as a list, whatever they are."""
+    return values.tolist() if isinstance(values, np.ndarray) else list(values)

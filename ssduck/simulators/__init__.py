@@ -115,6 +115,38 @@ class Contact:
     force: float
 
 
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What n rays end on.
+
+    Attributes:
+        bodies: (n,), the bodies' handles; -1 for none.
+        fractions: (n,), how far along its way each ray ends; 1 for none.
+    """
+
+    bodies: Indices
+    fractions: Array
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a camera on a body looks at: along its own +x, +z up.
+
+    Attributes:
+        position: (3,), in the world.
+        matrix: (3, 3), its orientation in the world.
+        fov: the vertical angle, degrees.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+    """
+
+    position: Array
+    matrix: Array
+    fov: float
+    width: int
+    height: int
+
+
 class Simulator(Protocol):
     """One running simulation."""
 
@@ -151,6 +183,18 @@ class Simulator(Protocol):
 
     def read_contacts(self) -> Iterable[Contact]:
         """The contacts of the last step."""
+
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> Hits:
+        """The nearest body that each ray meets, as everything is now; none that it begins in.
+
+        Args:
+            starts: (n, 3), where they begin.
+            ends: (n, 3), where they end at the latest.
+            through: (n,), the handle of the body that each passes through.
+        """
+
+    def photograph(self, view: View) -> npt.NDArray[np.uint8]:
+        """A colour picture without shadows, (height, width, 3)."""
 
     def step(self, count: int) -> None:
         """Advance by that many steps."""

@@ -62,6 +62,13 @@ class Posed:
 
     place = set_joints = enable = show = _refuse
 
+    def _perceive(self, *_: Any) -> NoReturn:
+        raise UnsupportedError(
+            "sensors perceive nothing in a what-if world: no simulation casts their rays"
+        )
+
+    cast_rays = photograph = _perceive
+
     def render(self, *_: Any) -> NoReturn:
         """Refuse."""
         raise UnsupportedError("a what-if world has no picture: no simulator draws it")

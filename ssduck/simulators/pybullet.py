@@ -31,12 +31,17 @@ from ssduck.geometry import (
     rotation_matrices,
 )
 from ssduck.scenes import Camera, Scene
-from ssduck.simulators import Body, Contact, Frames, Kind
+from ssduck.simulators import Body, Contact, Frames, Hits, Kind, View
 from ssduck.simulators.pybullet_bodies import Description, Pose, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
+from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_scenes import hold_joint, load_models
 
 T = TypeVar("T")
+
+# What a camera's picture shows, metres: PyBullet's own bounds of a camera, about.
+NEAREST_DRAWN = 0.01
+FARTHEST_DRAWN = 100.0
 
 _flatten = chain.from_iterable
 # Of a link's state: pose of the centre of mass; and linear and angular velocity.
@@ -171,6 +176,10 @@ class PyBulletSimulator:
                     force=entry[9],
                 )
 
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> Hits:
+        """The nearest body that each ray meets; see `ssduck.simulators.pybullet_rays`."""
+        return self._call(lambda: cast_rays(self.client, starts, ends, through))
+
     def step(self, count: int) -> None:
         """Advance by that many steps."""
         timestep = self._clients_timestep()
@@ -271,6 +280,22 @@ class PyBulletSimulator:
         # A view much deeper than the scene leaves too little depth apart: shadows get rings.
         depth = 3.0 * math.dist(camera.eye, camera.target)
         lens = pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
+        return self._drawn(width, height, view, lens, shadow=True)
+
+    def photograph(self, view: View) -> npt.NDArray[np.uint8]:
+        """A colour picture by PyBullet's software renderer, without shadows."""
+        target = view.position + view.matrix[:, 0]
+        seen = pybullet.computeViewMatrix(
+            view.position.tolist(), target.tolist(), view.matrix[:, 2].tolist()
+        )
+        lens = pybullet.computeProjectionMatrixFOV(
+            view.fov, view.width / view.height, NEAREST_DRAWN, FARTHEST_DRAWN
+        )
+        return self._drawn(view.width, view.height, seen, lens, shadow=False)
+
+    def _drawn(
+        self, width: int, height: int, view: Any, lens: Any, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
         picture = self._call(
             lambda: pybullet.getCameraImage(
                 width,
@@ -282,7 +307,7 @@ class PyBulletSimulator:
                 lightAmbientCoeff=0.65,
                 lightDiffuseCoeff=0.6,
                 lightSpecularCoeff=0.05,
-                shadow=1,
+                shadow=int(shadow),
                 renderer=pybullet.ER_TINY_RENDERER,
                 physicsClientId=self.client,
             )
