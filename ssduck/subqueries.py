@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 # More rows than this are not unrolled.
 MOST_UNROLLED = 300
+# More sources than this are not joined.
+MOST_SOURCES = 64
 _LISTS = ("list",)
 _VALUES = ("value", "val")
 _DICTS = ("dict", "dictionary")
@@ -55,6 +57,18 @@ class Element:
     position: tuple[exp.Ordered, ...]
 
 
+def product_of(elements: Sequence[Element]) -> exp.Select:
+    """A SELECT of all combinations of sources, without columns yet."""
+    select = exp.Select()
+    for index, element in enumerate(elements):
+        table = element.table.copy()
+        if index:
+            select.append("joins", exp.Join(this=table, kind="CROSS"))
+        else:
+            select.from_(table, copy=False)
+    return select
+
+
 @dataclass(frozen=True)
 class Subquery:
     """The rows of a nested query: tables, conditions, order, and what is selected.
@@ -73,13 +87,7 @@ class Subquery:
 
     def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
         """The rows, as a SELECT of these columns."""
-        select = exp.Select()
-        for index, element in enumerate(self.elements):
-            select = (
-                select.join(element.table, join_type="cross")
-                if index
-                else select.from_(element.table)
-            )
+        select = product_of(self.elements)
         conditions = [condition.copy() for condition in (*self.conditions, *where)]
         return select.select(*columns).where(*conditions)
 
@@ -318,6 +326,7 @@ def _form(query: Query) -> str:
 def _rows(around: Expressions, query: Query) -> Rows:
     if query.recursion or query.group or query.having or is_impure(query):
         raise NotSqlError
+    check_sources(query)
     aliases = aliases_of(query)
     lists = [_written_out(around, source.value) for source in query.sources]
     if all(values is not None for values in lists) and lists:
@@ -331,6 +340,12 @@ def _rows(around: Expressions, query: Query) -> Rows:
     ]
     _bind(inner, aliases, [entry.value for entry in elements])
     return _subquery(inner, query, aliases, elements)
+
+
+def check_sources(query: Query) -> None:
+    """Leave to Python a product of so many sources that DuckDB would plan it for seconds."""
+    if len(query.sources) > MOST_SOURCES:
+        raise NotSqlError
 
 
 def _bind(inner: Expressions, aliases: Sequence[str], values: Sequence[SqlValue]) -> None:
@@ -421,6 +436,8 @@ def aliases_of(query: Query) -> list[str]:
         source.alias or (f"source_{index + 1}" if index else "this")
         for index, source in enumerate(query.sources)
     ]
+    if len(set(aliases)) == len(aliases):
+        return aliases
     for index, alias in enumerate(aliases):
         if alias in aliases[:index]:
             raise ArgumentError(

@@ -70,6 +70,7 @@ class _Translator:
             deferred=self.context.deferred,
             cautious=cautious,
         )
+        subqueries.check_sources(query)
         self.elements = self._sources(query, shapes)
         self.columns: list[exp.Expr] = []
         self.texts: dict[str, int] = {}
@@ -92,7 +93,8 @@ class _Translator:
         for node in self.query.group:
             self._item(node)
         self._having()
-        order, keys = self._order()
+        found = [condition for condition in conditions if condition is not None]
+        order, keys = self._order(found)
         limit = self._limit(left=bool(left or keys))
         plan.rest = Rest(
             self.selected,
@@ -103,7 +105,7 @@ class _Translator:
             None if limit is not None else self.query.limit,
         )
         self._finish(
-            self._select([c for c in conditions if c is not None], order, limit),
+            self._select(found, order, limit),
         )
         return plan
 
@@ -175,7 +177,7 @@ class _Translator:
             self._item(call.arguments[0])
         self._leave(self.query.having, but=groups)
 
-    def _order(self) -> tuple[list[exp.Expr], tuple[Key, ...]]:
+    def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[Key, ...]]:
         """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
         ordered: list[exp.Expr] = []
         left: tuple[Key, ...] = ()
@@ -185,9 +187,11 @@ class _Translator:
             left = self.query.order
             for key in left:
                 self._item(key.value)
-        # A scan keeps its order; a join, and be it with the row of parameters, need not.
+        # A scan keeps its order; a join, and be it with the row of parameters or with what a
+        # nested query sees, need not.
         inline = any(not shape.given for shape in self.result.shapes)
-        if len(self.elements) > 1 or ordered or self.context.bindings or inline:
+        nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
+        if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
             for element in self.elements:
                 ordered.extend(key.copy() for key in element.position)
         return ordered, left
@@ -236,13 +240,7 @@ class _Translator:
                     raise NotInlineError(shape.alias) from error
         else:
             plan.outputs = [plan.known[column.node] for column in self.selected]
-        select = exp.Select()
-        for index, element in enumerate(self.elements):
-            select = (
-                select.join(element.table, join_type="cross")
-                if index
-                else select.from_(element.table)
-            )
+        select = subqueries.product_of(self.elements)
         select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
         if order:
             select = select.order_by(*order)

@@ -179,3 +179,15 @@ def test_what_is_gone_has_no_relations(ss, call):
         ss.eval(program)
     span = caught.value.span
     assert program[span.start : span.end] == "gone"
+
+
+def test_rows_keep_their_order_beside_a_nested_query(ss):
+    ss.add_variable("records", [{"k": k, "r": r} for k, r in ((1.0, 5), (-7.0, 3), (3.5, 1))] * 20)
+    found = ss.eval(
+        "SELECT a.this['r'], count(SELECT id FROM w WHERE z(this) < a.this['k'] AS list) FROM a=records AS list;"
+    )
+    assert found == [5, 2, 3, 0, 1, 3] * 20
+
+
+def test_hundreds_of_sources(ss):
+    assert ss.eval(f"SELECT n.this FROM n=[1, 2], {', '.join(['1'] * 300)} AS list;") == [1, 2]
