@@ -107,6 +107,7 @@ class Placed:
 
     @cached_property
     def matrix(self) -> Array:
+        """The rotation, (3, 3)."""
         return np.array(self.rows)
 
     @cached_property
@@ -117,11 +118,13 @@ class Placed:
 
     @cached_property
     def normals(self) -> Array:
+        """The faces' normals in the world."""
         turned: Array = self.solid.normals @ self.matrix.T
         return turned
 
     @cached_property
     def offsets(self) -> Array | None:
+        """The faces' offsets in the world."""
         if self.solid.offsets is None:
             return None
         moved: Array = self.solid.offsets + self.normals @ np.array(self.position)
@@ -402,9 +405,7 @@ def _certified(a: Placed, b: Placed, p: Array, q: Array, tolerance: float) -> Co
 
 
 def _deepest(a: Placed, b: Placed, tolerance: float) -> Core | None:
-    """Minus the depth, if they meet: the least overlap in any direction, which is van den
-    Bergen's; None if a direction separates them.
-    """
+    """Minus the depth, the least overlap in any direction; None if a direction separates them."""
     ways = _ways(a, b)
     overlaps = b.reaches(ways) + a.reaches(-ways)
     least = int(overlaps.argmin())
@@ -463,9 +464,11 @@ def _expanded(
     """The depth by a polytope within the difference of a and b that grows where it is thin.
 
     Args:
-        a, b: the cores.
+        a: a core.
+        b: another.
         ways: directions to begin with.
-        normal, depth: the best one of them and the overlap in it.
+        normal: the best one of them.
+        depth: the overlap in it.
         tolerance: how far the result may be off.
     """
     from scipy.spatial import ConvexHull, QhullError

@@ -107,9 +107,12 @@ class Solid:
             return self.core
         ball = _ball() * self.radius
         if self.type == "sphere":
-            return ball + self.core[0]
+            placed: Array = ball + self.core[0]
+            return placed
         upper = ball[:, 2] > 0
-        return np.concatenate((ball[upper] + self.core[1], ball[~upper] + self.core[0]))
+        lower = ~upper
+        found: Array = np.concatenate((ball[upper] + self.core[1], ball[lower] + self.core[0]))
+        return found
 
 
 def solid_of(geometry: Geometry) -> Solid:
