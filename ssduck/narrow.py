@@ -318,8 +318,9 @@ class Narrow:
     @cached_property
     def _known(self) -> list[bool]:
         finite = np.isfinite(self._positions).all(axis=1) & np.isfinite(self._unit).all(axis=1)
-        known = [solid.known for solid in self._solids]
-        return [a and b for a, b in zip(finite.tolist(), known, strict=True)]
+        known = np.array([solid.known for solid in self._solids], dtype=bool)
+        found: list[bool] = (finite & known).tolist()
+        return found
 
     @cached_property
     def _corners(self) -> list[list[float]]:

@@ -32,6 +32,8 @@ Point: TypeAlias = tuple[float, float, float]
 TOUCH = 1e-9
 # How far the answers for cylinders may be off, metres; of other convex shapes it is rounding.
 ROUND = 1e-7
+# Corners of a face that is as flush, metres, all lie in it.
+FLUSH = 1e-6
 ROUNDS = 40
 STEPS = 100
 _UP: Point = (0.0, 0.0, 1.0)
@@ -156,6 +158,22 @@ class Placed:
             outward = across / np.maximum(length, 1e-12)[:, None]
             farthest = farthest + self.solid.disc * outward
         return farthest
+
+    def face(self, direction: Array) -> Array:
+        """The core's points (n, 3) that are farthest in a unit direction, up to 1e-6 m."""
+        points = self.points
+        heights = points @ direction
+        far: Array = points[heights >= heights.max() - FLUSH]
+        if not self.solid.disc:
+            return far
+        across = direction - float(direction @ self.matrix[:, 2]) * self.matrix[:, 2]
+        length = float(np.linalg.norm(across))
+        if self.solid.disc * length > FLUSH:
+            far += self.solid.disc / length * across
+            return far
+        rim = self.solid.surface.vertices @ self.matrix.T + self.position
+        far = rim[rim @ direction >= (rim @ direction).max() - 2 * FLUSH]
+        return np.ascontiguousarray(far)
 
     def reaches(self, directions: Array) -> Array:
         """How far the core reaches in unit directions (k, 3)."""
@@ -418,9 +436,12 @@ def _deepest(a: Placed, b: Placed, tolerance: float) -> Core | None:
             if first is a:
                 return -depth, corner, corner + depth * normal, normal
             return -depth, corner - depth * normal, corner, normal
-    if a.solid.type == b.solid.type == "box":
-        return _witnesses(depth, normal, *_outermost(a, b, normal))
-    return _expanded(a, b, ways, normal, float(overlaps[least]), tolerance)
+    if not a.solid.type == b.solid.type == "box":
+        expanded = _expanded(a, b, ways, normal, float(overlaps[least]), tolerance)
+        if expanded is None:
+            return None
+        depth, normal = expanded
+    return _witnesses(depth, normal, a.face(-normal), b.face(normal))
 
 
 def _ways(a: Placed, b: Placed) -> Array:
@@ -433,13 +454,6 @@ def _ways(a: Placed, b: Placed) -> Array:
         edges = edges[sound] / length[sound, None]
         return np.concatenate((b.normals, -a.normals, edges, -edges))
     return np.concatenate((b.normals, -a.normals, _AROUND))
-
-
-def _outermost(a: Placed, b: Placed, normal: Array) -> tuple[Array, Array]:
-    """Pairs of the corners of a and of b that are deepest in each other."""
-    of_a, of_b = a.points @ normal, b.points @ normal
-    first, second = a.points[of_a <= of_a.min() + TOUCH], b.points[of_b >= of_b.max() - TOUCH]
-    return np.repeat(first, len(second), axis=0), np.tile(second, (len(first), 1))
 
 
 def _deepest_corner(a: Placed, b: Placed, depth: float) -> Array | None:
@@ -460,8 +474,8 @@ def _deepest_corner(a: Placed, b: Placed, depth: float) -> Array | None:
 
 def _expanded(
     a: Placed, b: Placed, ways: Array, normal: Array, depth: float, tolerance: float
-) -> Core | None:
-    """The depth by a polytope within the difference of a and b that grows where it is thin.
+) -> tuple[float, Array] | None:
+    """The depth and its direction, by a polytope in the difference that grows where it is thin.
 
     Args:
         a: a core.
@@ -477,7 +491,12 @@ def _expanded(
     for _ in range(ROUNDS):
         try:
             hull = ConvexHull(of_a - of_b)
-        except QhullError:  # flat shapes in one plane, or in parallel ones: they only touch
+        except QhullError:  # a flat difference: they only touch, across it
+            across = np.linalg.svd((of_a - of_b) - (of_a - of_b)[0])[2][2:]
+            across = np.concatenate((across, -across))
+            overlaps = b.reaches(across) + a.reaches(-across)
+            if overlaps.min() < depth:
+                depth, normal = float(overlaps.min()), across[int(overlaps.argmin())]
             break
         outward, inside = hull.equations[:, :3], -hull.equations[:, 3]
         thin = np.unique(outward[inside < depth - tolerance], axis=0)
@@ -495,22 +514,23 @@ def _expanded(
         if not new.any():
             break
         of_a, of_b = np.concatenate((of_a, more_a[new])), np.concatenate((of_b, more_b[new]))
-    depth = max(0.0, depth)
-    of_a = np.concatenate((of_a, a.supports(-normal[None])))
-    of_b = np.concatenate((of_b, b.supports(normal[None])))
-    outer = (of_b - of_a) @ normal >= depth - max(ROUND, 1e-3 * depth)
-    return _witnesses(depth, normal, of_a[outer], of_b[outer])
+    return None if depth < -TOUCH else (max(0.0, depth), normal)
 
 
 def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
-    """A point of each for a depth: that mixture of outermost ones which lies over the origin."""
+    """A point of each for a depth: mixtures of deepest points that are one above the other."""
     from scipy.optimize import nnls
 
-    sides = of_a - of_b + depth * normal
-    scale = max(float(np.abs(sides).max()), TOUCH)
-    weights, _ = nnls(np.vstack((sides.T / scale, np.ones(len(sides)))), np.array([0, 0, 0, 1.0]))
-    weights /= max(weights.sum(), 1e-300)
-    p, q = weights @ of_a, weights @ of_b
+    middle = (of_a.mean(axis=0) + of_b.mean(axis=0)) / 2
+    scale = max(float(np.abs(of_a - middle).max()), float(np.abs(of_b - middle).max()), TOUCH)
+    count = len(of_a)
+    system = np.zeros((5, count + len(of_b)))
+    system[:3, :count] = ((of_a - middle) / scale).T
+    system[:3, count:] = (-(of_b - middle) / scale).T
+    system[3, :count] = system[4, count:] = 1.0
+    weights, _ = nnls(system, np.concatenate((-depth / scale * normal, (1.0, 1.0))))
+    p, q = weights[:count] @ of_a / weights[:count].sum(), weights[count:] @ of_b
+    q /= weights[count:].sum()
     # What is left of rounding is shared, so that the points are exactly the depth apart.
     middle = (p + q) / 2
     return -depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal
@@ -544,20 +564,19 @@ def _least(weights: Array, of_a: Array, of_b: Array) -> tuple[Array, Array, Arra
     """The mixture of least norm: step to that of the affine hull, drop what falls out."""
     while True:
         points = of_a - of_b
-        count = len(points)
-        system = np.ones((count + 1, count + 1))
-        system[:count, :count] = points @ points.T
-        system[count, count] = 0.0
-        right = np.zeros(count + 1)
-        right[count] = 1.0
-        aim = np.linalg.lstsq(system, right, rcond=None)[0][:count]
-        if aim.min() > 1e-12:
-            return aim / aim.sum(), of_a, of_b
-        falling = aim <= 1e-12
+        # From the first point along the ways to the others: the normal equations would square
+        # what is lost between points that are close together.
+        ways = (points[1:] - points[0]).T
+        length = np.maximum(np.sqrt((ways * ways).sum(axis=0)), 1e-300)
+        shares = -np.linalg.lstsq(ways / length, points[0], rcond=1e-12)[0] / length
+        aim = np.concatenate(([1.0 - shares.sum()], shares))
+        if aim.min() > 1e-14:
+            return aim, of_a, of_b
+        falling = aim <= 1e-14
         drops = weights[falling] / np.maximum(weights[falling] - aim[falling], 1e-300)
         step = min(1.0, float(drops.min()))
         weights = weights + step * (aim - weights)
-        keep = weights > 1e-12
+        keep = weights > 1e-14
         if keep.all():
             keep[int(weights.argmin())] = False
         if not keep.any():
