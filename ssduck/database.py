@@ -14,15 +14,17 @@ from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
 
 import duckdb
 import pyarrow as pa
+from duckdb.func import FunctionNullHandling
 from sqlglot import exp
 
 from ssduck import ctrl_c
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError, Span, SqlError
 from ssduck.functions import Function
 from ssduck.limits import Limits, Meter
+from ssduck.shapes import ANSWERS
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import RELATIONS
+from ssduck.udfs import NARROW, RELATIONS
 from ssduck.world import UNNAMED, World
 
 T = TypeVar("T")
@@ -156,6 +158,12 @@ def _usable(value: Any, tag: Tag) -> Any:
     return value
 
 
+def _give_arity(call: Callable[..., Any], count: int) -> None:
+    """Tell DuckDB how many arguments a function takes."""
+    kinds = [inspect.Parameter(f"a{i}", inspect.Parameter.POSITIONAL_ONLY) for i in range(count)]
+    call.__signature__ = inspect.Signature(kinds)  # type: ignore[attr-defined]
+
+
 def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:
     """Make parameters columns of a table of one row, in each SELECT that has some."""
     reading: list[exp.Select] = []
@@ -217,6 +225,8 @@ class Database:
         # What a function raised while SQL called it: DuckDB keeps but its words.
         self._raised: list[BaseException] = []
         self._bound: list[_Bound] = []
+        # The functions of the narrow phase know the worlds by their names, and not this object.
+        self._narrow_worlds: dict[str, World] = {}
         self._numbers = count(1)
         # Counts up, by table, when prepared statements that read it lose their validity.
         self._generations = dict.fromkeys(TABLES, 0)
@@ -227,6 +237,8 @@ class Database:
         self.run("SET enable_progress_bar = false")
         # A name that no table has is an error, not a variable of the caller's.
         self.run("SET python_enable_replacements = false")
+        for name in NARROW:
+            self._add_narrow(name)
         for relation in RELATIONS.values():
             self.run(relation.macro())
         self._confine(self.meter.limits)
@@ -383,15 +395,35 @@ class Database:
                 raised[:] = [error]
                 raise
 
-        kinds = [
-            inspect.Parameter(f"a{i}", inspect.Parameter.POSITIONAL_ONLY)
-            for i in range(len(converters))
-        ]
-        call.__signature__ = inspect.Signature(kinds)  # type: ignore[attr-defined]
+        _give_arity(call, len(converters))
         types: list[Any] = [tag.sql_type for tag in signature.parameters]
         result = signature.result.sql_type
         self._connection.create_function(signature.name, call, types, result)
         self._functions.add(signature.name)
+
+    def _add_narrow(self, name: str) -> None:
+        """Make a function of the narrow phase one of SQL: of a world's name, and of ids."""
+        taken, result = NARROW[name]
+        answer, worlds, raised = ANSWERS[name], self._narrow_worlds, self._raised
+
+        def call(world: str, *arguments: Any) -> Any:
+            if None in arguments:
+                return None
+            try:
+                return answer(worlds[world].snapshot.shapes(), *arguments)
+            except BaseException as error:
+                raised[:] = [error]
+                raise
+
+        types: list[Any] = ["VARCHAR", *taken]
+        _give_arity(call, len(types))
+        self._connection.create_function(
+            name,
+            call,
+            types,
+            result,
+            null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
+        )
 
     # -- worlds ---------------------------------------------------------------------------
 
@@ -482,12 +514,19 @@ class Database:
             self.run(f"SET search_path = {path}")
 
     def _set_lookups(self) -> None:
-        """Let relations look things up in the only world: a row does not tell which it is of."""
+        """Let relations look things up in the only world: a row does not tell which it is of.
+
+        Each world has them under its own name, too.
+        """
+        self._narrow_worlds.clear()
+        self._narrow_worlds.update(self.worlds)
         schemas = list(self.worlds)
         only = schemas[0] if len(schemas) == 1 else None
         for relation in RELATIONS.values():
             if relation.tables:
                 self.run(relation.macro(only))
+                for schema in schemas:
+                    self.run(relation.macro(schema, inside=True))
 
     def generation(self, tables: Iterable[str]) -> int:
         """Counts up when prepared statements that read one of these tables lose their validity."""

@@ -339,7 +339,7 @@ class Expressions:
 
             return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
         if relation.tables:
-            formula = _looked_up(relation, values)
+            formula = _looked_up(relation, formula, values)
         sql = _expanded(formula, values)
         extent = Extent.INFINITE if relation.is_unbounded else Extent.FINITE
         if isinstance(sql, exp.Array):
@@ -348,7 +348,8 @@ class Expressions:
             return SqlValue(sql, Tag("list", REAL, length), elements=elements, extent=extent)
         tag = Tag(relation.result)
         if relation.result == "list":
-            tag = Tag("list", Tag(relation.element))
+            element = Tag(relation.element)
+            tag = Tag("list", Tag("list", REAL) if relation.element == "list" else element)
         return SqlValue(sql, tag, extent=extent)
 
     def _argument(self, parameter: Parameter, node: Node) -> SqlValue:
@@ -691,15 +692,15 @@ def _expanded(
     return exp.paren(expanded) if isinstance(expanded, exp.Connector | exp.In) else expanded
 
 
-def _looked_up(relation: Relation, values: Mapping[str, SqlValue]) -> exp.Expr:
+def _looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
     """A relation's formula with the tables of its entities' world.
 
     Raises:
         NotSqlError: which world that is is not known yet.
     """
-    schemas = {value.tag.schema for value in values.values()}
+    schemas = {value.tag.schema for value in values.values() if value.tag.type == "entity"}
     if None in schemas:
         raise NotSqlError
     if len(schemas) > 1:
         return relation.when_apart
-    return in_schema(relation.expressions[relation.required], str(schemas.pop()))
+    return in_schema(formula, str(schemas.pop()))

@@ -186,6 +186,10 @@ class Narrow:
             return None
         return sum(self._solids[shape].volume for shape in self._shapes(e))
 
+    def is_without_shapes(self, e: int) -> bool:
+        """Whether an entity has no shape with a point."""
+        return not self._shapes(e)
+
     # -- of two entities ------------------------------------------------------------------
 
     def _collide(self, i: int, j: int) -> bool | None:

@@ -16,14 +16,19 @@ import copy
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from ssduck.geometry import Array, Geometry
 from ssduck.layout import Layout, Member, Part
+from ssduck.narrow import Narrow
 from ssduck.sensing import Reading, Scan, Sensing, has_rays, posed
+from ssduck.separation import Counter
+from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Contact, Frames, Simulator
+from ssduck.solids import solid_of
 from ssduck.tables import FORGOTTEN_AFTER, TABLES, LiveTable
 
 ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
@@ -41,6 +46,7 @@ class Snapshot:
         hidden: the bodies that are not drawn.
         untold: tables whose rows nobody knows, and why: asking for them is an error.
         sensing: what its sensors have measured.
+        calls: how often the narrow phase was called, over all ticks.
     """
 
     def __init__(self) -> None:
@@ -61,6 +67,8 @@ class Snapshot:
         self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
         self.sensing = Sensing()
+        self.calls = Counter()
+        self._shapes: Shapes | None = None
         # When each sensor was asked for by itself, and which are as they are at this tick.
         self._asked_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
@@ -114,6 +122,7 @@ class Snapshot:
         for name in untold:
             twin.tables[name].fill(0, {})
         twin.untold = untold
+        twin.calls, twin._shapes = Counter(), None  # noqa: SLF001
         twin.sensing = self.sensing.twin()
         twin._is_final = True  # noqa: SLF001  # one class
         twin._asked, twin._read = {}, frozenset()  # noqa: SLF001
@@ -203,6 +212,32 @@ class Snapshot:
     def _geometry_id(self, geometry: Geometry) -> int:
         return self._geometries.setdefault(geometry.key, len(self._geometries) + 1)
 
+    def shapes(self) -> Shapes:
+        """The shapes of this tick, to be compared; the table of shapes has to be asked for."""
+        if self._shapes is None:
+            bodies = self._layout.bodies
+            geometries = {
+                shape.geometry.key: shape.geometry for _, b in bodies for shape in b.shapes
+            }
+            numbers = {key: number for number, key in enumerate(geometries)}
+            of = [numbers[shape.geometry.key] for _, b in bodies for shape in b.shapes]
+            table = self.tables["shapes"]
+            # An entity without shapes, a sensor, has the empty run behind all others.
+            starts = list(accumulate((len(body.shapes) for _, body in bodies), initial=0))
+            entities = {id: number for number, (id, _) in enumerate(bodies)}
+            none = dict.fromkeys((m.id for m in self.members if m.body is None), len(bodies))
+            narrow = Narrow(
+                list(map(solid_of, geometries.values())),
+                np.array(of, dtype=np.intp),
+                table.reals("x", "z").T.copy(),
+                table.reals("qw", "qz").T.copy(),
+                table.reals("xmin", "zmax").T.copy(),
+                [*starts, starts[-1]],
+                self.calls,
+            )
+            self._shapes = Shapes(narrow, {**entities, **none})
+        return self._shapes
+
     def value(self, row: int, column: str) -> Any:
         """One value of the table of entities; None for an unknown one."""
         return self.tables["entities"].arrow[column][row].as_py()
@@ -267,6 +302,7 @@ class Snapshot:
             self._lay_out(layout)
             self.listed = members
         self._read = frozenset(wanted)
+        self._shapes = None
         self.number, self.time = coming, simulator.time
         self._write_frames(still, moving, anew=still is not self._still)
         self._still = still

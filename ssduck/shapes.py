@@ -1,0 +1,83 @@
+"""What the relations of shapes ask of one tick, by the ids of entities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+from ssduck.narrow import Narrow
+
+
+class Shapes:
+    """The narrow phase of a tick, by the ids of entities.
+
+    Every answer is None, for unknown, where a pose is no number, and where an entity is none of
+    the tick's.
+
+    Args:
+        narrow: the shapes.
+        numbers: which entity of `narrow` an id is.
+    """
+
+    def __init__(self, narrow: Narrow, numbers: Mapping[int, int]) -> None:
+        self._narrow = narrow
+        self._numbers = numbers
+
+    def collides(self, a: int, b: int) -> bool | None:
+        """Whether they are deeper in each other than counts."""
+        return self._narrow.collides(self._numbers[a], self._numbers[b])
+
+    def penetration(self, a: int, b: int) -> float | None:
+        """The depth of the deepest two shapes, m; 0 if all are apart."""
+        return self._narrow.penetration(self._numbers[a], self._numbers[b])
+
+    def clearance(self, a: int, b: int) -> float | None:
+        """The distance of the nearest points, m; infinite of what has no shapes."""
+        i, j = self._numbers[a], self._numbers[b]
+        if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
+            return math.inf
+        return self._narrow.clearance(i, j)
+
+    def near(self, a: int, b: int, apart: float) -> bool | None:
+        """Whether they are at most that far apart, m; what has no shapes is near nothing."""
+        i, j = self._numbers[a], self._numbers[b]
+        if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
+            return False
+        found = self._narrow.clearance(i, j, apart)
+        return None if found is None else found <= apart
+
+    def points(self, a: int, b: int) -> list[list[float]] | None:
+        """The nearest or the deepest points, one of each."""
+        found = self._narrow.nearest_points(self._numbers[a], self._numbers[b])
+        return None if found is None else [list(point) for point in found]
+
+    def on(self, a: int, b: int) -> bool | None:
+        """Whether b rests on a."""
+        return self._narrow.on(self._numbers[a], self._numbers[b])
+
+    def inside(self, a: int, b: int) -> float | None:
+        """The share of b's volume that is inside a's convex hull; 0 if it has none."""
+        if self._narrow.solid_volume(self._numbers[b]) == 0.0:
+            return 0.0
+        return self._narrow.inside(self._numbers[a], self._numbers[b])
+
+    def volume(self, entity: int) -> float | None:
+        """The sum of the volumes of its shapes, m³."""
+        return self._narrow.solid_volume(self._numbers[entity])
+
+
+Answer: TypeAlias = Callable[..., Any]
+ANSWERS: dict[str, Answer] = {
+    f"narrow {answer.__name__}": answer
+    for answer in (
+        Shapes.collides,
+        Shapes.penetration,
+        Shapes.clearance,
+        Shapes.near,
+        Shapes.points,
+        Shapes.on,
+        Shapes.inside,
+        Shapes.volume,
+    )
+}
