@@ -7,6 +7,7 @@ from functools import wraps
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
+from ssduck.errors import ArgumentError
 from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
 from ssduck.udfs import RELATIONS
 
@@ -108,3 +109,24 @@ def variables_of(node: Node) -> frozenset[str]:
     """The variables that a part reads."""
     own = (node.name,) if isinstance(node, Name) else ()
     return frozenset(own).union(*map(variables_of, node.children()))
+
+
+def aliases_of(query: Query) -> list[str]:
+    """What the sources of a query are called.
+
+    Raises:
+        ArgumentError: two have the same name.
+    """
+    aliases = [
+        source.alias or (f"source_{index + 1}" if index else "this")
+        for index, source in enumerate(query.sources)
+    ]
+    if len(set(aliases)) == len(aliases):
+        return aliases
+    for index, alias in enumerate(aliases):
+        if alias in aliases[:index]:
+            raise ArgumentError(
+                f"two sources are called {alias!r}; write FROM a={alias}, b=…",
+                span=query.sources[index].span,
+            )
+    return aliases

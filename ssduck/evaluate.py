@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any, Protocol, TypeAlias, cast
 from weakref import WeakKeyDictionary
 
-from ssduck.dependencies import free_aliases, is_impure
+from ssduck.dependencies import aliases_of, free_aliases, is_impure
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -278,6 +278,9 @@ class Compiler:
             case Assignment(horizon=None):
                 return self._assignment(node)
             case Query():
+                for part in node.walk():
+                    if isinstance(part, Query):
+                        aliases_of(part)  # is an error whether a row comes to it or not
                 return _placed(node, lambda frame: frame.scope.query(node, frame))
             case Aged() | Assignment():
                 raise UnsupportedError(

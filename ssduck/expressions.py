@@ -363,18 +363,17 @@ class Expressions:
         element = value.tag.element
         if parameter.type == "place" and value.tag.type == "list" and element and element.is_number:
             if value.tag.length != 3:
-                if not self.is_constant(node) and value.elements is None:
-                    raise NotSqlError  # of a list in a row, SQL does not know the length
-                raise ArgumentError(
-                    f"{parameter.name} is to be {parameter.meaning}, not a list of another length",
-                    span=node.span,
-                )
+                raise self._wrong(parameter, "a list of another length", node)
             index = {"x": 1, "y": 2, "z": 3}
             return replace(value, column=lambda name: _element_at(value, index[name]))
-        raise ArgumentError(
-            f"{parameter.name} is to be {parameter.meaning}, not {value.tag.words}",
-            span=node.span,
-        )
+        raise self._wrong(parameter, value.tag.words, node)
+
+    def _wrong(self, parameter: Parameter, found: str, node: Node) -> Exception:
+        """What to raise of an argument: in a query it is wrong only if a row comes to it."""
+        if self.rows or self.around is not None:
+            return NotSqlError()
+        message = f"{parameter.name} is to be {parameter.meaning}, not {found}"
+        return ArgumentError(message, span=node.span)
 
     # -- operators --------------------------------------------------------------------------
 

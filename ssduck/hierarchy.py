@@ -201,19 +201,27 @@ class Hierarchy:
         search = self._graph_paths if recursion.memorizes else self._depth_first
         paths = search(outer, states, state)
         most = self._number(recursion.maximum, "MAXIMUM", outer)
-        found = list(islice(paths, most))
+        meter = outer.scope.meter
+        found: list[list[Step]] = []
+        for path in islice(paths, most):
+            found.append(path)
+            meter.check_rows(len(found))
         limit = self._clauses.count(outer)
-        formed = self._apart if recursion.memorizes else self._joined
+
+        def formed(paths: list[list[Step]]) -> Paths:
+            made = []
+            for path in paths:
+                meter.step()
+                made.append(self._apart(path) if recursion.memorizes else self._rows(path))
+            return Paths(made)
+
         return self._clauses.arranged(found, lambda path: path[-1].frame, formed, limit)
 
     def _number(self, node: Node | None, what: str, outer: Frame) -> int | None:
         return None if node is None else checked_count(self._numbers[node](outer), what, node)
 
-    def _joined(self, paths: list[list[Step]]) -> Paths:
-        return Paths([self._rows(path) for path in paths])
-
-    def _apart(self, paths: list[list[Step]]) -> Paths:
-        return Paths([Paths([self._rows([step]) for step in path]) for path in paths])
+    def _apart(self, path: list[Step]) -> Paths:
+        return Paths([self._rows([step]) for step in path])
 
     def _rows(self, path: Sequence[Step]) -> Rows:
         selections = [self._selection(step) for step in path]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ssduck.database import Database
-from ssduck.dependencies import is_impure, mentions, sees_outside, states
+from ssduck.dependencies import aliases_of, is_impure, mentions, sees_outside, states
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.evaluate import Deferred, Frame, Scope
 from ssduck.functions import Function
@@ -17,7 +17,7 @@ from ssduck.resolve import resolve
 from ssduck.rows import Selected
 from ssduck.sources import INLINE, shapes_of
 from ssduck.sqlvalues import NotSqlError
-from ssduck.subqueries import aliases_of, is_inline
+from ssduck.subqueries import is_inline
 from ssduck.translate import NotInlineError, translate
 from ssduck.tree import Name, Node, Query
 from ssduck.types import Signature, Tag, tag_of

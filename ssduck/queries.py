@@ -13,7 +13,15 @@ from sqlglot import exp
 
 from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
-from ssduck.dependencies import changing, free_aliases, is_impure, known, mentions, states
+from ssduck.dependencies import (
+    aliases_of,
+    changing,
+    free_aliases,
+    is_impure,
+    known,
+    mentions,
+    states,
+)
 from ssduck.errors import SelectScriptError, SqlError
 from ssduck.evaluate import Compiler, Frame, Scope, Thunk
 from ssduck.graphs import Vertex, simple_paths
@@ -23,7 +31,6 @@ from ssduck.resolve import Resolved
 from ssduck.rows import Clauses, Column, Paths, Rest, Selected, combinations, row_frames
 from ssduck.sources import arrow_of, elements_of
 from ssduck.sqlvalues import written
-from ssduck.subqueries import aliases_of
 from ssduck.tree import Call, Given, Literal, Name, Node, Query, This
 from ssduck.types import Tag, converter, to_sql
 from ssduck.udfs import RELATIONS

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from ssduck.dependencies import aliases_of
 from ssduck.errors import ArgumentError
 from ssduck.plan import Shape
 from ssduck.result import Result, values_of
-from ssduck.subqueries import aliases_of
 from ssduck.tree import Query
 from ssduck.types import ANY, INTEGER, SchemaOf, Tag, tag_of_any, to_sql
 from ssduck.world import World

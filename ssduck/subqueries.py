@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from sqlglot import exp
 
 from ssduck import tree
-from ssduck.dependencies import is_impure
-from ssduck.errors import ArgumentError
+from ssduck.dependencies import aliases_of, is_impure
 from ssduck.plan import Binding, Shape
 from ssduck.resolve import resolve
 from ssduck.sqlvalues import (
@@ -426,27 +425,6 @@ def _limit(query: Query) -> int | None:
     raise NotSqlError
 
 
-def aliases_of(query: Query) -> list[str]:
-    """What the sources of a query are called.
-
-    Raises:
-        ArgumentError: two have the same name.
-    """
-    aliases = [
-        source.alias or (f"source_{index + 1}" if index else "this")
-        for index, source in enumerate(query.sources)
-    ]
-    if len(set(aliases)) == len(aliases):
-        return aliases
-    for index, alias in enumerate(aliases):
-        if alias in aliases[:index]:
-            raise ArgumentError(
-                f"two sources are called {alias!r}; write FROM a={alias}, b=…",
-                span=query.sources[index].span,
-            )
-    return aliases
-
-
 # -- sources --------------------------------------------------------------------------------
 
 
@@ -561,6 +539,8 @@ def _derived(around: Expressions, name: str, query: Query) -> Element:
     """A query as a source: its one item, or its columns by their names."""
     form = _form(query)
     rows = _rows(around, query)
+    if rows.is_risky:
+        raise NotSqlError  # what is not asked for would not be evaluated
     if isinstance(rows, Unrolled):
         if form not in _LISTS:
             raise NotSqlError
