@@ -113,7 +113,8 @@ class Relation:
         """Whether it may be infinite: it is of boxes, and that of a plane is."""
         tree = self.expressions[self.required]
         of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
-        return self.result in ("real", "list") and (of_box or tree.find(exp.Placeholder) is not None)
+        of_shapes = tree.find(exp.Placeholder) is not None
+        return self.result in ("real", "list") and (of_box or of_shapes)
 
     @cached_property
     def when_apart(self) -> exp.Expr:
