@@ -423,6 +423,7 @@ class Database:
             types,
             result,
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
+            side_effects=not taken,  # what is of a tick is not to be worked out for good
         )
 
     # -- worlds ---------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from threading import RLock
 
 import numpy as np
 
+from ssduck.colliding import Scene, Sorts, colliding
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
 from ssduck.meshes import mesh_apart, mesh_depth
 from ssduck.overlap import covers, footprint, share_inside
@@ -70,6 +71,7 @@ class Narrow:
         self._closest: dict[tuple[int, int], Separation | None] = {}
         self._shares: dict[tuple[int, int], float | None] = {}
         self._footprints: dict[int, Array] = {}
+        self._all: list[tuple[int, int]] | None = None
         # DuckDB calls from its own threads. A pair would be compared twice, not wrongly.
         self._lock = RLock()
 
@@ -84,6 +86,30 @@ class Narrow:
             if key not in self._collisions:
                 self._collisions[key] = self._collide(*key)
             return self._collisions[key]
+
+    def all_that_collide(self, sorts: Sorts) -> list[tuple[int, int]]:
+        """The pairs of entities that collide, the lesser first.
+
+        Args:
+            sorts: what the shapes are, and whose.
+        """
+        with self._lock:
+            if self._all is None:
+                shown = np.array([not solid.is_empty for solid in self._solids], dtype=bool)
+                scene = Scene(
+                    sorts,
+                    np.array(self._known, dtype=bool) & shown,
+                    self._boxes.T,
+                    self._positions,
+                    self._matrices,
+                    self._moved_array([solid.centre for solid in self._solids]),
+                    self._moved_array([solid.inner_centre for solid in self._solids]),
+                )
+                self._all = colliding(scene, COLLIDES, self._are_deep)
+            return self._all
+
+    def _are_deep(self, s: int, t: int) -> bool:
+        return self._bound(s, t) <= 0.0 and self._separation(s, t).gap < -COLLIDES
 
     def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
         """The distance of the nearest points, 0 where they meet.
@@ -341,11 +367,19 @@ class Narrow:
 
     def _moved(self, points: list[Point]) -> list[list[float]]:
         """A point of each shape in the world."""
+        found: list[list[float]] = self._moved_array(points).tolist()
+        return found
+
+    def _moved_array(self, points: list[Point]) -> Array:
         local = np.array(points, dtype=np.float64).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
-            moved = self._positions + rotate(rotation_matrices(self._unit), local)
-        found: list[list[float]] = moved.tolist()
-        return found
+            moved: Array = self._positions + rotate(self._matrices, local)
+        return moved
+
+    @cached_property
+    def _matrices(self) -> Array:
+        with np.errstate(invalid="ignore"):
+            return rotation_matrices(self._unit)
 
 
 def _compare(a: Placed, b: Placed, calls: Counter) -> Separation | None:

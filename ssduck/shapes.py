@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any, TypeAlias
 
+import numpy as np
+
+from ssduck.colliding import Sorts
 from ssduck.narrow import Narrow
 
 
@@ -18,11 +22,29 @@ class Shapes:
     Args:
         narrow: the shapes.
         numbers: which entity of `narrow` an id is.
+        sorts: what the shapes are, and whose.
     """
 
-    def __init__(self, narrow: Narrow, numbers: Mapping[int, int]) -> None:
+    def __init__(self, narrow: Narrow, numbers: Mapping[int, int], sorts: Sorts) -> None:
         self._narrow = narrow
         self._numbers = numbers
+        self._sorts = sorts
+
+    @cached_property
+    def _colliding(self) -> tuple[list[int], list[int]]:
+        """The ids of all that collide, the first ones and the second ones, each pair both ways."""
+        pairs = self._narrow.all_that_collide(self._sorts)
+        ids = np.array(list(self._numbers), dtype=np.int64)
+        a, b = ids[np.array(pairs, dtype=np.intp).reshape(-1, 2).T]
+        return np.concatenate((a, b)).tolist(), np.concatenate((b, a)).tolist()
+
+    def first(self) -> list[int]:
+        """Of the pairs that collide, the first ones."""
+        return self._colliding[0]
+
+    def second(self) -> list[int]:
+        """Of the pairs that collide, the second ones."""
+        return self._colliding[1]
 
     def collides(self, a: int, b: int) -> bool | None:
         """Whether they are deeper in each other than counts."""
@@ -71,6 +93,8 @@ Answer: TypeAlias = Callable[..., Any]
 ANSWERS: dict[str, Answer] = {
     f"narrow {answer.__name__}": answer
     for answer in (
+        Shapes.first,
+        Shapes.second,
         Shapes.collides,
         Shapes.penetration,
         Shapes.clearance,

@@ -21,14 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.geometry import Array, Geometry
+from ssduck.colliding import Sorts
+from ssduck.geometry import Array, Geometry, Indices
 from ssduck.layout import Layout, Member, Part
 from ssduck.narrow import Narrow
 from ssduck.sensing import Reading, Scan, Sensing, has_rays, posed
 from ssduck.separation import Counter
 from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Contact, Frames, Simulator
-from ssduck.solids import solid_of
+from ssduck.solids import Solid, solid_of
 from ssduck.tables import FORGOTTEN_AFTER, TABLES, LiveTable
 
 ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
@@ -69,6 +70,7 @@ class Snapshot:
         self.sensing = Sensing()
         self.calls = Counter()
         self._shapes: Shapes | None = None
+        self._solids: tuple[Layout, Any] | None = None
         # When each sensor was asked for by itself, and which are as they are at this tick.
         self._asked_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
@@ -215,28 +217,40 @@ class Snapshot:
     def shapes(self) -> Shapes:
         """The shapes of this tick, to be compared; the table of shapes has to be asked for."""
         if self._shapes is None:
-            bodies = self._layout.bodies
-            geometries = {
-                shape.geometry.key: shape.geometry for _, b in bodies for shape in b.shapes
-            }
-            numbers = {key: number for number, key in enumerate(geometries)}
-            of = [numbers[shape.geometry.key] for _, b in bodies for shape in b.shapes]
+            solids, of, starts, numbers, sorts = self._sorted
             table = self.tables["shapes"]
-            # An entity without shapes, a sensor, has the empty run behind all others.
-            starts = list(accumulate((len(body.shapes) for _, body in bodies), initial=0))
-            entities = {id: number for number, (id, _) in enumerate(bodies)}
-            none = dict.fromkeys((m.id for m in self.members if m.body is None), len(bodies))
             narrow = Narrow(
-                list(map(solid_of, geometries.values())),
-                np.array(of, dtype=np.intp),
+                solids,
+                of,
                 table.reals("x", "z").T.copy(),
                 table.reals("qw", "qz").T.copy(),
                 table.reals("xmin", "zmax").T.copy(),
-                [*starts, starts[-1]],
+                starts,
                 self.calls,
             )
-            self._shapes = Shapes(narrow, {**entities, **none})
+            self._shapes = Shapes(narrow, numbers, sorts)
         return self._shapes
+
+    @property
+    def _sorted(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], Sorts]:
+        """The solids, which one each shape is, where those of each entity begin, its number."""
+        if self._solids is None or self._solids[0] is not self._layout:
+            bodies = self._layout.bodies
+            shapes = [shape.geometry for _, body in bodies for shape in body.shapes]
+            different = {geometry.key: geometry for geometry in shapes}
+            place = {key: number for number, key in enumerate(different)}
+            of = np.array([place[geometry.key] for geometry in shapes], dtype=np.intp)
+            solids = list(map(solid_of, different.values()))
+            counts = [len(body.shapes) for _, body in bodies]
+            starts = list(accumulate(counts, initial=0))
+            numbers = {id: number for number, (id, _) in enumerate(bodies)}
+            # What has no body, a sensor, has the empty run behind all others.
+            without = [member.id for member in self.members if member.body is None]
+            numbers |= dict.fromkeys(without, len(bodies))
+            owners = np.repeat(np.arange(len(bodies)), counts)
+            found = solids, of, [*starts, starts[-1]], numbers, Sorts(solids, of, owners)
+            self._solids = self._layout, found
+        return self._solids[1]
 
     def value(self, row: int, column: str) -> Any:
         """One value of the table of entities; None for an unknown one."""

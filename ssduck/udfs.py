@@ -697,6 +697,8 @@ _LISTED = (
 # The functions of the narrow phase, as SQL calls them: what they take besides a world and
 # entities, and what they yield.
 NARROW: dict[str, tuple[tuple[str, ...], str]] = {
+    "narrow first": ((), "BIGINT[]"),
+    "narrow second": ((), "BIGINT[]"),
     "narrow collides": (("BIGINT", "BIGINT"), "BOOLEAN"),
     "narrow penetration": (("BIGINT", "BIGINT"), "DOUBLE"),
     "narrow clearance": (("BIGINT", "BIGINT"), "DOUBLE"),
