@@ -35,6 +35,7 @@ ROUND = 1e-7
 # Corners of a face that is as flush, metres, all lie in it.
 FLUSH = 1e-6
 ROUNDS = 40
+MOST_POINTS = 400
 STEPS = 100
 _UP: Point = (0.0, 0.0, 1.0)
 _AROUND = np.array(
@@ -171,7 +172,7 @@ class Placed:
         if self.solid.disc * length > FLUSH:
             far += self.solid.disc / length * across
             return far
-        rim = self.solid.surface.vertices @ self.matrix.T + self.position
+        rim = self.solid.fine_surface.vertices @ self.matrix.T + self.position
         far = rim[rim @ direction >= (rim @ direction).max() - 2 * FLUSH]
         return np.ascontiguousarray(far)
 
@@ -511,7 +512,9 @@ def _expanded(
             return None
         reached = np.einsum("ij,kj->ik", thin, of_a - of_b).max(axis=1)
         new = overlaps > reached + tolerance / 4
-        if not new.any():
+        # Where all sides are as thin, as in a cylinder on the axis of another, no one of many
+        # directions is worse than the best.
+        if not new.any() or len(of_a) > MOST_POINTS:
             break
         of_a, of_b = np.concatenate((of_a, more_a[new])), np.concatenate((of_b, more_b[new]))
     return None if depth < -TOUCH else (max(0.0, depth), normal)
@@ -543,7 +546,7 @@ def _nearest(a: Placed, b: Placed, p: Array, q: Array) -> Core:
         of_a, of_b = np.vstack((p, of_a)), np.vstack((q, of_b))
     weights = np.zeros(len(of_a))
     weights[0] = 1.0
-    normal = np.array(_UP)
+    normal, before = np.array(_UP), math.inf
     for _ in range(STEPS):
         weights, of_a, of_b = _least(weights, of_a, of_b)
         p, q = weights @ of_a, weights @ of_b
@@ -555,6 +558,10 @@ def _nearest(a: Placed, b: Placed, p: Array, q: Array) -> Core:
         new_a, new_b = a.supports(-normal[None]), b.supports(normal[None])
         if length - float((new_a - new_b)[0] @ normal) <= ROUND / 10:
             break
+        if length > before - TOUCH / 10:
+            # Points that are nearly one are worth no more than their mixture.
+            of_a, of_b, weights = p[None], q[None], np.ones(1)
+        before = length
         of_a, of_b = np.vstack((of_a, new_a)), np.vstack((of_b, new_b))
         weights = np.append(weights, 0.0)
     return length, p, q, normal
