@@ -153,11 +153,11 @@ class Placed:
         points = self.points
         farthest: Array = points[np.argmax(directions @ points.T, axis=1)]
         if self.solid.disc:
-            axis = self.matrix[:, 2]
-            across = directions - np.outer(directions @ axis, axis)
-            length = np.sqrt(np.einsum("ij,ij->i", across, across))
-            outward = across / np.maximum(length, 1e-12)[:, None]
-            farthest = farthest + self.solid.disc * outward
+            # Turned after it is made long, so that it is across the axis up to rounding.
+            across = directions @ self.matrix[:, :2]
+            length = np.sqrt((across * across).sum(axis=1))
+            across /= np.maximum(length, 1e-300)[:, None]
+            farthest = farthest + self.solid.disc * across @ self.matrix[:, :2].T
         return farthest
 
     def face(self, direction: Array) -> Array:
@@ -167,10 +167,10 @@ class Placed:
         far: Array = points[heights >= heights.max() - FLUSH]
         if not self.solid.disc:
             return far
-        across = direction - float(direction @ self.matrix[:, 2]) * self.matrix[:, 2]
+        across = direction @ self.matrix[:, :2]
         length = float(np.linalg.norm(across))
         if self.solid.disc * length > FLUSH:
-            far += self.solid.disc / length * across
+            far += self.solid.disc / length * across @ self.matrix[:, :2].T
             return far
         rim = self.solid.fine_surface.vertices @ self.matrix.T + self.position
         far = rim[rim @ direction >= (rim @ direction).max() - 2 * FLUSH]
@@ -558,7 +558,7 @@ def _nearest(a: Placed, b: Placed, p: Array, q: Array) -> Core:
         new_a, new_b = a.supports(-normal[None]), b.supports(normal[None])
         if length - float((new_a - new_b)[0] @ normal) <= ROUND / 10:
             break
-        if length > before - TOUCH / 10:
+        if length > before - TOUCH / 1e4:
             # Points that are nearly one are worth no more than their mixture.
             of_a, of_b, weights = p[None], q[None], np.ones(1)
         before = length
