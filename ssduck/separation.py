@@ -59,7 +59,8 @@ class Separation:
     Attributes:
         gap: metres; the distance, or minus the depth.
         point_a: on a, in the world frame; where they meet, the point of a that is deepest in b,
-            or one as deep.
+            or one as deep. Where a cylinder is deep in something it may be off by up to 0.005 of
+            their sizes, for the depth hardly depends on it.
         point_b: on b.
         normal: unit, from b to a: the way in which a would leave b. None for half-spaces that
             meet, as no way leads out.

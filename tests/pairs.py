@@ -30,7 +30,7 @@ TURNS = [
 ]
 MESHES = ("mesh", "open mesh")
 SIDES = 64
-ROUND_POINT = 1e-3
+ROUND_POINT = 5e-3
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,7 +137,9 @@ def page(worst: dict[tuple[str, str], Worst], count: int, seed: int) -> str:
 
 
 def _power(error: float) -> str:
-    return "0" if error == 0 else f"1e{math.ceil(math.log10(error) - 1e-9)}"
+    if error in (0.0, math.inf):
+        return f"{error:.0f}"
+    return f"1e{math.ceil(math.log10(error) - 1e-9)}"
 
 
 def main() -> int:
