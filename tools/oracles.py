@@ -36,7 +36,8 @@ HEAD = """\
 What the exact relations (`clearance`, `collides`, `penetration`, `nearestPoints`, …) know of each
 combination of shapes. This page is written by `python -m tools.oracles --write`: {count} random
 pairs (first seed {seed}), half of them with parallel edges and faces that meet, were compared with
-oracles that share no code with ssduck. None of the combinations raises an error.
+oracles of their own geometry, but that faces are cut into the same triangles where a mesh takes
+part. None of the combinations raises an error.
 
 | how | means |
 |---|---|
