@@ -37,6 +37,8 @@ MOST_CONTACTS = 100_000
 
 def mesh_apart(a: Placed, b: Placed, calls: Counter) -> Separation | None:
     """The gap of two solids, one or both a mesh; None if their cores meet."""
+    if _pierced(a, b) or _pierced(b, a):
+        return None
     distance, p, q = nearest_of_surfaces(a.fine_object, b.fine_object, calls)
     if distance <= TOUCH or _encloses(a, b) or _encloses(b, a):
         return None
@@ -45,11 +47,34 @@ def mesh_apart(a: Placed, b: Placed, calls: Counter) -> Separation | None:
 
 def mesh_depth(a: Placed, b: Placed, calls: Counter) -> Separation:
     """The same for cores that meet."""
-    found = [*_corners(a, b, calls), *_crossings(a, b, calls)]
+    found: list[Core] = [*_corners(a, b, calls), *_crossings(a, b, calls)]
     found += [(gap, p, q, -normal) for gap, q, p, normal in _corners(b, a, calls)]
     if not found:
         found.append(_touching(a, b, calls))
-    return rounded(*min(found, key=lambda core: core[0]), a, b)
+    gap, p, q, normal = min(found, key=lambda core: core[0])
+    if gap >= -TOUCH:
+        normal = _normal_at(a, b, (p + q) / 2)
+    return rounded(gap, p, q, normal, a, b)
+
+
+def _pierced(segment: Placed, mesh: Placed) -> list[int]:
+    """Which triangles a core that is a segment goes through: FCL overlooks some of them."""
+    ends = segment.solid.fine_surface.vertices
+    if len(ends) != 2:
+        return []
+    start, end = _local(mesh, _world(segment, ends))
+    corners = mesh.solid.fine_surface.triangles
+    way, off = end - start, start - corners[:, 0]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = cross(u, v)
+    along, square = normal @ way, np.einsum("ij,ij->i", normal, normal)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = -np.einsum("ij,ij->i", normal, off) / along
+        at = off + share[:, None] * way
+        x = np.einsum("ij,ij->i", cross(at, v), normal) / square
+        y = np.einsum("ij,ij->i", cross(u, at), normal) / square
+        hit = (share >= 0) & (share <= 1) & (x >= 0) & (y >= 0) & (x + y <= 1)
+    return [int(face) for face in np.flatnonzero(hit)]
 
 
 def _encloses(outer: Placed, inner: Placed) -> bool:
@@ -114,7 +139,7 @@ def _deepest_in_mesh(points: Array, mesh: Placed, calls: Counter) -> Core:
         found.append((depth, p, q))
     depth, p, q = max(found, key=lambda one: one[0])
     if depth <= TOUCH:
-        return 0.0, p, p, _facing(mesh, p)
+        return 0.0, p, p, _facing(mesh, p)[0]
     return -depth, p, q, (q - p) / depth
 
 
@@ -124,18 +149,21 @@ def _still(tree: Any) -> Any:
     return fcl.CollisionObject(tree, fcl.Transform())
 
 
-def _facing(mesh: Placed, point: Array) -> Array:
-    """The normal of the face whose plane and middle are nearest to a point of the surface."""
-    surface = mesh.solid.fine_surface
-    local = _local(mesh, point[None])[0]
+def _facing(placed: Placed, point: Array) -> Array:
+    """The normals (n, 3) of the faces that have a point of the surface."""
+    surface = placed.solid.fine_surface
+    local = _local(placed, point[None])[0]
     corners = surface.triangles
     normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
-    off = np.abs(np.einsum("ij,ij->i", normals, local - corners[:, 0])) / length
-    near = np.linalg.norm(corners.mean(axis=1) - local, axis=1)
-    face = int(np.where(off <= off.min() + TOUCH, near, math.inf).argmin())
-    normal: Array = mesh.matrix @ (normals[face] / length[face])
-    return normal
+    length = np.linalg.norm(normals, axis=1)
+    full = length > 0.0
+    normals, corners = normals[full] / length[full, None], corners[full]
+    if not len(normals):
+        return np.zeros((0, 3))
+    off = np.abs(np.einsum("ij,ij->i", normals, local - corners[:, 0]))
+    at: Array = normals[off <= off.min() + 10 * TOUCH]
+    turned: Array = np.einsum("ij,nj->ni", placed.matrix, at)
+    return turned
 
 
 def _crossings(a: Placed, b: Placed, calls: Counter) -> list[Core]:
@@ -146,15 +174,43 @@ def _crossings(a: Placed, b: Placed, calls: Counter) -> list[Core]:
     result = fcl.CollisionResult()
     request = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
     fcl.collide(a.fine_object, b.fine_object, request, result)
-    if not result.contacts:
+    both = {(contact.b1, contact.b2) for contact in result.contacts}
+    both |= {(0, face) for face in _pierced(a, b)} | {(face, 0) for face in _pierced(b, a)}
+    if not both:
         return []
-    first = _world_triangles(a)[[contact.b1 for contact in result.contacts]]
-    second = _world_triangles(b)[[contact.b2 for contact in result.contacts]]
+    numbers = np.array(sorted(both))
+    first, second = _world_triangles(a)[numbers[:, 0]], _world_triangles(b)[numbers[:, 1]]
     depths, normals = triangle_depths(first, second)
     deepest = int(depths.argmax())
-    depth, normal = float(depths[deepest]), normals[deepest]
-    middle = np.array(result.contacts[deepest].pos)
+    if depths[deepest] < -TOUCH:  # FCL counts some that lie in one plane side by side
+        return []
+    depth, normal = max(0.0, float(depths[deepest])), normals[deepest]
+    middle = _crossing_point(first[deepest], second[deepest])
     return [(-depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal)]
+
+
+def _crossing_point(first: Array, second: Array) -> Array:
+    """The middle of where the edges of two triangles go through the other; else of their boxes."""
+    found = []
+    for edges, other in ((first, second), (second, first)):
+        normal = np.cross(other[1] - other[0], other[2] - other[0])
+        square = float(normal @ normal)
+        for start, end in zip(edges, np.roll(edges, -1, axis=0), strict=True):
+            along = float((end - start) @ normal)
+            if along == 0.0 or square == 0.0:
+                continue
+            at = start + float((other[0] - start) @ normal) / along * (end - start)
+            sides = np.cross(np.roll(other, -1, axis=0) - other, at - other) @ normal
+            inside = sides.min() >= -1e-9 * square
+            if inside and float((at - start) @ (at - end)) <= TOUCH * TOUCH:
+                found.append(at)
+    if found:
+        mean: Array = np.array(found).mean(axis=0)
+        return mean
+    low = np.maximum(first.min(axis=0), second.min(axis=0))
+    high = np.minimum(first.max(axis=0), second.max(axis=0))
+    middle: Array = (low + high) / 2
+    return middle
 
 
 def _world_triangles(placed: Placed) -> Array:
@@ -165,6 +221,7 @@ def _world_triangles(placed: Placed) -> Array:
 def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
     """Of pairs of triangles (k, 3, 3) the least overlap in any direction, and the direction.
 
+    It is negative if the direction separates them.
     The directions are their normals and those across an edge of each: the faces of the
     difference of two triangles. A triangle may be a segment.
     """
@@ -190,22 +247,27 @@ def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
     best = overlap.argmin(axis=1)
     rows = np.arange(len(first))
     sign = np.where(up[rows, best] <= down[rows, best], 1.0, -1.0)
-    depths = np.maximum(overlap[rows, best], 0.0)
+    depths = overlap[rows, best]
     # Triangles that lie in one line have no such direction; they only touch.
     depths[~np.isfinite(depths)] = 0.0
     return depths, ways[rows, best] * sign[:, None]
 
 
 def _touching(a: Placed, b: Placed, calls: Counter) -> Core:
-    """Cores that share a point of their surfaces, and no more that is known."""
+    """Cores that share a point of their surfaces, and no more that is known.
+
+    Of the normals of the faces there it is that along which the shapes overlap least.
+    """
     _, p, q = nearest_of_surfaces(a.fine_object, b.fine_object, calls)
     middle = (p + q) / 2
-    if b.solid.type == "mesh":
-        normal, sign = _facing(b, middle), 1.0
-    else:
-        normal, sign = _facing(a, middle), -1.0
-    between = _world(a, np.array([a.solid.centre])) - _world(b, np.array([b.solid.centre]))
-    mesh = b if sign > 0 else a
-    if not mesh.solid.closed and float(between[0] @ normal) * sign < 0:
-        sign = -sign
-    return 0.0, middle, middle, sign * normal
+    return 0.0, middle, middle, _normal_at(a, b, middle)
+
+
+def _normal_at(a: Placed, b: Placed, point: Array) -> Array:
+    faces = np.concatenate((_facing(a, point), _facing(b, point)))
+    if not len(faces):
+        return np.array([0.0, 0.0, 1.0])
+    ways = np.concatenate((faces, -faces))
+    overlaps = a.reaches(-ways) + b.reaches(ways)
+    best: Array = ways[int(overlaps.argmin())]
+    return best

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 from threading import RLock
 
 import numpy as np
@@ -139,7 +140,7 @@ class Narrow:
         if i == j:
             return 0.0
         with self._lock:
-            if not (self._is_known(i) and self._is_known(j)):
+            if not (self._are_known[i] and self._are_known[j]):
                 return None
             meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
             return max((0.0, *(-self._separation(s, t).gap for s, t in meeting)))
@@ -165,7 +166,7 @@ class Narrow:
         if i == j:
             return []
         with self._lock:
-            if not (self._is_known(i) and self._is_known(j)):
+            if not (self._are_known[i] and self._are_known[j]):
                 return None
             near = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= within]
             found = [self._separation(s, t) for s, t in near]
@@ -197,7 +198,7 @@ class Narrow:
         None if b has no volume. See `ssduck.overlap.share_inside`.
         """
         with self._lock:
-            if not (self._is_known(a) and self._is_known(b)):
+            if not (self._are_known[a] and self._are_known[b]):
                 return None
             if (a, b) not in self._shares:
                 self._shares[a, b] = share_inside(self._of(a), self._of(b))
@@ -208,9 +209,9 @@ class Narrow:
 
         An open mesh has none, a half-space is infinite.
         """
-        if not self._is_known(e):
+        if not self._are_known[e]:
             return None
-        return sum(self._solids[shape].volume for shape in self._shapes(e))
+        return sum(self._solids[shape].volume for shape in self._shapes[e])
 
     def is_without_shapes(self, e: int) -> bool:
         """Whether an entity has no shape with a point."""
@@ -219,7 +220,7 @@ class Narrow:
     # -- of two entities ------------------------------------------------------------------
 
     def _collide(self, i: int, j: int) -> bool | None:
-        if not (self._is_known(i) and self._is_known(j)):
+        if not (self._are_known[i] and self._are_known[j]):
             return None
         meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
         if any(self._surely_collide(s, t) for s, t in meeting):
@@ -227,7 +228,7 @@ class Narrow:
         return any(self._separation(s, t).gap < -COLLIDES for s, t in meeting)
 
     def _clear(self, i: int, j: int, upto: float) -> float | None:
-        if not (self._is_known(i) and self._is_known(j)):
+        if not (self._are_known[i] and self._are_known[j]):
             return None
         best = math.inf
         pairs = self._pairs(i, j)
@@ -245,7 +246,7 @@ class Narrow:
         return best if best <= upto else math.inf
 
     def _find_closest(self, i: int, j: int) -> Separation | None:
-        if not (self._is_known(i) and self._is_known(j)):
+        if not (self._are_known[i] and self._are_known[j]):
             return None
         best: Separation | None = None
         for bound, s, t in self._pairs(i, j):
@@ -259,25 +260,25 @@ class Narrow:
 
     def _pairs(self, i: int, j: int) -> list[tuple[float, int, int]]:
         """The pairs of their shapes with a lower bound of their distances, nearest first."""
-        first, second = self._shapes(i), self._shapes(j)
+        first, second = self._shapes[i], self._shapes[j]
         bound = self._bound
-        pairs = [(bound(s, t), s, t) for s in first for t in second]
-        if len(pairs) > 1:
-            pairs.sort()
-        return pairs
+        if len(first) == len(second) == 1:
+            s, t = first[0], second[0]
+            return [(bound(s, t), s, t)]
+        return sorted((bound(s, t), s, t) for s in first for t in second)
 
     def _bound(self, s: int, t: int) -> float:
         """The distance of two shapes' boxes, or of the spheres around them if that is more."""
-        planes = self._solids[s].type == "plane", self._solids[t].type == "plane"
-        if any(planes):
-            return self._bound_of_plane(s, t) if planes[0] else self._bound_of_plane(t, s)
+        both = self._reaches[s] + self._reaches[t]
+        if both == math.inf:
+            is_plane = self._reaches[s] == math.inf
+            return self._bound_of_plane(s, t) if is_plane else self._bound_of_plane(t, s)
         a, b = self._corners[s], self._corners[t]
         x = max(0.0, a[0] - b[3], b[0] - a[3])
         y = max(0.0, a[1] - b[4], b[1] - a[4])
         z = max(0.0, a[2] - b[5], b[2] - a[5])
-        boxes = math.sqrt(x * x + y * y + z * z)
-        spheres = math.dist(self._centres[s], self._centres[t])
-        return max(boxes, spheres - self._solids[s].reach - self._solids[t].reach)
+        spheres = math.dist(self._centres[s], self._centres[t]) - both
+        return max(math.sqrt(x * x + y * y + z * z), spheres)
 
     def _bound_of_plane(self, plane: int, other: int) -> float:
         """Its box does not serve: far out, a plane that is hardly tilted is out of it."""
@@ -325,16 +326,24 @@ class Narrow:
 
     # -- of one entity --------------------------------------------------------------------
 
-    def _shapes(self, e: int) -> list[int]:
-        """The shapes of an entity that have points."""
-        shapes = range(self._starts[e], self._starts[e + 1])
-        return [shape for shape in shapes if not self._solids[shape].is_empty]
-
     def _of(self, e: int) -> list[Placed]:
-        return [self._place(shape) for shape in self._shapes(e)]
+        return [self._place(shape) for shape in self._shapes[e]]
 
-    def _is_known(self, e: int) -> bool:
-        return all(self._known[self._starts[e] : self._starts[e + 1]])
+    @cached_property
+    def _shapes(self) -> list[list[int]]:
+        """Of each entity the shapes that have points."""
+        empty = [solid.is_empty for solid in self._solids]
+        ranges = map(range, self._starts, self._starts[1:])
+        return [[shape for shape in shapes if not empty[shape]] for shapes in ranges]
+
+    @cached_property
+    def _are_known(self) -> list[bool]:
+        """Of each entity whether all its poses and shapes are known."""
+        return [all(self._known[a:b]) for a, b in pairwise(self._starts)]
+
+    @cached_property
+    def _reaches(self) -> list[float]:
+        return [solid.reach for solid in self._solids]
 
     # What all shapes need of their poses is worked out at once, and not before it is asked for.
 

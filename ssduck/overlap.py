@@ -80,8 +80,15 @@ def _volume_inside(one: Placed, solid: Solid, normals: Array, offsets: Array) ->
     cutting = outside.any(axis=0)
     if not cutting.any():
         return solid.volume
-    surface = solid if solid.type in ("box", "hull", "mesh") else hull_of(solid.points)
-    corners = (surface.core @ one.matrix.T + one.position)[surface.faces]
+    if solid.is_convex:
+        hull = hull_of(points)
+        assert hull.offsets is not None  # for it has a volume
+        common = _common_volume(
+            np.concatenate((normals[cutting], hull.normals)),
+            np.concatenate((offsets[cutting], hull.offsets)),
+        )
+        return min(1.0, common / hull.volume) * solid.volume
+    corners = points[solid.faces]
     apex = np.broadcast_to(corners.reshape(-1, 3).mean(axis=0), (len(corners), 1, 3))
     tetrahedra = np.concatenate((apex, corners), axis=1)
     signs = np.sign(_signed_volumes(tetrahedra))
@@ -90,6 +97,22 @@ def _volume_inside(one: Placed, solid: Solid, normals: Array, offsets: Array) ->
         tetrahedra, signs = _clipped(tetrahedra, signs, normal, float(offset))
     share = float(signs @ np.abs(_signed_volumes(tetrahedra))) / whole
     return share * solid.volume
+
+
+def _common_volume(normals: Array, offsets: Array) -> float:
+    """The volume of what is below all planes, around the middle of the largest ball in it."""
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+    rows = np.column_stack((normals, np.ones(len(normals))))
+    ball = linprog((0, 0, 0, -1), A_ub=rows, b_ub=offsets, bounds=(None, None), method="highs")
+    if ball.status != 0 or ball.x[3] <= ROUNDING:
+        return 0.0
+    try:
+        corners = HalfspaceIntersection(np.column_stack((normals, -offsets)), ball.x[:3])
+        return float(ConvexHull(corners.intersections).volume)
+    except QhullError:  # too thin for it
+        return 0.0
 
 
 def _signed_volumes(tetrahedra: Array) -> Array:
@@ -113,18 +136,17 @@ def _clipped(tetra: Array, signs: Array, normal: Array, offset: float) -> tuple[
         return point
 
     one, two, three = (np.flatnonzero(count == number) for number in (1, 2, 3))
-    parts = [
-        (one, 1.0, (tetra[one, 0], cut(one, 0, 1), cut(one, 0, 2), cut(one, 0, 3))),
-        (three, 1.0, tuple(tetra[three, k] for k in range(4))),
-        (three, -1.0, (tetra[three, 3], cut(three, 0, 3), cut(three, 1, 3), cut(three, 2, 3))),
-    ]
+    # A corner; or a wedge, or a corner less: both prisms, with a triangle at either end.
+    parts: list[tuple[Indices, tuple[Array, ...]]]
+    parts = [(one, (tetra[one, 0], cut(one, 0, 1), cut(one, 0, 2), cut(one, 0, 3)))]
     first = tetra[two, 0], cut(two, 0, 2), cut(two, 0, 3)
-    second = tetra[two, 1], cut(two, 1, 2), cut(two, 1, 3)
-    wedge = (*first, *second)
-    parts += [(two, 1.0, wedge[k : k + 4]) for k in range(3)]
-    for rows, sign, corners in parts:
+    wedge = (*first, tetra[two, 1], cut(two, 1, 2), cut(two, 1, 3))
+    stump = (*(tetra[three, k] for k in range(3)), *(cut(three, k, 3) for k in range(3)))
+    parts += [(two, wedge[k : k + 4]) for k in range(3)]
+    parts += [(three, stump[k : k + 4]) for k in range(3)]
+    for rows, corners in parts:
         kept.append(np.stack(corners, axis=1))
-        weights.append(sign * signs[rows])
+        weights.append(signs[rows])
     return np.concatenate(kept), np.concatenate(weights)
 
 

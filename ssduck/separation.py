@@ -35,6 +35,7 @@ ROUND = 1e-7
 # Corners of a face that is as flush, metres, all lie in it.
 FLUSH = 1e-6
 ROUNDS = 40
+MOST_POINTS = 400
 STEPS = 100
 _UP: Point = (0.0, 0.0, 1.0)
 _AROUND = np.array(
@@ -58,7 +59,8 @@ class Separation:
     Attributes:
         gap: metres; the distance, or minus the depth.
         point_a: on a, in the world frame; where they meet, the point of a that is deepest in b,
-            or one as deep.
+            or one as deep. Where a cylinder is deep in something it may be off by up to 0.005 of
+            their sizes, for the depth hardly depends on it.
         point_b: on b.
         normal: unit, from b to a: the way in which a would leave b. None for half-spaces that
             meet, as no way leads out.
@@ -152,11 +154,11 @@ class Placed:
         points = self.points
         farthest: Array = points[np.argmax(directions @ points.T, axis=1)]
         if self.solid.disc:
-            axis = self.matrix[:, 2]
-            across = directions - np.outer(directions @ axis, axis)
-            length = np.sqrt(np.einsum("ij,ij->i", across, across))
-            outward = across / np.maximum(length, 1e-12)[:, None]
-            farthest = farthest + self.solid.disc * outward
+            # Turned after it is made long, so that it is across the axis up to rounding.
+            across = directions @ self.matrix[:, :2]
+            length = np.sqrt((across * across).sum(axis=1))
+            across /= np.maximum(length, 1e-300)[:, None]
+            farthest = farthest + self.solid.disc * across @ self.matrix[:, :2].T
         return farthest
 
     def face(self, direction: Array) -> Array:
@@ -166,12 +168,12 @@ class Placed:
         far: Array = points[heights >= heights.max() - FLUSH]
         if not self.solid.disc:
             return far
-        across = direction - float(direction @ self.matrix[:, 2]) * self.matrix[:, 2]
+        across = direction @ self.matrix[:, :2]
         length = float(np.linalg.norm(across))
         if self.solid.disc * length > FLUSH:
-            far += self.solid.disc / length * across
+            far += self.solid.disc / length * across @ self.matrix[:, :2].T
             return far
-        rim = self.solid.surface.vertices @ self.matrix.T + self.position
+        rim = self.solid.fine_surface.vertices @ self.matrix.T + self.position
         far = rim[rim @ direction >= (rim @ direction).max() - 2 * FLUSH]
         return np.ascontiguousarray(far)
 
@@ -511,7 +513,9 @@ def _expanded(
             return None
         reached = np.einsum("ij,kj->ik", thin, of_a - of_b).max(axis=1)
         new = overlaps > reached + tolerance / 4
-        if not new.any():
+        # Where all sides are as thin, as in a cylinder on the axis of another, no one of many
+        # directions is worse than the best.
+        if not new.any() or len(of_a) > MOST_POINTS:
             break
         of_a, of_b = np.concatenate((of_a, more_a[new])), np.concatenate((of_b, more_b[new]))
     return None if depth < -TOUCH else (max(0.0, depth), normal)
@@ -543,7 +547,7 @@ def _nearest(a: Placed, b: Placed, p: Array, q: Array) -> Core:
         of_a, of_b = np.vstack((p, of_a)), np.vstack((q, of_b))
     weights = np.zeros(len(of_a))
     weights[0] = 1.0
-    normal = np.array(_UP)
+    normal, before = np.array(_UP), math.inf
     for _ in range(STEPS):
         weights, of_a, of_b = _least(weights, of_a, of_b)
         p, q = weights @ of_a, weights @ of_b
@@ -555,6 +559,10 @@ def _nearest(a: Placed, b: Placed, p: Array, q: Array) -> Core:
         new_a, new_b = a.supports(-normal[None]), b.supports(normal[None])
         if length - float((new_a - new_b)[0] @ normal) <= ROUND / 10:
             break
+        if length > before - TOUCH / 1e4:
+            # Points that are nearly one are worth no more than their mixture.
+            of_a, of_b, weights = p[None], q[None], np.ones(1)
+        before = length
         of_a, of_b = np.vstack((of_a, new_a)), np.vstack((of_b, new_b))
         weights = np.append(weights, 0.0)
     return length, p, q, normal

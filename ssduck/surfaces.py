@@ -53,6 +53,8 @@ class Surface:
 
     def oriented(self) -> Surface:
         """The same with its faces outward, if it can be closed that way."""
+        if not len(self.faces):
+            return self
         surface = self if self.closed else Surface(self.vertices, self._turned())
         if not surface.closed:
             return self

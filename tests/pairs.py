@@ -30,7 +30,7 @@ TURNS = [
 ]
 MESHES = ("mesh", "open mesh")
 SIDES = 64
-ROUND_POINT = 1e-3
+ROUND_POINT = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def convex_error(a, b, found: Separation, *, full=True):
     error = max(error, abs(reach(b, normal) + reach(a, -normal) + found.gap))
     if full:
         # The depth of a round side is flat where it is least: its place is not known as well.
-        slack = ROUND_POINT if found.gap < 0 and "cylinder" in (a.kind, b.kind) else 1e-6
+        slack = ROUND_POINT if found.gap < 1e-9 and "cylinder" in (a.kind, b.kind) else 1e-5
         held = is_in(a, found.point_a, slack) and is_in(b, found.point_b, slack)
         error = error if held else math.inf
     if found.gap < 0 and full and "plane" not in (a.kind, b.kind):

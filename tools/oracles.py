@@ -36,7 +36,8 @@ HEAD = """\
 What the exact relations (`clearance`, `collides`, `penetration`, `nearestPoints`, …) know of each
 combination of shapes. This page is written by `python -m tools.oracles --write`: {count} random
 pairs (first seed {seed}), half of them with parallel edges and faces that meet, were compared with
-oracles that share no code with ssduck. None of the combinations raises an error.
+oracles of their own geometry, but that faces are cut into the same triangles where a mesh takes
+part. None of the combinations raises an error.
 
 | how | means |
 |---|---|
@@ -137,7 +138,9 @@ def page(worst: dict[tuple[str, str], Worst], count: int, seed: int) -> str:
 
 
 def _power(error: float) -> str:
-    return "0" if error == 0 else f"1e{math.ceil(math.log10(error) - 1e-9)}"
+    if error in (0.0, math.inf):
+        return f"{error:.0f}"
+    return f"1e{math.ceil(math.log10(error) - 1e-9)}"
 
 
 def main() -> int:
