@@ -164,6 +164,15 @@ class Expressions:
         Raises:
             NotSqlError: it is left to Python.
         """
+        before = self.context.risks
+        value = self._value(node)
+        if self.context.risks == before or value.risky:
+            return value
+        if isinstance(value.given, exp.Boolean):
+            raise NotSqlError  # what could fail would not be evaluated
+        return replace(value, risky=True)
+
+    def _value(self, node: Node) -> SqlValue:
         match node:
             case This() if node.alias is None or self.element(node.alias) is not None:
                 return self._this(node)
@@ -190,11 +199,7 @@ class Expressions:
                     return inner
                 return replace(inner, given=exp.Neg(this=wrapped(inner.sql)), elements=None)
             case Binary():
-                before = self.context.risks
-                value = self._binary(node)
-                if isinstance(value.given, exp.Boolean) and self.context.risks > before:
-                    raise NotSqlError  # what could fail would not be evaluated
-                return value
+                return self._binary(node)
             case Index():
                 return self._index(node)
             case ListOf(items=items):
@@ -356,6 +361,8 @@ class Expressions:
         value = self.value(node)
         if value.tag.nullable:
             raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
+        if value.extent or value.risky:
+            raise NotSqlError  # of what is infinite, a formula may be no number
         if value.tag.type == parameter.type:
             return value
         if parameter.type == "place" and value.tag.type == "entity":
@@ -533,6 +540,8 @@ class Expressions:
         if right.tag.element is None:
             return SqlValue(exp.false(), FLAG)
         if right.elements is not None:
+            if right.risky:
+                raise NotSqlError  # behind an equal one no other would be evaluated
             found = [self.comparison("==", left, element).sql for element in right.elements]
             return SqlValue(exp.paren(exp.or_(*found)), FLAG)
         both = merged((left.tag, right.tag.element))
@@ -576,6 +585,8 @@ class Expressions:
             case tree.Literal(value=str() as key) if key in value.fields:
                 return value.fields[key]
             case tree.Literal(value=number) if type(number) is int and value.elements is not None:
+                if value.risky:
+                    raise NotSqlError  # nor would be the other elements
                 if -len(value.elements) <= number < len(value.elements):
                     return value.elements[number]
         element = value.tag.element
@@ -627,6 +638,8 @@ class Expressions:
                 return exp.NEQ(this=wrapped(value.sql), expression=exp.Literal.string(""))
             case "list" if not value.tag.nullable:
                 if value.elements is not None:
+                    if value.risky:
+                        raise NotSqlError
                     return exp.convert(bool(value.elements))
                 return exp.GT(this=exp.func("len", value.sql.copy()), expression=zero)
             case "entity":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from ssduck.dependencies import states
@@ -27,24 +27,34 @@ class Resolved:
     bare: dict[str, bool] = field(default_factory=dict)
 
 
-def resolve(query: Query, shapes: Sequence[Shape], names: Names) -> Resolved:
+def resolve(
+    query: Query, shapes: Sequence[Shape], names: Names, around: Collection[str] = ()
+) -> Resolved:
     """Look up the bare names in SELECT, GROUP BY, HAVING and ORDER BY.
 
     Such a name is a key of the current element if that is a dict, else a variable, else the
     function of that name applied to `this`.
 
+    Args:
+        query: the query.
+        shapes: what its sources are.
+        names: variables and functions.
+        around: the state variables of hierarchical queries around it.
+
     Raises:
         UnknownNameError: it is none of these.
     """
-    return _Resolver(query, shapes, names).resolved()
+    return _Resolver(query, shapes, names, around).resolved()
 
 
 class _Resolver:
-    def __init__(self, query: Query, shapes: Sequence[Shape], names: Names) -> None:
+    def __init__(
+        self, query: Query, shapes: Sequence[Shape], names: Names, around: Collection[str]
+    ) -> None:
         self._query = query
         self._shapes = shapes
         self._names = names
-        self._states = states(query)
+        self._states = states(query).union(around)
         self._bare: dict[str, bool] = {}
 
     def resolved(self) -> Resolved:

@@ -56,6 +56,7 @@ class SqlValue:
         fields: of a record, what its keys hold.
         wide: whether it may be an integer that no DOUBLE is.
         extent: which reals it may be; of a list, which its elements may be.
+        risky: whether SQL may fail at it, so that it must be evaluated where Python does.
     """
 
     given: exp.Expr | None
@@ -65,6 +66,7 @@ class SqlValue:
     fields: Mapping[str, SqlValue] = field(default_factory=dict)
     wide: bool = False
     extent: Extent = Extent.FINITE
+    risky: bool = False
 
     @property
     def sql(self) -> exp.Expr:
@@ -90,6 +92,7 @@ class Context:
         signatures: the users' functions that it calls.
         deferred: variables that were looked up for lists to be put in.
         aliases: what sources are called in SQL, in lower case.
+        bare: bare names in nested queries, and whether there was a variable of that name.
         risks: how many parts of it could fail in SQL.
     """
 
@@ -102,6 +105,7 @@ class Context:
     signatures: set[Signature] = field(default_factory=set)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     aliases: set[str] = field(default_factory=set)
+    bare: dict[str, bool] = field(default_factory=dict)
     risks: int = 0
 
     def alias(self, name: str) -> str:

@@ -16,7 +16,7 @@ from sqlglot import exp
 from ssduck import tree
 from ssduck.dependencies import aliases_of, is_impure
 from ssduck.plan import Binding, Shape
-from ssduck.resolve import resolve
+from ssduck.resolve import Resolved, resolve
 from ssduck.sqlvalues import (
     ENTITY_COLUMNS,
     Extent,
@@ -73,7 +73,7 @@ class Subquery:
     """The rows of a nested query: tables, conditions, order, and what is selected.
 
     Attributes:
-        is_risky: whether a selected value or a key could fail, so that it is to be evaluated.
+        is_risky: whether a part of it could fail, so that all rows are to be looked at.
     """
 
     elements: tuple[Element, ...]
@@ -82,7 +82,7 @@ class Subquery:
     names: tuple[str, ...]
     order: tuple[exp.Ordered, ...]
     limit: int | None
-    is_risky: bool
+    is_risky: bool = False
 
     def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
         """The rows, as a SELECT of these columns."""
@@ -207,6 +207,8 @@ def membership(around: Expressions, left: Node, query: Query) -> exp.Expr | None
     if rows.is_risky:
         return None
     wanted = around.value(left)
+    if wanted.risky:
+        return None
     if isinstance(rows, Unrolled):
         found = [
             exp.and_(there.copy(), _any_equal(around, wanted, items)) for there, items in rows.rows
@@ -288,6 +290,8 @@ def _unrolled_list(rows: Unrolled) -> SqlValue:
 
 
 def _unrolled_value(rows: Unrolled) -> SqlValue:
+    if rows.is_risky:
+        raise NotSqlError  # the rows behind the first one would not be evaluated
     firsts = [items[0] for _, items in rows.rows]
     tag = _common(firsts)
     if tag.type == "entity":
@@ -327,18 +331,25 @@ def _rows(around: Expressions, query: Query) -> Rows:
         raise NotSqlError
     check_sources(query)
     aliases = aliases_of(query)
+    before = around.context.risks
     lists = [_written_out(around, source.value) for source in query.sources]
     if all(values is not None for values in lists) and lists:
-        rows = list(product(*[values for values in lists if values is not None]))
-        if len(rows) <= MOST_UNROLLED and not query.order and query.limit is None:
-            return _unrolled(around, query, aliases, rows)
+        if around.context.risks > before:
+            raise NotSqlError  # an element that nothing mentions would not be evaluated
+        found = list(product(*[values for values in lists if values is not None]))
+        if len(found) <= MOST_UNROLLED and not query.order and query.limit is None:
+            return _unrolled(around, query, aliases, found)
     inner = around.inside()
+    before = around.context.risks
     elements = [
         element(around, alias, source.value)
         for alias, source in zip(aliases, query.sources, strict=True)
     ]
     _bind(inner, aliases, [entry.value for entry in elements])
-    return _subquery(inner, query, aliases, elements)
+    rows = _subquery(inner, query, aliases, elements)
+    if rows.limit is not None and around.context.risks > before:
+        raise NotSqlError  # nor would be a row that the limit leaves out
+    return replace(rows, is_risky=around.context.risks > before)
 
 
 def check_sources(query: Query) -> None:
@@ -355,16 +366,14 @@ def _bind(inner: Expressions, aliases: Sequence[str], values: Sequence[SqlValue]
 def _subquery(
     inner: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[Element]
 ) -> Subquery:
-    resolved = resolve(query, shapes_in(inner, aliases), inner.names)
+    resolved = resolve_in(inner, query, aliases)
     conditions = () if query.where is None else (inner.truth(inner.value(query.where)),)
-    before = inner.context.risks
     items = tuple(inner.certain(inner.value(column.node)) for column in resolved.columns)
     order = ordered(inner, resolved.query.order)
-    risky = inner.context.risks > before
     for entry in elements:
         order.extend(entry.position)
     names = tuple(column.name for column in resolved.columns if isinstance(column.name, str))
-    return Subquery(tuple(elements), conditions, items, names, tuple(order), _limit(query), risky)
+    return Subquery(tuple(elements), conditions, items, names, tuple(order), _limit(query))
 
 
 def _unrolled(
@@ -383,16 +392,19 @@ def _unrolled_row(
     """A row, and whether what it selects could fail."""
     inner = around.inside()
     _bind(inner, aliases, elements)
-    resolved = resolve(query, shapes_in(inner, aliases), inner.names)
-    there = exp.true() if query.where is None else inner.truth(inner.value(query.where))
+    resolved = resolve_in(inner, query, aliases)
     before = inner.context.risks
+    there = exp.true() if query.where is None else inner.truth(inner.value(query.where))
     items = tuple(inner.certain(inner.value(column.node)) for column in resolved.columns)
     return (there, items), inner.context.risks > before
 
 
-def shapes_in(inner: Expressions, aliases: Sequence[str]) -> list[Shape]:
-    """What sources are that are in SQL already."""
-    return [Shape(alias, tag=inner.rows[alias].tag) for alias in aliases]
+def resolve_in(inner: Expressions, query: Query, aliases: Sequence[str]) -> Resolved:
+    """Look up the bare names of a nested query whose sources are in SQL already."""
+    shapes = [Shape(alias, tag=inner.rows[alias].tag) for alias in aliases]
+    resolved = resolve(query, shapes, inner.names, inner.locals)
+    inner.context.bare |= resolved.bare
+    return resolved
 
 
 def ordered(inner: Expressions, keys: Sequence[tree.Key]) -> list[exp.Ordered]:

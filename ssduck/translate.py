@@ -21,7 +21,7 @@ from ssduck.plan import Binding, Names, Output, Plan, Shape
 from ssduck.recursion import searched
 from ssduck.resolve import resolve
 from ssduck.rows import Rest, aggregates
-from ssduck.sqlvalues import Context, NotSqlError, SqlValue
+from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
 from ssduck.subqueries import Element
 from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import Tag
@@ -68,6 +68,7 @@ class _Translator:
             worlds=self.context.worlds,
             signatures=self.context.signatures,
             deferred=self.context.deferred,
+            bare=self.context.bare,
             cautious=cautious,
         )
         subqueries.check_sources(query)
@@ -78,7 +79,7 @@ class _Translator:
         resolved = resolve(query, self._known_shapes(), names)
         self.query = self.result.query = resolved.query
         self.selected = resolved.columns
-        self.result.bare = resolved.bare
+        self.context.bare |= resolved.bare
 
     def plan(self) -> Plan:
         plan = self.result
@@ -284,6 +285,9 @@ class _Translator:
     def _output(self, value: SqlValue) -> Output:
         if not value.tag.comes_back:
             raise NotSqlError
+        if value.extent == Extent.NAN:  # to Python, one that is no number is not another
+            self.columns.append(value.sql)
+            return Output(len(self.columns) - 1, value.tag)
         return self._column(value.sql, value.tag)
 
     def _column(self, sql: exp.Expr, tag: Tag) -> Output:

@@ -191,3 +191,63 @@ def test_rows_keep_their_order_beside_a_nested_query(ss):
 
 def test_hundreds_of_sources(ss):
     assert ss.eval(f"SELECT n.this FROM n=[1, 2], {', '.join(['1'] * 300)} AS list;") == [1, 2]
+
+
+# What SQL would leave out, or look at in another order: an error in it is one on both ways.
+LEFT_OUT = [
+    "SELECT this FROM l WHERE this IN [this, 1/(this-1)] AS list;",
+    "SELECT this FROM l WHERE [this, 1/(this-1)][0] < 3 AS list;",
+    "SELECT this FROM l WHERE NOT [1/(this-1)] AS list;",
+    "SELECT IF([1/(this-1)]; 1; 2) FROM l AS list;",
+    "SELECT a.this FROM a=l WHERE 1/(a.this-1) IN (SELECT b.this FROM b=[a.this] WHERE b.this > 1000 AS list) AS list;",
+    "SELECT a.this FROM a=l WHERE (SELECT 1/p.this FROM p=[a.this+5, a.this-1] AS value) > 0 AS list;",
+    "SELECT (SELECT p.this FROM p=[a.this, 1/(a.this-1)] AS value) FROM a=l AS list;",
+    "SELECT count(SELECT p.this FROM p=[a.this, 1/(a.this-1)] AS list) FROM a=l AS list;",
+    "SELECT a.this FROM a=l WHERE a.this IN (SELECT p.this FROM p=[a.this, a.this-1] WHERE 1/p.this > 0 AS list) AS list;",
+]
+
+
+@pytest.mark.parametrize("program", LEFT_OUT)
+def test_what_sql_would_leave_out_is_an_error_too(ss, program):
+    ss.add_variable("l", [float(number) for number in range(1, 100)])
+    with pytest.raises(ssduck.SelectScriptError, match="division by zero"):
+        ss.eval(program)
+
+
+@pytest.mark.parametrize(
+    ("program", "value"),
+    [
+        (
+            "SELECT (SELECT s+q.this FROM q=[1,2] AS list) FROM [1,2] START WITH s=0 "
+            "CONNECT BY s=s+1 STOP WITH s==1 LIMIT 1 AS list;",
+            [[[1, 2], [2, 3]]],
+        ),
+        (
+            "SELECT p.this FROM p=[1] WHERE 5 IN (SELECT z FROM q=w AS list) START WITH z=5 "
+            "CONNECT BY z=z+1 STOP WITH z==6 LIMIT 1 AS list;",
+            [[1]],
+        ),
+    ],
+)
+def test_nested_queries_see_the_states_by_their_names(ss, program, value):
+    assert ss.eval(program) == value
+
+
+@pytest.mark.parametrize(
+    ("program", "value"),
+    [
+        ("SELECT [{n}]==[{n}] FROM a=l LIMIT 1 AS list;", [False]),
+        ("SELECT {n} IN [1.0, {n}] FROM a=l LIMIT 1 AS list;", [False]),
+        ("SELECT count(uniq([{n}, {n}])) FROM a=l LIMIT 1 AS list;", [2]),
+    ],
+)
+def test_one_that_is_no_number_is_not_another(ss, program, value):
+    ss.add_variable("l", [1e308] * 80)
+    assert ss.eval(program.format(n="(a.this*10-a.this*10)")) == value
+
+
+def test_a_name_in_a_nested_query_that_becomes_a_variable(ss):
+    program = ss.compile("SELECT (SELECT z FROM q=w LIMIT 1 AS value) FROM w AS list;")
+    assert ss.eval(program) == [0.0] * 3
+    ss.eval("z = 7;")
+    assert ss.eval(program) == [7] * 3
