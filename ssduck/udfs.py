@@ -7,9 +7,9 @@ A relation that is a formula of the columns of its entities is an SQL expression
 Python is never called. One of the shapes themselves calls the narrow phase, through a function
 of `NARROW`, on the pairs whose boxes, grown by the distance asked for, meet: the formula says
 so twice, once for a join to go by, and once for wherever a condition is not a join's. Where
-that is unknown, so is the relation. Its parameters are rows of `entities`, or values. World frame, metres, radians, kilograms;
-quaternions w, x, y, z. A relation of an entity with itself is False (a distance 0); an unknown
-value is NULL.
+that is unknown, so is the relation. Its parameters are rows of `entities`, or values. World
+frame, metres, radians, kilograms; quaternions w, x, y, z. A relation of an entity with itself is
+False (a distance 0); an unknown value is NULL.
 
 A formula may look things up in another table of the entities' world, in a subquery that sees
 nothing of the rows around it: a macro's parameters are unknown in there, and an alias of the
