@@ -241,6 +241,7 @@ class Database:
             self._add_narrow(name)
         for relation in RELATIONS.values():
             self.run(relation.macro())
+            self.run(relation.comment())
         self._confine(self.meter.limits)
 
     def _confine(self, limits: Limits) -> None:
@@ -526,8 +527,10 @@ class Database:
         for relation in RELATIONS.values():
             if relation.tables:
                 self.run(relation.macro(only))
+                self.run(relation.comment())
                 for schema in schemas:
                     self.run(relation.macro(schema, inside=True))
+                    self.run(relation.comment(schema))
 
     def generation(self, tables: Iterable[str]) -> int:
         """Counts up when prepared statements that read one of these tables lose their validity."""

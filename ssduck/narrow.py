@@ -215,7 +215,7 @@ class Narrow:
 
     def is_without_shapes(self, e: int) -> bool:
         """Whether an entity has no shape with a point."""
-        return not self._shapes(e)
+        return not self._shapes[e]
 
     # -- of two entities ------------------------------------------------------------------
 

@@ -47,9 +47,10 @@ _AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
 
 @dataclass
 class Counter:
-    """Counts the calls of FCL's collide and distance."""
+    """Counts the calls of FCL's collide and distance, and the pairs of entities compared."""
 
     calls: int = 0
+    pairs: int = 0
 
 
 @dataclass(frozen=True, slots=True)

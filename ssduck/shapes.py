@@ -29,6 +29,7 @@ class Shapes:
         self._narrow = narrow
         self._numbers = numbers
         self._sorts = sorts
+        self._compared: set[tuple[int, int]] = set()
 
     @cached_property
     def _colliding(self) -> tuple[list[int], list[int]]:
@@ -46,24 +47,33 @@ class Shapes:
         """Of the pairs that collide, the second ones."""
         return self._colliding[1]
 
+    def _pair(self, a: int, b: int) -> tuple[int, int]:
+        """Which entities two ids are; a pair counts once a tick."""
+        i, j = self._numbers[a], self._numbers[b]
+        pair = (i, j) if i < j else (j, i)
+        if pair not in self._compared:
+            self._compared.add(pair)
+            self._narrow.calls.pairs += 1
+        return i, j
+
     def collides(self, a: int, b: int) -> bool | None:
         """Whether they are deeper in each other than counts."""
-        return self._narrow.collides(self._numbers[a], self._numbers[b])
+        return self._narrow.collides(*self._pair(a, b))
 
     def penetration(self, a: int, b: int) -> float | None:
         """The depth of the deepest two shapes, m; 0 if all are apart."""
-        return self._narrow.penetration(self._numbers[a], self._numbers[b])
+        return self._narrow.penetration(*self._pair(a, b))
 
     def clearance(self, a: int, b: int) -> float | None:
         """The distance of the nearest points, m; infinite of what has no shapes."""
-        i, j = self._numbers[a], self._numbers[b]
+        i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return math.inf
         return self._narrow.clearance(i, j)
 
     def near(self, a: int, b: int, apart: float) -> bool | None:
         """Whether they are at most that far apart, m; what has no shapes is near nothing."""
-        i, j = self._numbers[a], self._numbers[b]
+        i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return False
         found = self._narrow.clearance(i, j, apart)
@@ -71,18 +81,17 @@ class Shapes:
 
     def points(self, a: int, b: int) -> list[list[float]] | None:
         """The nearest or the deepest points, one of each."""
-        found = self._narrow.nearest_points(self._numbers[a], self._numbers[b])
+        found = self._narrow.nearest_points(*self._pair(a, b))
         return None if found is None else [list(point) for point in found]
 
     def on(self, a: int, b: int) -> bool | None:
         """Whether b rests on a."""
-        return self._narrow.on(self._numbers[a], self._numbers[b])
+        return self._narrow.on(*self._pair(a, b))
 
     def inside(self, a: int, b: int) -> float | None:
         """The share of b's volume that is inside a's convex hull; 0 if it has none."""
-        if self._narrow.solid_volume(self._numbers[b]) == 0.0:
-            return 0.0
-        return self._narrow.inside(self._numbers[a], self._numbers[b])
+        i, j = self._pair(a, b)
+        return 0.0 if self._narrow.solid_volume(j) == 0.0 else self._narrow.inside(i, j)
 
     def volume(self, entity: int) -> float | None:
         """The sum of the volumes of its shapes, m³."""

@@ -6,10 +6,10 @@ for raw SQL, its row in the manual, and the tests that it has all of these.
 A relation that is a formula of the columns of its entities is an SQL expression over them, and
 Python is never called. One of the shapes themselves calls the narrow phase, through a function
 of `NARROW`, on the pairs whose boxes, grown by the distance asked for, meet: the formula says
-so twice, once for a join to go by, and once for wherever a condition is not a join's. Its
-parameters are rows of `entities`, or values. World frame, metres, radians, kilograms;
-quaternions w, x, y, z. A relation of an entity with itself is False (a distance 0); an unknown
-value is NULL.
+so twice, once for a join to go by, and once for wherever a condition is not a join's. Where
+that is unknown, so is the relation. Its parameters are rows of `entities`, or values. World
+frame, metres, radians, kilograms; quaternions w, x, y, z. A relation of an entity with itself is
+False (a distance 0); an unknown value is NULL.
 
 A formula may look things up in another table of the entities' world, in a subquery that sees
 nothing of the rows around it: a macro's parameters are unknown in there, and an alias of the
@@ -19,7 +19,7 @@ rows could be taken for a column of that table.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal, TypeAlias
 
 import sqlglot
@@ -72,6 +72,7 @@ class Relation:
         symmetric: whether the order of two entities does not matter.
         element: of a list, what its elements are.
         apart: of a formula that looks things up, what it is of entities of two worlds.
+        asked: of one that calls the narrow phase, on which pairs it does.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Relation:
     symmetric: bool = False
     element: ValueType = "real"
     apart: str = ""
+    asked: str = ""
 
     @property
     def usage(self) -> str:
@@ -139,14 +141,22 @@ class Relation:
         place = f"TEMP MACRO {name}"
         if inside:
             place = f"MACRO {exp.to_identifier(str(schema), quoted=True).sql('duckdb')}.{name}"
-        overloads = [
-            f"({', '.join(p.name for p in self.parameters[:count])}) "
-            f"AS ({self._body(tree, schema).sql('duckdb')})"
-            for count, tree in self.expressions.items()
-        ]
-        return f"CREATE OR REPLACE {place} {', '.join(overloads)}"
+        return f"CREATE OR REPLACE {place} {_overloads(self, schema)}"
 
-    def _body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
+    def comment(self, schema: str | None = None) -> str:
+        """The statement that lets DuckDB's own list of functions say what the macro does.
+
+        Args:
+            schema: whose macro it is; without one, that for all.
+        """
+        place = ("temp", "main") if schema is None else (schema,)
+        parts = (exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, self.name))
+        return (
+            f"COMMENT ON MACRO {'.'.join(parts)} IS {exp.Literal.string(self.help).sql('duckdb')}"
+        )
+
+    def body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
+        """A formula as a macro has it, in the schema that it looks things up in."""
         if not self.tables:
             return tree
         if schema is not None:
@@ -156,6 +166,23 @@ class Relation:
             f"name of the world that is meant before it, world.{self.name}(…)"
         )
         return exp.Anonymous(this="error", expressions=[exp.Literal.string(reason)])
+
+
+# DuckDB has functions of texts that are called so; they go on being there.
+_OF_TEXTS = ("contains", "position")
+
+
+@cache
+def _overloads(relation: Relation, schema: str | None) -> str:
+    """What a macro takes and is, by the number of arguments: written once, for it takes long."""
+    found = [
+        f"({', '.join(p.name for p in relation.parameters[:count])}) "
+        f"AS ({relation.body(tree, schema).sql('duckdb')})"
+        for count, tree in relation.expressions.items()
+    ]
+    if relation.name in _OF_TEXTS:
+        found.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
+    return ", ".join(found)
 
 
 _RESULT_WORDS: dict[ValueType, str] = {
@@ -229,9 +256,18 @@ def _meet(apart: str = "0") -> str:
 
 
 def _narrow(call: str, apart: str = "0", otherwise: str = "FALSE") -> str:
-    """A formula that calls the narrow phase where the boxes are that near."""
-    asked = f"CASE WHEN {_meet(apart)} THEN {call} ELSE {otherwise} END"
-    return f"({_meet(apart)}) AND {asked}" if otherwise == "FALSE" else asked
+    """A formula that calls the narrow phase where the boxes are that near.
+
+    Where it is unknown whether they are, so is what comes of it.
+    """
+    if otherwise == "FALSE":
+        return f"({_meet(apart)}) AND CASE WHEN {_meet(apart)} THEN {call} END"
+    return f"CASE WHEN {_meet(apart)} THEN {call} WHEN NOT ({_meet(apart)}) THEN {otherwise} END"
+
+
+# Of which pairs the narrow phase is asked.
+_MEETING = "on pairs whose boxes meet"
+_EVERY = "on every pair that is asked for"
 
 
 def _on_shapes(
@@ -240,6 +276,7 @@ def _on_shapes(
     formula: str,
     about: str,
     *,
+    asked: str = _MEETING,
     more: tuple[Parameter, ...] = (),
     sliced: str | None = None,
     unit: str = "",
@@ -258,6 +295,7 @@ def _on_shapes(
         symmetric=symmetric,
         element=element,
         apart="error('of entities of two worlds')",
+        asked=asked,
     )
 
 
@@ -439,6 +477,7 @@ _LISTED = (
         "Returns the smallest distance between the surfaces of a and b, 0 if they meet. It is "
         "worked out for each pair that is asked for; near(a, b, d) leaves out what is far apart. "
         "What has no shapes is infinitely far from everything.",
+        asked=_EVERY,
         unit="m",
         symmetric=True,
     ),
@@ -448,6 +487,7 @@ _LISTED = (
         _narrow('"narrow near"($world, a.id, b.id, 0.001)', "0.001"),
         "Checks if the clearance of a and b is at most eps, 1 mm if it is not given; what meets "
         "touches.",
+        asked="on pairs whose boxes are at most eps apart",
         more=(Parameter("eps", "real", "a distance, m", optional=True),),
         sliced=_narrow('"narrow near"($world, a.id, b.id, eps)', "eps"),
         symmetric=True,
@@ -457,6 +497,7 @@ _LISTED = (
         "flag",
         _narrow('"narrow near"($world, a.id, b.id, d)', "d"),
         "Checks if the clearance of a and b is at most d.",
+        asked="on pairs whose boxes are at most d apart",
         more=(Parameter("d", "real", "a distance, m"),),
         symmetric=True,
     ),
@@ -468,6 +509,7 @@ _LISTED = (
         "Returns a point on a and one on b, [[x, y, z], [x, y, z]] in the world: the nearest "
         "ones, or where they meet those that are deepest in the other; nothing of what has no "
         "shapes.",
+        asked=_EVERY,
         unit="m",
         element="list",
     ),
@@ -479,6 +521,7 @@ _LISTED = (
             "Checks if b rests on a: they touch (clearance at most 1 mm), a normal there is "
             "within 30 degrees of up, and the centre of the box of b is over the convex hull of "
             "the footprint of a.",
+            asked="on pairs whose boxes are at most 1 mm apart",
         )
         for name in ("on", "supports")
     ),
@@ -506,14 +549,17 @@ _LISTED = (
         "Checks if a and b are beside each other: the heights of their boxes overlap, and their "
         "clearance is at most a sixth of the mean of the six sides of the two boxes. A box "
         "without end has nothing beside it.",
+        asked="on pairs whose boxes are at most that far apart",
         symmetric=True,
     ),
-    _of_entity(
+    Relation(
         "solidVolume",
+        _ENTITY,
         "real",
         '"narrow volume"($world, object.id)',
-        "Returns the sum of the volumes of the object's shapes; 0 for an open mesh.",
-        "m^3",
+        "Returns the sum of the volumes of the object's shapes, infinity for a plane, 0 for an "
+        "open mesh.",
+        unit="m^3",
     ),
     Relation(
         "inContact",
