@@ -6,7 +6,7 @@ import inspect
 import re
 import threading
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
@@ -14,15 +14,17 @@ from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
 
 import duckdb
 import pyarrow as pa
+from duckdb.func import FunctionNullHandling
 from sqlglot import exp
 
 from ssduck import ctrl_c
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError, Span, SqlError
 from ssduck.functions import Function
 from ssduck.limits import Limits, Meter
+from ssduck.shapes import ANSWERS
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import RELATIONS
+from ssduck.udfs import NARROW, RELATIONS
 from ssduck.world import UNNAMED, World
 
 T = TypeVar("T")
@@ -32,7 +34,13 @@ Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 _REFUSALS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
 # Schemas that DuckDB has already.
 _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
-_TABLE_WORDS = re.compile(rf"\b({'|'.join(TABLES)})\b", re.IGNORECASE)
+# The tables that a word in a statement stands for: a table's name, or that of a relation that
+# looks things up in some.
+_TABLES_OF = {
+    **{name.lower(): frozenset((name,)) for name in TABLES},
+    **{r.name.lower(): r.tables for r in RELATIONS.values() if r.tables},
+}
+_TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 
 
@@ -41,7 +49,7 @@ _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 MOST_WORDS = 200_000
 MOST_BRACKETS = 100
 
-# What our prepared statements are called, in front of a number.
+# What our prepared statements are called, in front of a number and of the tables that they read.
 _OURS = "ssduck statement "
 # No source can be called so, for it is no name.
 _PARAMETERS = "the parameters"
@@ -70,10 +78,12 @@ class Statement:
         types: Mapping[str, Literal["real", "integer"]],
     ) -> None:
         self._database = database
-        self._name = f"{_OURS}{next(self._numbers)}"
+        # The entities' buffers are made anew, too, when nothing else of the worlds is as it was.
+        self._reads = frozenset(("entities", *(t.name for t in select.find_all(exp.Table))))
+        self._name = _statement_name(next(self._numbers), self._reads)
         self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
         self._row.fill(1, {})
-        self._prepared_for = -1
+        self._prepared_for: int | None = None
         tree = select.copy()
         self._has_parameters = bool(types)
         if types:
@@ -87,11 +97,12 @@ class Statement:
         """All rows for these values of the parameters; the caller holds the worlds."""
         for name, value in values.items():
             self._row[name][0] = value
-        if self._prepared_for != self._database.generation:
+        generation = self._database.generation(self._reads)
+        if self._prepared_for != generation:
             if self._has_parameters:
                 self._database.show(self._name, self._row.arrow)
             self._database.run(self._prepare)
-            self._prepared_for = self._database.generation
+            self._prepared_for = generation
         try:
             return self._database.rows(self._execute)
         except SelectScriptError:
@@ -100,17 +111,22 @@ class Statement:
 
     def _release(self) -> None:
         """Let go of the memory that DuckDB keeps for a statement that failed."""
-        self._prepared_for = -1
+        self._prepared_for = None
         with suppress(SelectScriptError):
             self._database.run(self._deallocate)
 
     def forget(self) -> None:
         """Let DuckDB forget it."""
-        if self._prepared_for == self._database.generation:
+        if self._prepared_for == self._database.generation(self._reads):
             self._database.run(self._deallocate)
-            self._prepared_for = -1
+            self._prepared_for = None
         if self._has_parameters:
             self._database.unshow(self._name)
+
+
+def _statement_name(number: int, reads: Iterable[str]) -> str:
+    """What a prepared statement of ours is called."""
+    return f"{_OURS}{number} {' '.join(sorted(TABLES.keys() & set(reads)))}"
 
 
 def _check_length(sql: str) -> None:
@@ -140,6 +156,12 @@ def _usable(value: Any, tag: Tag) -> Any:
     if not is_exactly(value, tag):
         raise ValueError("no value for SQL")
     return value
+
+
+def _give_arity(call: Callable[..., Any], count: int) -> None:
+    """Tell DuckDB how many arguments a function takes."""
+    kinds = [inspect.Parameter(f"a{i}", inspect.Parameter.POSITIONAL_ONLY) for i in range(count)]
+    call.__signature__ = inspect.Signature(kinds)  # type: ignore[attr-defined]
 
 
 def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:
@@ -185,7 +207,6 @@ class Database:
 
     Attributes:
         meter: how much of its limits the running program has used.
-        generation: counts up when prepared statements lose their validity.
     """
 
     def __init__(
@@ -204,8 +225,11 @@ class Database:
         # What a function raised while SQL called it: DuckDB keeps but its words.
         self._raised: list[BaseException] = []
         self._bound: list[_Bound] = []
+        # The functions of the narrow phase know the worlds by their names, and not this object.
+        self._narrow_worlds: dict[str, World] = {}
         self._numbers = count(1)
-        self.generation = 0
+        # Counts up, by table, when prepared statements that read it lose their validity.
+        self._generations = dict.fromkeys(TABLES, 0)
         self._asked_for_good: set[str] = set()
         # The data are small and the queries many: a second thread costs more than it gives.
         self.run("SET threads = 1")
@@ -213,8 +237,11 @@ class Database:
         self.run("SET enable_progress_bar = false")
         # A name that no table has is an error, not a variable of the caller's.
         self.run("SET python_enable_replacements = false")
+        for name in NARROW:
+            self._add_narrow(name)
         for relation in RELATIONS.values():
-            self.run(relation.macro)
+            self.run(relation.macro())
+            self.run(relation.comment())
         self._confine(self.meter.limits)
 
     def _confine(self, limits: Limits) -> None:
@@ -262,7 +289,8 @@ class Database:
         """
         if self.meter.limits.seconds is not None:
             _check_length(sql)
-        asked = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+        words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+        asked = {table for word in words for table in _TABLES_OF[word]}
         if _KEEPS_A_QUERY.search(sql):
             self._asked_for_good |= asked
         with self.held(asked | self._asked_for_good):
@@ -382,15 +410,36 @@ class Database:
                 raised[:] = [error]
                 raise
 
-        kinds = [
-            inspect.Parameter(f"a{i}", inspect.Parameter.POSITIONAL_ONLY)
-            for i in range(len(converters))
-        ]
-        call.__signature__ = inspect.Signature(kinds)  # type: ignore[attr-defined]
+        _give_arity(call, len(converters))
         types: list[Any] = [tag.sql_type for tag in signature.parameters]
         result = signature.result.sql_type
         self._connection.create_function(signature.name, call, types, result)
         self._functions.add(signature.name)
+
+    def _add_narrow(self, name: str) -> None:
+        """Make a function of the narrow phase one of SQL: of a world's name, and of ids."""
+        taken, result = NARROW[name]
+        answer, worlds, raised = ANSWERS[name], self._narrow_worlds, self._raised
+
+        def call(world: str, *arguments: Any) -> Any:
+            if None in arguments:
+                return None
+            try:
+                return answer(worlds[world].snapshot.shapes(), *arguments)
+            except BaseException as error:
+                raised[:] = [error]
+                raise
+
+        types: list[Any] = ["VARCHAR", *taken]
+        _give_arity(call, len(types))
+        self._connection.create_function(
+            name,
+            call,
+            types,
+            result,
+            null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
+            side_effects=not taken,  # what is of a tick is not to be worked out for good
+        )
 
     # -- worlds ---------------------------------------------------------------------------
 
@@ -403,9 +452,7 @@ class Database:
         """
         with self._lock:
             self._check_schema(name)
-            for other in self._bound:
-                if name in other.schemas and other.world is not world:
-                    other.schemas.remove(name)
+            self._unbind(name, world)
             if world.name == UNNAMED:
                 world.name = name
             bound = self._entry(world)
@@ -413,6 +460,18 @@ class Database:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
             self._set_search_path()
+            self._set_lookups()
+
+    def _unbind(self, name: str, world: World) -> None:
+        """Take a name from another world; one without a name is not held any more."""
+        for other in [bound for bound in self._bound if name in bound.schemas]:
+            if other.world is world:
+                continue
+            other.schemas.remove(name)
+            if not other.schemas:
+                self._bound.remove(other)
+                for table in other.versions:
+                    self.unshow(_live(other.key, table))
 
     def _check_schema(self, name: str) -> None:
         ((database,),) = self.rows("SELECT current_database()")
@@ -442,6 +501,8 @@ class Database:
         self.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
         for table in TABLES:
             rows = exp.select("*").from_(exp.table_(_live(bound.key, table), quoted=True))
+            if table in bound.world.snapshot.untold:
+                _refuse(rows, bound.world.snapshot.untold[table])
             view = exp.table_(table, db=name, quoted=True)
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
@@ -468,6 +529,27 @@ class Database:
             path = exp.Literal.string(f"main,{name}").sql("duckdb")
             self.run(f"SET search_path = {path}")
 
+    def _set_lookups(self) -> None:
+        """Let relations look things up in the only world: a row does not tell which it is of.
+
+        Each world has them under its own name, too.
+        """
+        self._narrow_worlds.clear()
+        self._narrow_worlds.update(self.worlds)
+        schemas = list(self.worlds)
+        only = schemas[0] if len(schemas) == 1 else None
+        for relation in RELATIONS.values():
+            if relation.tables:
+                self.run(relation.macro(only))
+                self.run(relation.comment())
+                for schema in schemas:
+                    self.run(relation.macro(schema, inside=True))
+                    self.run(relation.comment(schema))
+
+    def generation(self, tables: Iterable[str]) -> int:
+        """Counts up when prepared statements that read one of these tables lose their validity."""
+        return sum(self._generations.get(table, 0) for table in tables)
+
     def _show(self, bound: _Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         for table, live in bound.world.snapshot.tables.items():
@@ -488,13 +570,13 @@ class Database:
     def _forget_plans(self, table: str = "entities") -> None:
         """Drop prepared statements that would go on reading a table's old buffers.
 
-        Our own read the entities only. Of a user's it is not known, so that all are dropped if
-        any statement that DuckDB keeps names the table.
+        Our own say by their names what they read. Of a user's it is not known, so that all are
+        dropped if any statement that DuckDB keeps names the table.
         """
-        ours, theirs = table == "entities", table in self._asked_for_good
-        self.generation += ours
+        theirs = table in self._asked_for_good
+        self._generations[table] += 1
         for (name,) in self.rows("SELECT name FROM duckdb_prepared_statements()"):
-            if ours if name.startswith(_OURS) else theirs:
+            if table in name.split() if name.startswith(_OURS) else theirs:
                 self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
 
     @property
@@ -514,6 +596,14 @@ def _end(listening: ctrl_c.Listening, timer: threading.Timer | None) -> None:
     listening.leave()
     if timer is not None:
         timer.cancel()
+
+
+def _refuse(rows: exp.Select, why: str) -> None:
+    """Make a SELECT fail when it is read; a condition on no rows would not be looked at."""
+    failing = exp.func("error", exp.Literal.string(why)).as_("why")
+    rows.join(exp.select(failing).subquery("untold"), join_type="cross", copy=False)
+    rows.set("expressions", [exp.Star(except_=[exp.column("why")])])
+    rows.where(exp.column("why").is_(exp.null()), copy=False)
 
 
 def _live(key: str, table: str) -> str:

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 
 from ssduck.errors import ArgumentError
 from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
+from ssduck.udfs import RELATIONS
 
 T = TypeVar("T")
 
@@ -76,6 +77,15 @@ def is_impure(node: Node) -> bool:
     return any(map(is_impure, node.children()))
 
 
+@known
+def tables_of(node: Node) -> frozenset[str]:
+    """The tables that relations in a part look things up in."""
+    own: frozenset[str] = frozenset()
+    if isinstance(node, Call | Bare) and node.name in RELATIONS:
+        own = RELATIONS[node.name].tables
+    return own.union(*map(tables_of, node.children()))
+
+
 def states(query: Query) -> frozenset[str]:
     """The state variables of a hierarchical query."""
     if query.recursion is None:
@@ -91,14 +101,14 @@ def changing(query: Query) -> frozenset[str]:
 
 def mentions(node: Node, names: Collection[str]) -> bool:
     """Whether a part reads one of these variables."""
-    return not _read(node).isdisjoint(names)
+    return not variables_of(node).isdisjoint(names)
 
 
 @known
-def _read(node: Node) -> frozenset[str]:
+def variables_of(node: Node) -> frozenset[str]:
     """The variables that a part reads."""
     own = (node.name,) if isinstance(node, Name) else ()
-    return frozenset(own).union(*map(_read, node.children()))
+    return frozenset(own).union(*map(variables_of, node.children()))
 
 
 def aliases_of(query: Query) -> list[str]:

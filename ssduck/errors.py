@@ -104,6 +104,10 @@ class ArgumentError(SelectScriptError, TypeError):
     """The wrong number of arguments, or one of the wrong type."""
 
 
+class StateError(SelectScriptError, ValueError):
+    """A pose, or the value of a joint, that a body cannot be given."""
+
+
 class EvaluationError(SelectScriptError, ArithmeticError):
     """A value that cannot be computed: a division by zero, an index out of range."""
 

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeAlias
 
 from ssduck.plan import Plan
-from ssduck.tree import Node, Query
+from ssduck.tree import Call, Node, Query
+from ssduck.udfs import RELATIONS
 
 PlanOf: TypeAlias = Callable[[Query], Plan | None]
 
@@ -50,10 +51,18 @@ def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, P
 
 def _told(text: str, query: Query, plan: Plan | None) -> str:
     if plan is None:
-        return f"-- row by row in Python: {_source(text, query)}"
-    lines = [plan.select.sql(dialect="duckdb", pretty=True)]
-    lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
-    return "\n".join(lines)
+        lines = [f"-- row by row in Python: {_source(text, query)}"]
+    else:
+        lines = [plan.select.sql(dialect="duckdb", pretty=True)]
+        lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
+    return "\n".join([*lines, *_narrow(query)])
+
+
+def _narrow(query: Query) -> list[str]:
+    """What the shapes themselves are asked for, relation by relation."""
+    names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, Call))
+    asked = {name: RELATIONS[name].asked for name in names if name in RELATIONS}
+    return [f"-- the narrow phase: {name}, {pairs}" for name, pairs in asked.items() if pairs]
 
 
 def _source(text: str, node: Node) -> str:

@@ -45,7 +45,7 @@ from ssduck.tree import (
     Unary,
 )
 from ssduck.types import ANY, EXACT, FLAG, INTEGER, REAL, TEXT, Tag, merged
-from ssduck.udfs import RELATIONS, Parameter, Relation
+from ssduck.udfs import RELATIONS, Parameter, Relation, in_schema
 
 _COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 _ARITHMETIC = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
@@ -343,13 +343,18 @@ class Expressions:
                 return _expanded(formula, values, name)
 
             return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
+        if relation.tables:
+            formula = _looked_up(relation, formula, values)
         sql = _expanded(formula, values)
         extent = Extent.INFINITE if relation.is_unbounded else Extent.FINITE
         if isinstance(sql, exp.Array):
             elements = tuple(SqlValue(part, REAL, extent=extent) for part in sql.expressions)
             length = 3 if len(elements) == 3 else None
             return SqlValue(sql, Tag("list", REAL, length), elements=elements, extent=extent)
-        tag = Tag("list", REAL) if relation.result == "list" else Tag(relation.result)
+        tag = Tag(relation.result)
+        if relation.result == "list":
+            element = Tag(relation.element)
+            tag = Tag("list", Tag("list", REAL) if relation.element == "list" else element)
         return SqlValue(sql, tag, extent=extent)
 
     def _argument(self, parameter: Parameter, node: Node) -> SqlValue:
@@ -687,6 +692,8 @@ def _expanded(
     def put_in(part: exp.Expr) -> exp.Expr:
         if not isinstance(part, exp.Column):
             return part
+        if (part.table or part.name) not in values:
+            return part  # of a table that the formula looks things up in
         if not part.table:
             return wrapped(values[part.name].sql.copy())
         column = values[part.table].column
@@ -694,4 +701,18 @@ def _expanded(
         return column(name if name is not None and part.name == "name" else part.name)
 
     expanded: exp.Expr = formula.copy().transform(put_in)
-    return exp.paren(expanded) if isinstance(expanded, exp.Connector) else expanded
+    return exp.paren(expanded) if isinstance(expanded, exp.Connector | exp.In) else expanded
+
+
+def _looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
+    """A relation's formula with the tables of its entities' world.
+
+    Raises:
+        NotSqlError: which world that is is not known yet.
+    """
+    schemas = {value.tag.schema for value in values.values() if value.tag.type == "entity"}
+    if None in schemas:
+        raise NotSqlError
+    if len(schemas) > 1:
+        return relation.when_apart
+    return in_schema(formula, str(schemas.pop()))

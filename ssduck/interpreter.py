@@ -20,6 +20,7 @@ from weakref import WeakKeyDictionary
 
 from ssduck.adapters import ADAPTERS, Adapter, Rows
 from ssduck.database import Database
+from ssduck.dependencies import tables_of, variables_of
 from ssduck.dialects import in_dialect
 from ssduck.errors import (
     ArgumentError,
@@ -66,6 +67,21 @@ def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
         interpreter.close()
         raise
     return interpreter
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What the relations of shapes have taken of one world, over all its ticks.
+
+    Attributes:
+        pairs: how many pairs of entities were compared; one that is asked for twice in a tick
+            counts once.
+        calls: how often the narrow phase was called for that: once or twice for two shapes
+            that are near each other, never for those that their boxes or spheres tell apart.
+    """
+
+    pairs: int
+    calls: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,10 +247,13 @@ class Interpreter:
         try:
             for statement in program.statements[:-1]:
                 frame.value(statement)
-            with self._database.held():
+            with self._database.held(self._tables_of_last(program)):
                 yield frame
         finally:
             self._variables = before
+
+    def _tables_of_last(self, program: Program) -> frozenset[str]:
+        return frozenset().union(*map(self._tables_of, program.statements[-1:]))
 
     # -- variables and functions ----------------------------------------------------------
 
@@ -335,6 +354,13 @@ class Interpreter:
             if not self._texts:
                 self._database.meter = Meter(self._limits)
             return Result(self._database.table(text, parameters))
+
+    def statistics(self) -> dict[str, Statistics]:
+        """What the relations of shapes have taken so far, by the world's name."""
+        return {
+            name: Statistics(world.snapshot.calls.pairs, world.snapshot.calls.calls)
+            for name, world in self._database.worlds.items()
+        }
 
     # -- functions that need the interpreter ------------------------------------------------
 
@@ -471,8 +497,17 @@ class Interpreter:
         adapter = _adapter(node)
         make = _made(adapter, node, frame)
         check = check_columns if adapter.keyed else _unchecked
-        with self._database.held():  # what it is made of is of one tick, too
+        with self._database.held(self._tables_of(node)):  # the result is made of one tick, too
             return formed(self._planner.run(node, frame, check), make)
+
+    def _tables_of(self, node: Node) -> frozenset[str]:
+        """The tables that relations in a part look things up in."""
+        found = tables_of(node)
+        for name in variables_of(node):
+            value = self._variables.get(name)
+            if isinstance(value, Deferred):
+                found |= self._tables_of(value.node)
+        return found
 
     def _relation(self, node: Call, values: list[Any]) -> Any:
         """A relation outside a query: a query of one row, without sources."""
@@ -482,7 +517,7 @@ class Interpreter:
             asked = Call(node.span, node.name, tuple(names), node.name_span)
             query = self._relations[node] = Query(node.span, (asked,), ())
         given = {f"argument_{index}": value for index, value in enumerate(values)}
-        with self._database.held():
+        with self._database.held(RELATIONS[node.name].tables):
             for argument, value in zip(node.arguments, values, strict=True):
                 if isinstance(value, Entity) and value not in value.world:
                     error = value.removed()

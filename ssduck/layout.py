@@ -23,6 +23,7 @@ from ssduck.geometry import (
     PlacedGeometry,
     compose,
     multiply,
+    rotation_matrices,
 )
 from ssduck.scenes import SensorSpec
 from ssduck.simulators import Body, Frames, Kind
@@ -91,6 +92,8 @@ class Part:
 
     Attributes:
         bodies: the bodies.
+        runs: of each body, where its links are among the frames.
+        sensors: the sensors on them.
         sensors_on_links: whether a sensor moves with a link that is no base.
     """
 
@@ -104,6 +107,8 @@ class Part:
         counts = [len(body.links) for body in self.bodies]
         starts = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
         self._bases = starts[:-1]
+        runs = map(slice, starts[:-1].tolist(), starts[1:].tolist())
+        self.runs = dict(zip(self.bodies, runs, strict=True))
         self._link_rows = _runs([first[member.id][0] for member in members], counts)
         shape_counts = [len(body.shapes) for body in self.bodies]
         self._shape_rows = _runs([first[member.id][1] for member in members], shape_counts)
@@ -115,6 +120,7 @@ class Part:
         self._owners = np.repeat(np.arange(len(self.bodies)), shape_counts).tolist()
         start_of = dict(zip((member.id for member in members), starts.tolist(), strict=False))
         sensors = [member for member in layout.members if member.mount[0] in start_of]
+        self.sensors = tuple(sensors)
         self._mounts = [
             PlacedGeometry(
                 start_of[member.mount[0]] + member.mount[1],
@@ -150,6 +156,17 @@ class Part:
         if self._mounts:
             states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turns)
         block[:, self._rows] = np.concatenate((states.T, boxes))
+
+    def sensor_poses(self, frames: Frames) -> tuple[Array, Array]:
+        """Where the sensors on these bodies are: (n, 3) and matrices (n, 3, 3)."""
+        on = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
+        positions, orientations = compose(
+            frames.positions[on],
+            frames.states[on, 3:7],
+            np.array([mount.position for mount in self._mounts]).reshape(-1, 3),
+            np.array([mount.orientation for mount in self._mounts]).reshape(-1, 4),
+        )
+        return positions, rotation_matrices(orientations)
 
     def write_links(self, frames: Frames, block: Array) -> None:
         """Write the rows of these bodies' links; `block` is (19, links)."""

@@ -1,19 +1,26 @@
 """OpenRAVE's spellings, so that programs written for SelectScript's OpenRAVE dialect still run.
 
-Only what its tutorial uses: names, boxes, transforms and the getters of an environment.
+Only what its tutorial uses and what goes with that: names, boxes, transforms, joints, and the
+getters of an environment.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
+from ssduck.errors import ArgumentError, StateError
 from ssduck.geometry import Array, rotation_matrices
+from ssduck.kinematics import pose_of
+from ssduck.simulators import SETTABLE
 
 if TYPE_CHECKING:
-    from ssduck.world import Entity, World
+    from ssduck.world import Entity, JointState, World
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +63,91 @@ class EntitySpellings:
         matrix[:3, 3] = self.position
         return matrix
 
+    def SetTransform(self: Any, transform: npt.ArrayLike) -> None:  # noqa: N802  # OpenRAVE's name
+        """Move it: a (4, 4) homogeneous matrix, or a pose [w, x, y, z, x, y, z].
+
+        Raises:
+            StateError: it is neither.
+        """
+        given = np.asarray(transform, dtype=np.float64)
+        if given.shape == (4, 4):
+            self.move(given[:3, 3], _quaternion(given[:3, :3], self.name))
+        else:
+            position, orientation = pose_of(given.tolist(), self.name)
+            self.move(position, orientation)
+
+    def GetDOFValues(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
+        """The positions of its revolute and prismatic joints, rad or m."""
+        return np.array([joint.position for joint in _settable(self)])
+
+    def SetDOFValues(  # noqa: N802  # OpenRAVE's name
+        self: Any, values: Sequence[float], dofindices: Sequence[int] | None = None
+    ) -> None:
+        """Set its revolute and prismatic joints, or those of these indices among them.
+
+        Raises:
+            ArgumentError: an index is none's, or there are too many values or too few.
+        """
+        if dofindices is None:
+            self.move(joints=list(values))
+            return
+        names = [joint.name for joint in _settable(self)]
+        if len(dofindices) != len(values):
+            raise ArgumentError(f"{self.name}: {len(dofindices)} indices, {len(values)} values")
+        for index in dofindices:
+            if not 0 <= index < len(names):
+                raise ArgumentError(
+                    f"{self.name} has no joint {index}; it has {len(names)}, counted from 0"
+                )
+        self.move(joints={names[i]: value for i, value in zip(dofindices, values, strict=True)})
+
+    def Enable(self: Any, enable: bool) -> None:  # noqa: N802  # OpenRAVE's name
+        """Let it take part in collisions, or not."""
+        self.enabled = enable
+
+    def IsEnabled(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
+        """Whether it takes part in collisions."""
+        return bool(self.enabled)
+
+    def SetVisible(self: Any, visible: bool) -> None:  # noqa: N802  # OpenRAVE's name
+        """Let it be drawn, or not."""
+        self.visible = visible
+
+    def IsVisible(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
+        """Whether it is drawn."""
+        return bool(self.visible)
+
+
+class SensorCommand(Enum):
+    """What OpenRAVE tells a sensor to do; drawing is told, and nothing is drawn."""
+
+    PowerOn = 0x10
+    PowerOff = 0x11
+    PowerCheck = 0x12
+    RenderDataOn = 0x20
+    RenderDataOff = 0x21
+    RenderDataCheck = 0x23
+
+
+class SensorSpellings:
+    """OpenRAVE's names of what a `Sensor` has."""
+
+    __slots__ = ()
+
+    ConfigureCommand = SensorCommand
+
+    def Configure(self: Any, command: SensorCommand) -> bool:  # noqa: N802  # OpenRAVE's name
+        """Switch it on or off, or tell whether it is on."""
+        match command:
+            case SensorCommand.PowerOn | SensorCommand.PowerOff:
+                self.power(command is SensorCommand.PowerOn)
+                return True
+            case SensorCommand.PowerCheck:
+                return bool(self.powered)
+            case SensorCommand.RenderDataOn | SensorCommand.RenderDataOff:
+                return True
+        return False
+
 
 class WorldSpellings:
     """OpenRAVE's names of what a `World` has; an unknown name gives None, as there."""
@@ -83,6 +175,20 @@ class WorldSpellings:
     def GetSensor(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
         """The sensor of that name."""
         return _named(self, name, "sensor")
+
+
+def _settable(entity: Entity) -> list[JointState]:
+    return [joint for joint in entity.joints if joint.type in SETTABLE]
+
+
+def _quaternion(matrix: Array, name: str) -> Array:
+    """A rotation matrix as w, x, y, z."""
+    from scipy.spatial.transform import Rotation
+
+    if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 0.0:
+        raise StateError(f"{name}: the matrix turns nothing: {matrix.tolist()}")
+    turn: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
+    return turn
 
 
 def _named(world: World, name: str, *kinds: str) -> Entity | None:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeAlias
 
 from ssduck.errors import SceneError, UnknownNameError, nearest
+from ssduck.sensors import SENSOR_TYPES, SensorType, Setting
 
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
@@ -48,7 +49,8 @@ class BodySpec:
 class SensorSpec:
     """A sensor and where it sits: its pose in the frame of a body's link.
 
-    A sensor looks along its own +x with z up. `settings` are those of its type, as written.
+    A sensor looks along its own +x with z up. `settings` are those of its type; `max_range` is
+    0 for a type that has none.
     """
 
     name: str
@@ -60,6 +62,7 @@ class SensorSpec:
     period: float
     max_range: float
     settings: dict[str, float]
+    powered: bool = True
 
 
 @dataclass(frozen=True)
@@ -74,14 +77,6 @@ class Scene:
     camera: Camera = Camera()
     bodies: tuple[BodySpec, ...] = ()
     sensors: tuple[SensorSpec, ...] = ()
-
-
-# What the sensors' types need besides where they are: each a number.
-SENSOR_SETTINGS: dict[str, frozenset[str]] = {
-    "depth_camera": frozenset(("width", "height", "fov")),
-    "planar_laser": frozenset(("min_angle", "max_angle", "resolution")),
-    "range_finder": frozenset(),
-}
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -147,20 +142,20 @@ def read_scene(path: Path) -> Scene:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"{path}: {reason}") from error
-    return _scene(_Table(path, "", table))
+    return _scene(_Table(path, "", table), path)
 
 
-def _scene(table: _Table) -> Scene:
-    bodies = tuple(_body(entry) for entry in table.tables("body"))
-    _check_unique(table.path, "body", [body.name for body in bodies])
+def _scene(table: _Table, path: Path) -> Scene:
+    bodies = tuple(_body(entry, path) for entry in table.tables("body"))
+    _check_unique(path, "body", [body.name for body in bodies])
     sensors = tuple(
         _sensor(entry, {str(body.name) for body in bodies}) for entry in table.tables("sensor")
     )
-    _check_unique(table.path, "sensor", [sensor.name for sensor in sensors], bodies)
+    _check_unique(path, "sensor", [sensor.name for sensor in sensors], bodies)
     camera = table.table("camera")
     scene = Scene(
-        name=table.text("name", _default_name(table.path)),
-        path=table.path,
+        name=table.text("name", _default_name(path)),
+        path=path,
         description=table.text("description", "", empty=True),
         gravity=_three(table.numbers("gravity", 3, Scene.gravity)),
         timestep=table.number("timestep", Scene.timestep, above=0.0),
@@ -181,7 +176,7 @@ def _scene(table: _Table) -> Scene:
     return scene
 
 
-def _body(table: _Table) -> BodySpec:
+def _body(table: _Table, path: Path) -> BodySpec:
     kind = table.text("kind", "") or None
     if kind not in (None, "robot", "kinbody"):
         table.fail(
@@ -189,7 +184,7 @@ def _body(table: _Table) -> BodySpec:
             f"{kind!r} is neither 'robot' nor 'kinbody'",
             nearest(kind, ("robot", "kinbody")),
         )
-    model = (table.path.parent / table.text("urdf")).resolve()
+    model = (path.parent / table.text("urdf")).resolve()
     if not model.is_file():
         table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
     if model.suffix.lower() != ".urdf":
@@ -208,10 +203,20 @@ def _body(table: _Table) -> BodySpec:
     return spec
 
 
-def _sensor(table: _Table, bodies: set[str]) -> SensorSpec:
-    kind = table.text("type")
-    if kind not in SENSOR_SETTINGS:
-        table.fail("type", f"there is no sensor type {kind!r}", nearest(kind, SENSOR_SETTINGS))
+def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpec:
+    """A sensor from what a `[[sensor]]` of a scene file would say.
+
+    Raises:
+        SceneError: key and reason.
+    """
+    return _sensor(_Table(None, "", dict(values)), bodies)
+
+
+def _sensor(table: _Table, bodies: Collection[str]) -> SensorSpec:
+    name = table.text("type")
+    if name not in SENSOR_TYPES:
+        table.fail("type", f"there is no sensor type {name!r}", nearest(name, SENSOR_TYPES))
+    kind = SENSOR_TYPES[name]
     on = table.text("on")
     if on not in bodies:
         table.fail("on", f"the scene has no body {on!r}", nearest(on, bodies))
@@ -219,23 +224,39 @@ def _sensor(table: _Table, bodies: set[str]) -> SensorSpec:
         name=table.text("name"),
         on=on,
         link=table.text("link", "") or None,
-        type=kind,
+        type=name,
         position=_three(table.numbers("position", 3, (0.0, 0.0, 0.0))),
         orientation=_unit(table, "orientation"),
         period=table.number("period", 0.0, at_least=0.0),
-        max_range=table.number("max_range", above=0.0),
-        settings={key: _setting(table, key) for key in sorted(SENSOR_SETTINGS[kind])},
+        max_range=table.number("max_range", above=0.0) if kind.has_range else 0.0,
+        settings=_settings(table, kind),
+        powered=table.flag("powered", True),
     )
-    least, most = (spec.settings.get(key, 0.0) for key in ("min_angle", "max_angle"))
-    if least > most:
-        table.fail("min_angle", f"{least:g} is more than max_angle, which is {most:g}")
     table.end()
     return spec
 
 
-def _setting(table: _Table, key: str) -> float:
-    """A setting of a sensor's type: an angle may be negative, a size or a step not."""
-    return table.number(key, above=-math.inf if key.endswith("_angle") else 0.0)
+def _settings(table: _Table, kind: SensorType) -> dict[str, float]:
+    """What a sensor of that type is set by."""
+    settings = {setting.name: _setting(table, setting) for setting in kind.settings}
+    fault = kind.fault(settings)
+    if fault is not None:
+        table.fail(*fault)
+    return settings
+
+
+def _setting(table: _Table, setting: Setting) -> float:
+    value = table.number(
+        setting.name,
+        _REQUIRED if setting.default is None else setting.default,
+        above=setting.above,
+        at_least=setting.at_least,
+        below=setting.below,
+        at_most=setting.at_most,
+    )
+    if setting.whole and not value.is_integer():
+        table.fail(setting.name, f"{value:g} is no whole number")
+    return value
 
 
 def _unit(table: _Table, key: str) -> Quaternion:
@@ -279,7 +300,7 @@ _REQUIRED: Any = object()
 class _Table:
     """A TOML table that is read key by key, so that what is left over is a mistake."""
 
-    def __init__(self, path: Path, where: str, values: dict[str, Any]) -> None:
+    def __init__(self, path: Path | None, where: str, values: dict[str, Any]) -> None:
         self.path = path
         self.where = where
         self.values = values
@@ -287,7 +308,8 @@ class _Table:
 
     def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
         place = f"{self.where}.{key}" if self.where else key
-        raise SceneError(f"{self.path}: {place}: {reason}", suggestions=suggestions)
+        file = f"{self.path}: " if self.path else ""
+        raise SceneError(f"{file}{place}: {reason}", suggestions=suggestions)
 
     def end(self) -> None:
         """Complain of keys that nothing asked for."""
@@ -311,6 +333,7 @@ class _Table:
         above: float = -math.inf,
         at_least: float = -math.inf,
         below: float = math.inf,
+        at_most: float = math.inf,
     ) -> float:
         value = float(self._get(key, default, _is_number, "a finite number"))
         if value <= above:
@@ -319,6 +342,8 @@ class _Table:
             self.fail(key, f"{value:g} is not below {below:g}")
         if value < at_least:
             self.fail(key, f"{value:g} is less than {at_least:g}")
+        if value > at_most:
+            self.fail(key, f"{value:g} is more than {at_most:g}")
         return value
 
     def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:

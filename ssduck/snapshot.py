@@ -12,20 +12,27 @@ ticks have passed without a question.
 
 from __future__ import annotations
 
+import copy
 import time
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
-from ssduck.geometry import Array, Geometry
-from ssduck.layout import Layout, Member
+from ssduck.colliding import Sorts
+from ssduck.geometry import Array, Geometry, Indices
+from ssduck.layout import Layout, Member, Part
+from ssduck.narrow import Narrow
+from ssduck.sensing import Reading, Scan, Sensing, has_rays, posed
+from ssduck.separation import Counter
+from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Contact, Frames, Simulator
-from ssduck.tables import TABLES, LiveTable
+from ssduck.solids import Solid, solid_of
+from ssduck.tables import FORGOTTEN_AFTER, TABLES, LiveTable
 
-FORGOTTEN_AFTER = 240
-ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts"))
+ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
 
 
 class Snapshot:
@@ -35,19 +42,38 @@ class Snapshot:
         tables: by name.
         number: of the tick, from 1.
         time: of the tick, simulated seconds.
+        listed: the entities in load order, as they were given to `take`.
+        disabled: the bodies that take no part in collisions.
+        hidden: the bodies that are not drawn.
+        untold: tables whose rows nobody knows, and why: asking for them is an error.
+        sensing: what its sensors have measured.
+        calls: how often the narrow phase was called, over all ticks.
     """
 
     def __init__(self) -> None:
         self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
         self.number = 0
         self.time = 0.0
-        self._listed: Sequence[Member] = ()
+        self.listed: list[Member] = []
+        self.untold: Mapping[str, str] = {}
+        self._is_final = False
         self._layout = Layout((), watched=False)
         # What cannot move is read once; None if that has to be done (again).
         self._still: Frames | None = None
+        # What the tables tell of: the frames of what cannot move, and of the rest.
+        self._frames: tuple[Frames, ...] = ()
+        self.disabled: frozenset[Body] = frozenset()
+        self.hidden: frozenset[Body] = frozenset()
         self._asked: dict[str, int] = {}
         self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
+        self.sensing = Sensing()
+        self.calls = Counter()
+        self._shapes: Shapes | None = None
+        self._solids: tuple[Layout, Any] | None = None
+        # When each sensor was asked for by itself, and which are as they are at this tick.
+        self._asked_sensors: dict[int, int] = {}
+        self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
 
     @property
@@ -59,6 +85,52 @@ class Snapshot:
     def rows(self) -> dict[int, int]:
         """The row of each entity's id."""
         return self._layout.rows
+
+    @property
+    def parts(self) -> Iterator[tuple[Part, Frames]]:
+        """The bodies that are read together, and where their frames are at this tick."""
+        return zip((self._layout.still, self._layout.moving), self._frames, strict=True)
+
+    def joints(self) -> dict[Body, Array]:
+        """Of each body's joints, position, velocity and effort at this tick, (joints, 3).
+
+        The table of joints has to have been asked for.
+        """
+        told = self.tables["joints"].reals("position", "effort").T.copy()
+        first = 0
+        found = {}
+        for _, body in self._layout.bodies:
+            if body.joints:
+                found[body] = told[first : first + len(body.joints)]
+                first += len(body.joints)
+        return found
+
+    def twin(self, untold: Mapping[str, str]) -> Snapshot:
+        """The same tick, to be taken anew of the same entities in other poses, and for good.
+
+        It shares what does not depend on poses. What cannot move and has not been moved is not
+        read again: see `read_all_anew`.
+
+        Args:
+            untold: tables whose rows nobody knows, and why.
+        """
+        twin = copy.copy(self)
+        # What is made anew, here or there, leaves the other's as it is.
+        shared = ("geometries", *untold)
+        twin.tables = {
+            name: copy.copy(table) if name in shared else table.twin()
+            for name, table in self.tables.items()
+        }
+        for name in untold:
+            twin.tables[name].fill(0, {})
+        twin.untold = untold
+        twin.calls, twin._shapes = Counter(), None  # noqa: SLF001
+        twin.sensing = self.sensing.twin()
+        twin._is_final = True  # noqa: SLF001  # one class
+        twin._asked, twin._read = {}, frozenset()  # noqa: SLF001
+        twin._asked_sensors, twin._read_sensors = {}, frozenset()  # noqa: SLF001
+        twin._warned = set(self._warned)  # noqa: SLF001
+        return twin
 
     # -- what is in the world -------------------------------------------------------------
 
@@ -74,15 +146,23 @@ class Snapshot:
                 "kind": [member.kind for member in listed],
                 "parent": [member.parent for member in listed],
                 "mass": [member.mass for member in listed],
-                "enabled": [member.body is not None for member in listed],
-                "visible": [member.body is not None for member in listed],
+                **self._flag_columns(),
             },
         )
         self._fill_links(layout.bodies)
         self._fill_joints(layout.bodies)
         self._fill_shapes(layout.bodies)
         self.tables["contacts"].fill(0, {})
+        self.tables["sensings"].fill(0, {})
         self.tables["ticks"].fill(1, {})
+
+    def _flag_columns(self) -> dict[str, list[bool]]:
+        """Whether each entity takes part in collisions, and is drawn; a sensor does neither."""
+        bodies = [member.body for member in self.members]
+        return {
+            name: [body is not None and body not in absent for body in bodies]
+            for name, absent in (("enabled", self.disabled), ("visible", self.hidden))
+        }
 
     def _fill_links(self, bodies: Sequence[tuple[int, Body]]) -> None:
         links = [(id, n, link) for id, body in bodies for n, link in enumerate(body.links)]
@@ -134,6 +214,44 @@ class Snapshot:
     def _geometry_id(self, geometry: Geometry) -> int:
         return self._geometries.setdefault(geometry.key, len(self._geometries) + 1)
 
+    def shapes(self) -> Shapes:
+        """The shapes of this tick, to be compared; the table of shapes has to be asked for."""
+        if self._shapes is None:
+            solids, of, starts, numbers, sorts = self._sorted
+            table = self.tables["shapes"]
+            narrow = Narrow(
+                solids,
+                of,
+                table.reals("x", "z").T.copy(),
+                table.reals("qw", "qz").T.copy(),
+                table.reals("xmin", "zmax").T.copy(),
+                starts,
+                self.calls,
+            )
+            self._shapes = Shapes(narrow, numbers, sorts)
+        return self._shapes
+
+    @property
+    def _sorted(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], Sorts]:
+        """The solids, which one each shape is, where those of each entity begin, its number."""
+        if self._solids is None or self._solids[0] is not self._layout:
+            bodies = self._layout.bodies
+            shapes = [shape.geometry for _, body in bodies for shape in body.shapes]
+            different = {geometry.key: geometry for geometry in shapes}
+            place = {key: number for number, key in enumerate(different)}
+            of = np.array([place[geometry.key] for geometry in shapes], dtype=np.intp)
+            solids = list(map(solid_of, different.values()))
+            counts = [len(body.shapes) for _, body in bodies]
+            starts = list(accumulate(counts, initial=0))
+            numbers = {id: number for number, (id, _) in enumerate(bodies)}
+            # What has no body, a sensor, has the empty run behind all others.
+            without = [member.id for member in self.members if member.body is None]
+            numbers |= dict.fromkeys(without, len(bodies))
+            owners = np.repeat(np.arange(len(bodies)), counts)
+            found = solids, of, [*starts, starts[-1]], numbers, Sorts(solids, of, owners)
+            self._solids = self._layout, found
+        return self._solids[1]
+
     def value(self, row: int, column: str) -> Any:
         """One value of the table of entities; None for an unknown one."""
         return self.tables["entities"].arrow[column][row].as_py()
@@ -146,47 +264,90 @@ class Snapshot:
         self._asked |= dict.fromkeys(wanted, self.number)
         return not wanted <= self._read
 
+    def ask_sensor(self, sensor: int, *, picture: bool) -> bool:
+        """Note that a sensor is asked for; tells whether this tick lacks it, or its colours."""
+        self._asked_sensors[sensor] = self.number
+        lacks_picture = picture and self.sensing.ask_picture(sensor, self.number)
+        return lacks_picture or sensor not in self._read_sensors
+
+    def switch(self, sensor: int, *, on: bool) -> None:
+        """Switch a sensor on or off: the table of sensings is to be read once more."""
+        self.sensing.switch(sensor, on=on)
+        self._read -= {"sensings"}
+        self._read_sensors -= {sensor}
+
     def read_all_anew(self) -> None:
         """Read what cannot move once more with the next tick: it was moved by hand."""
         self._still = None
 
     # A simulation that explodes has infinite numbers; it is told of in `_finish`.
     @np.errstate(invalid="ignore")
-    def take(self, simulator: Simulator, members: Sequence[Member]) -> None:
+    def take(self, simulator: Simulator, members: list[Member]) -> None:
         """Read a tick: the entities, and the tables that were asked for.
 
         Args:
             simulator: what knows where the members are.
             members: the entities in load order; the same object as long as they are the same.
         """
-        same = members is self._listed
+        same = members is self.listed
         layout = self._layout if same else Layout(members, simulator.watched)
-        coming = self.number + 1
+        coming = self.number + (not self._is_final)
         wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
         still = self._still if same else None
         if still is None:
             still = simulator.read_frames(layout.still.bodies, links_move=True)
         links_move = "links" in wanted or layout.moving.sensors_on_links
         moving = simulator.read_frames(layout.moving.bodies, links_move=links_move)
-        joints = contacts = None
+        joints = None
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
             joints = simulator.read_joints(jointed)
-        if "contacts" in wanted:
+        scan = Scan(coming, simulator.time, layout, anew=still is not self._still)
+        perceiving = self._perceiving(layout, coming, together="sensings" in wanted)
+        due = self.sensing.due(scan, perceiving, watched=simulator.watched)
+        sensors = posed(layout, still, moving, due)
+        contacts: list[Contact] = []
+        if "contacts" in wanted or not all(has_rays(sensor.member) for sensor in sensors):
             contacts = list(simulator.read_contacts())
+        readings = self.sensing.read(simulator, scan, sensors, contacts)
         # All of this tick is read before anything of the last one is overwritten.
+        self._note_flags(simulator, same=same)
         if not same:
             self._lay_out(layout)
-            self._listed = members
+            self.listed = members
         self._read = frozenset(wanted)
+        self._shapes = None
         self.number, self.time = coming, simulator.time
         self._write_frames(still, moving, anew=still is not self._still)
         self._still = still
+        self._frames = still, moving
         if joints is not None:
             self.tables["joints"].reals("position", "effort")[:] = joints.T
-        if contacts is not None:
+        if "contacts" in wanted:
             self._write_contacts(contacts)
+        self.sensing.readings = readings
+        self._read_sensors = frozenset(member.id for member in perceiving)
+        if "sensings" in wanted:
+            self._write_sensings(readings)
         self._finish()
+
+    def _note_flags(self, simulator: Simulator, *, same: bool) -> None:
+        """Take note of bodies that came to take part in collisions, or to be drawn, or ceased."""
+        disabled, hidden = simulator.disabled, simulator.hidden
+        if disabled is self.disabled and hidden is self.hidden:
+            return
+        self.disabled, self.hidden = disabled, hidden
+        if same:  # else all columns are made anew
+            self.tables["entities"].put(self._flag_columns())
+
+    def _perceiving(self, layout: Layout, coming: int, *, together: bool) -> list[Member]:
+        """The sensors that are asked for: all of them together, or some."""
+        asked = {id: at for id, at in self._asked_sensors.items() if coming - at <= FORGOTTEN_AFTER}
+        self._asked_sensors = asked
+        if not (together or asked):
+            return []
+        sensors = [member for member in layout.members if member.sensor is not None]
+        return sensors if together else [member for member in sensors if member.id in asked]
 
     def _write_frames(self, still: Frames, moving: Frames, *, anew: bool) -> None:
         """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""
@@ -237,6 +398,20 @@ class Snapshot:
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
             table[name][:] = numbers[:, column]
         table.reals("ax", "force")[:] = numbers[:, 4:].T
+
+    def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
+        table = self.tables["sensings"]
+        rows = [
+            (sensor, entity, hits, reading.rays, reading.time)
+            for sensor, reading in sorted(readings.items())
+            for entity, hits in reading.hits.items()
+            if entity in self.rows  # it may have gone since
+        ]
+        if len(rows) != table.count:
+            table.fill(len(rows), {})
+        numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
+        for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
+            table[name][:] = numbers[:, column]
 
 
 def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:

@@ -527,6 +527,27 @@ def unnested(name: str, values: SqlValue) -> Element:
     return Element(entity_value(tag.schema, name), joined.subquery(alias), position)
 
 
+@dataclass(frozen=True)
+class Pairs:
+    """A table of pairs of ids."""
+
+    table: exp.Expr
+    columns: tuple[exp.Expr, exp.Expr]
+
+
+def colliding_pairs(schema: str, name: str) -> Pairs:
+    """All pairs of entities of a world that collide."""
+
+    def side(function: str, column: str) -> exp.Expr:
+        called = exp.to_identifier(function, quoted=True)
+        ids = exp.Anonymous(this=called, expressions=[exp.Literal.string(schema)])
+        return exp.alias_(exp.func("unnest", ids), column)
+
+    columns = (side("narrow first", "a"), side("narrow second", "b"))
+    table = exp.select(*columns).subquery(exp.to_identifier(name))
+    return Pairs(table, (_column(name, "a"), _column(name, "b")))
+
+
 def counted_rows(name: str, parameter: exp.Expr) -> Element:
     """As many rows as there are values that SQL does not know."""
     numbers = exp.func("generate_subscripts", parameter, exp.Literal.number(1))

@@ -9,6 +9,7 @@ holds the Arrow table (DuckDB does) sees the next tick without being told.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -17,6 +18,9 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.geometry import Array
+
+# So many ticks is what was asked for read without another question.
+FORGOTTEN_AFTER = 240
 
 ColumnType: TypeAlias = Literal["real", "integer", "text", "flag", "points", "triples"]
 _ARROW: dict[ColumnType, pa.DataType] = {
@@ -122,6 +126,14 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("depth", "real", "penetration, m"),
         Column("force", "real", "normal force, N"),
     ),
+    "sensings": (
+        *_TICK,
+        Column("sensor", "integer", "id of a sensor that is switched on"),
+        Column("entity", "integer", "id of an entity that it perceives"),
+        Column("hits", "integer", "how many of its rays, pixels or contact points end on that"),
+        Column("rays", "integer", "how many it has"),
+        Column("measured", "real", "simulated time of the reading, s"),
+    ),
     "ticks": (*_TICK, Column("wall_time", "real", "seconds since 1970")),
 }
 
@@ -170,14 +182,33 @@ class LiveTable:
                 column[:] = values[name]
         self.publish()
 
+    def put(self, values: dict[str, Any]) -> None:
+        """Put other values in the place of columns that hold no numbers."""
+        kinds = {column.name: column.type for column in self.columns}
+        new = {name: pa.array(column, _ARROW[kinds[name]]) for name, column in values.items()}
+        self._others = self._others | new
+        self.publish()
+
+    def twin(self) -> LiveTable:
+        """The same rows in buffers of their own; what is never written in place is shared."""
+        twin = copy.copy(self)
+        twin.block = self.block.copy()
+        twin._numbers = {  # noqa: SLF001  # one class
+            name: twin.block[self._row[name]] if name in self._row else column.copy()
+            for name, column in self._numbers.items()
+        }
+        twin.publish()
+        return twin
+
     def publish(self) -> None:
         """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
-        self.whole = not any(np.isnan(row).any() for row in self.block)
+        unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
+        self.whole = not any(unknown)
         arrays = []
         for name, kind, _ in self.columns:
             if name not in self._numbers:
                 arrays.append(self._others[name])
-            elif np.isnan(self._numbers[name]).any():
+            elif name in self._row and unknown[self._row[name]]:
                 arrays.append(pa.array(self._numbers[name], from_pandas=True))
             else:
                 buffer = pa.py_buffer(self._numbers[name])

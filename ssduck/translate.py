@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from sqlglot import exp
 
 from ssduck import subqueries, tree
-from ssduck.dependencies import changing, is_impure
+from ssduck.dependencies import changing, free_aliases, is_impure
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.expressions import Expressions
 from ssduck.plan import Binding, Names, Output, Plan, Shape
@@ -23,7 +23,7 @@ from ssduck.resolve import resolve
 from ssduck.rows import Rest, aggregates
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
 from ssduck.subqueries import Element
-from ssduck.tree import Binary, Call, Key, Node, Query
+from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import Tag
 from ssduck.udfs import RELATIONS
 
@@ -74,6 +74,7 @@ class _Translator:
         subqueries.check_sources(query)
         self.elements = self._sources(query, shapes)
         self.columns: list[exp.Expr] = []
+        self.pairs: list[exp.Expr] = []
         self.texts: dict[str, int] = {}
         resolved = resolve(query, self._known_shapes(), names)
         self.query = self.result.query = resolved.query
@@ -85,7 +86,9 @@ class _Translator:
         plan.names = tuple(c.name for c in self.selected if isinstance(c.name, str))
         if self.query.recursion is not None:
             return self._recursive()
-        conditions = [self._condition(node) for node in _conjuncts(self.query.where)]
+        conditions = [
+            self._pairs(node) or self._condition(node) for node in _conjuncts(self.query.where)
+        ]
         left = [n for n, c in zip(_conjuncts(self.query.where), conditions, strict=True) if not c]
         for column in self.selected:
             self._item(column.node)
@@ -152,6 +155,28 @@ class _Translator:
         ]
 
     # -- clauses ----------------------------------------------------------------------------
+
+    def _pairs(self, node: Node) -> exp.Expr | None:
+        """`collides(a.this, b.this)` of two sources that are one world: all of its pairs at once.
+
+        Where another condition is about one of the two alone, pairs are asked about one by one.
+        """
+        match node:
+            case Call(name="collides" | "collision", arguments=(This() as a, This() as b)):
+                pass
+            case _:
+                return None
+        worlds = {s.alias: s.schema for s in self.result.shapes if s.given and s.tag is None}
+        schemas = {worlds.get(str(side.alias)) for side in (a, b)}
+        if a.alias == b.alias or len(schemas) > 1 or None in schemas:
+            return None
+        others = [part for part in _conjuncts(self.query.where) if part is not node]
+        if any(len(free_aliases(part) & {a.alias, b.alias}) == 1 for part in others):
+            return None
+        pairs = subqueries.colliding_pairs(str(schemas.pop()), self.context.alias("pairs"))
+        self.pairs.append(pairs.table)
+        sides = zip((a, b), pairs.columns, strict=True)
+        return exp.and_(*(exp.EQ(this=self.sql.value(s).sql, expression=c) for s, c in sides))
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:
@@ -242,6 +267,8 @@ class _Translator:
         else:
             plan.outputs = [plan.known[column.node] for column in self.selected]
         select = subqueries.product_of(self.elements)
+        for table in self.pairs:
+            select.append("joins", exp.Join(this=table, kind="CROSS"))
         select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
         if order:
             select = select.order_by(*order)

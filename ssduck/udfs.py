@@ -4,15 +4,22 @@ From a `Relation` come the SelectScript function and its help, the DuckDB macro 
 for raw SQL, its row in the manual, and the tests that it has all of these.
 
 A relation that is a formula of the columns of its entities is an SQL expression over them, and
-Python is never called. Its parameters are rows of `entities`, or values. World frame, metres,
-radians, kilograms; quaternions w, x, y, z. A relation of an entity with itself is False (a
-distance 0); an unknown value is NULL.
+Python is never called. One of the shapes themselves calls the narrow phase, through a function
+of `NARROW`, on the pairs whose boxes, grown by the distance asked for, meet: the formula says
+so twice, once for a join to go by, and once for wherever a condition is not a join's. Where
+that is unknown, so is the relation. Its parameters are rows of `entities`, or values. World
+frame, metres, radians, kilograms; quaternions w, x, y, z. A relation of an entity with itself is
+False (a distance 0); an unknown value is NULL.
+
+A formula may look things up in another table of the entities' world, in a subquery that sees
+nothing of the rows around it: a macro's parameters are unknown in there, and an alias of the
+rows could be taken for a column of that table.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal, TypeAlias
 
 import sqlglot
@@ -63,6 +70,9 @@ class Relation:
         about: what it means, in a sentence or two, with its boundary.
         unit: of the result.
         symmetric: whether the order of two entities does not matter.
+        element: of a list, what its elements are.
+        apart: of a formula that looks things up, what it is of entities of two worlds.
+        asked: of one that calls the narrow phase, on which pairs it does.
     """
 
     name: str
@@ -73,6 +83,9 @@ class Relation:
     sliced: str | None = None
     unit: str = ""
     symmetric: bool = False
+    element: ValueType = "real"
+    apart: str = ""
+    asked: str = ""
 
     @property
     def usage(self) -> str:
@@ -100,17 +113,76 @@ class Relation:
     @cached_property
     def is_unbounded(self) -> bool:
         """Whether it may be infinite: it is of boxes, and that of a plane is."""
-        columns = self.expressions[self.required].find_all(exp.Column)
-        return self.result in ("real", "list") and any(c.name in BOX for c in columns)
+        tree = self.expressions[self.required]
+        of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
+        of_shapes = tree.find(exp.Placeholder) is not None
+        return self.result in ("real", "list") and (of_box or of_shapes)
 
     @cached_property
-    def macro(self) -> str:
-        """The statement that makes the DuckDB macro of the same name."""
-        overloads = [
-            f"({', '.join(p.name for p in self.parameters[:count])}) AS ({tree.sql('duckdb')})"
-            for count, tree in self.expressions.items()
-        ]
-        return f'CREATE OR REPLACE TEMP MACRO "{self.name}" {", ".join(overloads)}'
+    def when_apart(self) -> exp.Expr:
+        """What it is of entities of two worlds, if it looks things up in one."""
+        return _parsed(self.apart)
+
+    @cached_property
+    def tables(self) -> frozenset[str]:
+        """The tables that it looks things up in."""
+        tree = self.expressions[self.required]
+        tables = {table.name for table in tree.find_all(exp.Table)}
+        return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
+
+    def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
+        """The statement that makes the DuckDB macro of the same name.
+
+        Args:
+            schema: that of the world that it looks things up in; without one it fails.
+            inside: whether the macro is one of that schema, rather than one for all.
+        """
+        name = exp.to_identifier(self.name, quoted=True).sql("duckdb")
+        place = f"TEMP MACRO {name}"
+        if inside:
+            place = f"MACRO {exp.to_identifier(str(schema), quoted=True).sql('duckdb')}.{name}"
+        return f"CREATE OR REPLACE {place} {_overloads(self, schema)}"
+
+    def comment(self, schema: str | None = None) -> str:
+        """The statement that lets DuckDB's own list of functions say what the macro does.
+
+        Args:
+            schema: whose macro it is; without one, that for all.
+        """
+        place = ("temp", "main") if schema is None else (schema,)
+        parts = (exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, self.name))
+        return (
+            f"COMMENT ON MACRO {'.'.join(parts)} IS {exp.Literal.string(self.help).sql('duckdb')}"
+        )
+
+    def body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
+        """A formula as a macro has it, in the schema that it looks things up in."""
+        if not self.tables:
+            return tree
+        if schema is not None:
+            return in_schema(tree, schema)
+        reason = (
+            f"{self.name}: in SQL it is for one world, and there is none or several; write the "
+            f"name of the world that is meant before it, world.{self.name}(…)"
+        )
+        return exp.Anonymous(this="error", expressions=[exp.Literal.string(reason)])
+
+
+# DuckDB has functions of texts that are called so; they go on being there.
+_OF_TEXTS = ("contains", "position")
+
+
+@cache
+def _overloads(relation: Relation, schema: str | None) -> str:
+    """What a macro takes and is, by the number of arguments: written once, for it takes long."""
+    found = [
+        f"({', '.join(p.name for p in relation.parameters[:count])}) "
+        f"AS ({relation.body(tree, schema).sql('duckdb')})"
+        for count, tree in relation.expressions.items()
+    ]
+    if relation.name in _OF_TEXTS:
+        found.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
+    return ", ".join(found)
 
 
 _RESULT_WORDS: dict[ValueType, str] = {
@@ -130,6 +202,16 @@ _RESULT_WORDS: dict[ValueType, str] = {
 
 def _parsed(formula: str) -> exp.Expr:
     return sqlglot.parse_one(formula, dialect="duckdb")
+
+
+def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
+    """A formula with the tables of that schema, and the narrow phase of its world."""
+    found = formula.copy()
+    for table in list(found.find_all(exp.Table)):
+        table.set("db", exp.to_identifier(schema))
+    for world in list(found.find_all(exp.Placeholder)):
+        world.replace(exp.Literal.string(schema))
+    return found
 
 
 def _listed(parameters: tuple[Parameter, ...]) -> str:
@@ -159,6 +241,93 @@ def _sliced(name: str, formula: str, about: str, unit: str) -> Relation:
     return Relation(name, _ENTITY + _SLICE, "list", formula, about, sliced=part, unit=unit)
 
 
+_SENSOR = (Parameter("s", "entity", "a sensor"),)
+_SENSOR_AND_OTHER = (*_SENSOR, Parameter("e", "entity", "another entity"))
+
+
+def _meet(apart: str = "0") -> str:
+    """Whether two boxes are that near; a nanometre is allowed for what is rounded."""
+    far = f"({apart}) + 1e-9"
+    sides = [
+        f"a.{axis}min <= b.{axis}max + {far} AND b.{axis}min <= a.{axis}max + {far}"
+        for axis in "xyz"
+    ]
+    return f"a.id <> b.id AND {' AND '.join(sides)}"
+
+
+def _narrow(call: str, apart: str = "0", otherwise: str = "FALSE") -> str:
+    """A formula that calls the narrow phase where the boxes are that near.
+
+    Where it is unknown whether they are, so is what comes of it.
+    """
+    if otherwise == "FALSE":
+        return f"({_meet(apart)}) AND CASE WHEN {_meet(apart)} THEN {call} END"
+    return f"CASE WHEN {_meet(apart)} THEN {call} WHEN NOT ({_meet(apart)}) THEN {otherwise} END"
+
+
+# Of which pairs the narrow phase is asked.
+_MEETING = "on pairs whose boxes meet"
+_EVERY = "on every pair that is asked for"
+
+
+def _on_shapes(
+    name: str,
+    result: ValueType,
+    formula: str,
+    about: str,
+    *,
+    asked: str = _MEETING,
+    more: tuple[Parameter, ...] = (),
+    sliced: str | None = None,
+    unit: str = "",
+    symmetric: bool = False,
+    element: ValueType = "real",
+) -> Relation:
+    """A relation of the shapes of two entities."""
+    return Relation(
+        name,
+        _A_B + more,
+        result,
+        formula,
+        about,
+        sliced=sliced,
+        unit=unit,
+        symmetric=symmetric,
+        element=element,
+        apart="error('of entities of two worlds')",
+        asked=asked,
+    )
+
+
+def _seen(name: str, condition: str, about: str) -> Relation:
+    """Where b is of a, for a viewer."""
+    forward = (
+        "(1 - 2 * (viewer.qy ** 2 + viewer.qz ** 2)) * (b.x - a.x) "
+        "+ 2 * (viewer.qx * viewer.qy + viewer.qw * viewer.qz) * (b.y - a.y) "
+        "+ 2 * (viewer.qx * viewer.qz - viewer.qw * viewer.qy) * (b.z - a.z)"
+    )
+    left = (
+        "2 * (viewer.qx * viewer.qy - viewer.qw * viewer.qz) * (b.x - a.x) "
+        "+ (1 - 2 * (viewer.qx ** 2 + viewer.qz ** 2)) * (b.y - a.y) "
+        "+ 2 * (viewer.qy * viewer.qz + viewer.qw * viewer.qx) * (b.z - a.z)"
+    )
+    formula = condition.format(forward=f"({forward})", left=f"({left})")
+    return Relation(
+        name,
+        (*_A_B, Parameter("viewer", "entity", "an entity that looks along its own +x")),
+        "flag",
+        f"a.id <> b.id AND {formula}",
+        f"{about}, as seen by the viewer: of the differences of the two positions along its own "
+        "x (forward) and y (left) the larger one decides; if they are alike, that along x.",
+    )
+
+
+_CORNERS = (
+    Parameter("min", "place", "the lower corner [x, y, z]"),
+    Parameter("max", "place", "the upper corner [x, y, z]"),
+)
+# A sixth of the mean of the six sides of two boxes.
+_BESIDE = "(" + " + ".join(f"{o}.{s}max - {o}.{s}min" for o in "ab" for s in "xyz") + ") / 36"
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 
 _LISTED = (
@@ -275,6 +444,315 @@ _LISTED = (
     _of_entity(
         "environmentID", "integer", "object.id", "Returns the number of the object in its world."
     ),
+    # -- the shapes themselves ------------------------------------------------------------
+    Relation(
+        "overlaps",
+        _A_B,
+        "flag",
+        "a.id <> b.id AND a.xmin <= b.xmax AND b.xmin <= a.xmax AND a.ymin <= b.ymax "
+        "AND b.ymin <= a.ymax AND a.zmin <= b.zmax AND b.zmin <= a.zmax",
+        "Checks if the axis-aligned boxes of a and b meet, touching included.",
+        symmetric=True,
+    ),
+    _on_shapes(
+        "collides",
+        "flag",
+        _narrow('"narrow collides"($world, a.id, b.id)'),
+        "Checks if shapes of a and b are deeper in each other than 1e-6 m.",
+        symmetric=True,
+    ),
+    _on_shapes(
+        "penetration",
+        "real",
+        _narrow('"narrow penetration"($world, a.id, b.id)', otherwise="0.0::DOUBLE"),
+        "Returns the depth of the deepest penetration of the shapes of a and b: how far they "
+        "would have to be moved to be apart; 0 if they are.",
+        unit="m",
+        symmetric=True,
+    ),
+    _on_shapes(
+        "clearance",
+        "real",
+        'CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE "narrow clearance"($world, a.id, b.id) END',
+        "Returns the smallest distance between the surfaces of a and b, 0 if they meet. It is "
+        "worked out for each pair that is asked for; near(a, b, d) leaves out what is far apart. "
+        "What has no shapes is infinitely far from everything.",
+        asked=_EVERY,
+        unit="m",
+        symmetric=True,
+    ),
+    _on_shapes(
+        "touching",
+        "flag",
+        _narrow('"narrow near"($world, a.id, b.id, 0.001)', "0.001"),
+        "Checks if the clearance of a and b is at most eps, 1 mm if it is not given; what meets "
+        "touches.",
+        asked="on pairs whose boxes are at most eps apart",
+        more=(Parameter("eps", "real", "a distance, m", optional=True),),
+        sliced=_narrow('"narrow near"($world, a.id, b.id, eps)', "eps"),
+        symmetric=True,
+    ),
+    _on_shapes(
+        "near",
+        "flag",
+        _narrow('"narrow near"($world, a.id, b.id, d)', "d"),
+        "Checks if the clearance of a and b is at most d.",
+        asked="on pairs whose boxes are at most d apart",
+        more=(Parameter("d", "real", "a distance, m"),),
+        symmetric=True,
+    ),
+    _on_shapes(
+        "nearestPoints",
+        "list",
+        "CASE WHEN a.id = b.id THEN [[a.x, a.y, a.z], [a.x, a.y, a.z]] "
+        'ELSE "narrow points"($world, a.id, b.id) END',
+        "Returns a point on a and one on b, [[x, y, z], [x, y, z]] in the world: the nearest "
+        "ones, or where they meet those that are deepest in the other; nothing of what has no "
+        "shapes.",
+        asked=_EVERY,
+        unit="m",
+        element="list",
+    ),
+    *(
+        _on_shapes(
+            name,
+            "flag",
+            _narrow('"narrow on"($world, a.id, b.id)', "0.001"),
+            "Checks if b rests on a: they touch (clearance at most 1 mm), a normal there is "
+            "within 30 degrees of up, and the centre of the box of b is over the convex hull of "
+            "the footprint of a.",
+            asked="on pairs whose boxes are at most 1 mm apart",
+        )
+        for name in ("on", "supports")
+    ),
+    _on_shapes(
+        "inside",
+        "real",
+        _narrow('"narrow inside"($world, a.id, b.id)', otherwise="0.0::DOUBLE"),
+        "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
+        "0 if b has no volume.",
+    ),
+    _on_shapes(
+        "contains",
+        "flag",
+        _narrow('"narrow inside"($world, a.id, b.id) >= 0.95'),
+        "Checks if at least 95 percent of the volume of b is inside the convex hull of a.",
+    ),
+    _on_shapes(
+        "nextTo",
+        "flag",
+        _narrow(
+            f"a.zmin <= b.zmax AND b.zmin <= a.zmax AND {_BESIDE} < 1e300 "
+            f'AND "narrow near"($world, a.id, b.id, {_BESIDE})',
+            _BESIDE,
+        ),
+        "Checks if a and b are beside each other: the heights of their boxes overlap, and their "
+        "clearance is at most a sixth of the mean of the six sides of the two boxes. A box "
+        "without end has nothing beside it.",
+        asked="on pairs whose boxes are at most that far apart",
+        symmetric=True,
+    ),
+    Relation(
+        "solidVolume",
+        _ENTITY,
+        "real",
+        '"narrow volume"($world, object.id)',
+        "Returns the sum of the volumes of the object's shapes, infinity for a plane, 0 for an "
+        "open mesh.",
+        unit="m^3",
+    ),
+    Relation(
+        "inContact",
+        _A_B,
+        "flag",
+        "(least(a.id, b.id), greatest(a.id, b.id)) IN "
+        "(SELECT contacts.a, contacts.b FROM contacts WHERE contacts.force > 0)",
+        "Checks if the physics solver found a contact of a and b in the last step whose normal "
+        "force is more than 0.",
+        symmetric=True,
+        apart="FALSE",
+    ),
+    Relation(
+        "contactForce",
+        _A_B,
+        "real",
+        "CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE COALESCE(map_extract_value((SELECT "
+        "map(list((pair[1], pair[2])), list(total)) FROM (SELECT [contacts.a, contacts.b] AS pair, "
+        "sum(contacts.force) AS total FROM contacts GROUP BY ALL) AS summed), "
+        "(least(a.id, b.id), greatest(a.id, b.id))), 0.0::DOUBLE) END",
+        "Returns the sum of the normal forces between a and b that the physics solver found in "
+        "the last step.",
+        unit="N",
+        symmetric=True,
+        apart="0.0::DOUBLE",
+    ),
+    # -- regions, and the view of another -------------------------------------------------
+    _seen("leftOf", "{left} > abs({forward})", "Checks if b is left of a"),
+    _seen("rightOf", "-{left} > abs({forward})", "Checks if b is right of a"),
+    _seen(
+        "behind",
+        "{forward} > 0 AND {forward} >= abs({left})",
+        "Checks if b is behind a, farther from the viewer",
+    ),
+    _seen(
+        "inFrontOf",
+        "{forward} < 0 AND -{forward} >= abs({left})",
+        "Checks if b is in front of a, nearer to the viewer",
+    ),
+    Relation(
+        "inBox",
+        (*_ENTITY, *_CORNERS),
+        "flag",
+        "object.x BETWEEN min.x AND max.x AND object.y BETWEEN min.y AND max.y "
+        "AND object.z BETWEEN min.z AND max.z",
+        "Checks if the position of the object is in an axis-aligned box, its sides included.",
+    ),
+    Relation(
+        "fitsBox",
+        (*_ENTITY, *_CORNERS),
+        "flag",
+        "object.xmin >= min.x AND object.xmax <= max.x AND object.ymin >= min.y "
+        "AND object.ymax <= max.y AND object.zmin >= min.z AND object.zmax <= max.z "
+        "AND object.xmin <= object.xmax",
+        "Checks if all of the object's shapes are in an axis-aligned box, its sides included.",
+    ),
+    Relation(
+        "inSphere",
+        (
+            *_ENTITY,
+            Parameter("centre", "place", "an entity or a point [x, y, z]"),
+            Parameter("r", "real", "a radius, m"),
+        ),
+        "flag",
+        "sqrt((object.x - centre.x) ** 2 + (object.y - centre.y) ** 2 "
+        "+ (object.z - centre.z) ** 2) <= r",
+        "Checks if the position of the object is in a sphere, its surface included.",
+    ),
+    # -- words of the ODE dialect ---------------------------------------------------------
+    _of_entity("pos", "list", "[object.x, object.y, object.z]", "Returns position(object).", "m"),
+    *(
+        _of_entity(
+            f"pos{axis}", "real", f"object.{axis.lower()}", f"Returns {axis.lower()}(object).", "m"
+        )
+        for axis in "XYZ"
+    ),
+    _of_entity(
+        "quat",
+        "list",
+        "[object.qw, object.qx, object.qy, object.qz]",
+        "Returns orientation(object), [w, x, y, z].",
+    ),
+    _of_entity(
+        "linearVelocity",
+        "list",
+        "[object.vx, object.vy, object.vz]",
+        "Returns the velocity [x, y, z] of the origin of the object's link frame.",
+        "m/s",
+    ),
+    _of_entity(
+        "velocity",
+        "list",
+        "[object.vx, object.vy, object.vz]",
+        "Returns linearVelocity(object).",
+        "m/s",
+    ),
+    _of_entity(
+        "angularVelocity",
+        "list",
+        "[object.wx, object.wy, object.wz]",
+        "Returns the angular velocity [x, y, z] of the object.",
+        "rad/s",
+    ),
+    _of_entity(
+        "mass",
+        "real",
+        "object.mass",
+        "Returns the mass of all links; 0 for what cannot move.",
+        "kg",
+    ),
+    _of_entity(
+        "aabb",
+        "list",
+        "[object.xmin, object.xmax, object.ymin, object.ymax, object.zmin, object.zmax]",
+        "Returns the axis-aligned box, [xmin, xmax, ymin, ymax, zmin, zmax].",
+        "m",
+    ),
+    _of_entity(
+        "hasBody",
+        "flag",
+        "object.mass > 0",
+        "Checks if the object moves under forces: if it has a mass.",
+    ),
+    _on_shapes(
+        "collision",
+        "flag",
+        _narrow('"narrow collides"($world, a.id, b.id)'),
+        "Checks if a and b collide: collides(a, b).",
+        symmetric=True,
+    ),
+    *(
+        _of_entity(
+            name,
+            "flag",
+            "object.id IN (SELECT shapes.entity FROM shapes JOIN geometries ON geometries.id = "  # noqa: S608
+            f"shapes.geometry GROUP BY ALL HAVING bool_and(geometries.type {of}))",
+            f"Checks if all of the object's shapes are {words}; False without a shape.",
+        )
+        for name, of, words in (
+            ("isBox", "= 'box'", "boxes"),
+            ("isSphere", "= 'sphere'", "spheres"),
+            ("isCylinder", "= 'cylinder'", "cylinders"),
+            ("isCapsule", "= 'capsule'", "capsules"),
+            ("isPlane", "= 'plane'", "planes"),
+            ("isTriMesh", "IN ('hull', 'mesh')", "meshes or their hulls"),
+        )
+    ),
+    Relation(
+        "isSensing",
+        _SENSOR_AND_OTHER,
+        "flag",
+        "(s.id, e.id) IN (SELECT sensor, entity FROM sensings)",
+        "Checks if sensor s perceives e now: if one of its rays, pixels or contact points ends "
+        "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
+        "what is no sensor.",
+        apart="FALSE",
+    ),
+    Relation(
+        "sensingAmount",
+        _SENSOR_AND_OTHER,
+        "real",
+        "COALESCE(map_extract_value((SELECT map(list((sensor, entity)), list(hits / rays)) "
+        "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
+        "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
+        "0 to 1; 0 where isSensing(s, e) is False.",
+        apart="0.0::DOUBLE",
+    ),
+    Relation(
+        "sensingEnvIDs",
+        _SENSOR,
+        "list",
+        "COALESCE(map_extract_value((SELECT map(list(sensor), list(ids)) FROM (SELECT sensor, "
+        "list(entity ORDER BY entity) AS ids FROM sensings GROUP BY sensor) AS seen), s.id), "
+        "[]::BIGINT[])",
+        "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
+        "order; an empty list while it is switched off.",
+        element="integer",
+    ),
 )
+
+# The functions of the narrow phase, as SQL calls them: what they take besides a world and
+# entities, and what they yield.
+NARROW: dict[str, tuple[tuple[str, ...], str]] = {
+    "narrow first": ((), "BIGINT[]"),
+    "narrow second": ((), "BIGINT[]"),
+    "narrow collides": (("BIGINT", "BIGINT"), "BOOLEAN"),
+    "narrow penetration": (("BIGINT", "BIGINT"), "DOUBLE"),
+    "narrow clearance": (("BIGINT", "BIGINT"), "DOUBLE"),
+    "narrow near": (("BIGINT", "BIGINT", "DOUBLE"), "BOOLEAN"),
+    "narrow points": (("BIGINT", "BIGINT"), "DOUBLE[][]"),
+    "narrow on": (("BIGINT", "BIGINT"), "BOOLEAN"),
+    "narrow inside": (("BIGINT", "BIGINT"), "DOUBLE"),
+    "narrow volume": (("BIGINT",), "DOUBLE"),
+}
 
 RELATIONS: dict[str, Relation] = {relation.name: relation for relation in _LISTED}

@@ -9,11 +9,11 @@ from __future__ import annotations
 import threading
 import time
 import weakref
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +27,18 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.geometry import Array
+from ssduck.geometry import Array, Indices
+from ssduck.kinematics import JointValues, Pose, finite, pose_of, positions_of, unit
 from ssduck.layout import Member
-from ssduck.openrave import EntitySpellings, WorldSpellings
-from ssduck.scenes import Camera, Scene, SensorSpec
-from ssduck.simulators import Kind, Simulator
+from ssduck.openrave import EntitySpellings, SensorSpellings, WorldSpellings
+from ssduck.scenes import Camera, Scene, SensorSpec, read_sensor
+from ssduck.sensing import Reading
+from ssduck.sensors import SENSOR_TYPES
+from ssduck.simulators import Body, Kind, Simulator
 from ssduck.snapshot import Snapshot
+from ssduck.what_if import imagined
+
+T = TypeVar("T")
 
 # What a world is called before it gets a name.
 UNNAMED = "world"
@@ -57,6 +63,8 @@ class World(WorldSpellings):
         serial: the order in which worlds were made, and in which several are held.
     """
 
+    _members: list[Member]
+
     def __init__(
         self,
         simulator: Simulator,
@@ -65,21 +73,27 @@ class World(WorldSpellings):
         sensors: Sequence[SensorSpec] = (),
         camera: Camera | None = None,
     ) -> None:
-        self.name = name
-        self.camera = camera or Camera()
-        self.lock = threading.RLock()
-        self.serial = next(_serials)
-        self.snapshot = Snapshot()
-        self._queries = 0
-        self._waiting = 0
-        self._simulator = simulator
-        self._ids = count(1)
-        self._members: list[Member] = []
+        self._begin(simulator, Snapshot(), name, camera or Camera())
         # Ids count as worlds list: sensors first.
         sensor_ids = [next(self._ids) for _ in sensors]
         self._update_members()
         self._members = self._mounted(sensor_ids, sensors) + self._members
+        for member in self._members:
+            if member.sensor is not None and not member.sensor.powered:
+                self.snapshot.switch(member.id, on=False)
         self.tick()
+
+    def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
+        self.name = name
+        self.camera = camera
+        self.lock = threading.RLock()
+        self.serial = next(_serials)
+        self.snapshot = snapshot
+        self._queries = 0
+        self._waiting = 0
+        self._simulator = simulator
+        self._ids = count(1)
+        self._members = snapshot.listed
 
     @classmethod
     def load(cls, scene: Scene) -> World:
@@ -168,11 +182,14 @@ class World(WorldSpellings):
         """See to it that the current tick has these tables; takes a fresh one if it has not."""
         with self.lock:
             if self.snapshot.ask(tables):
-                if self._simulator.watched:
-                    self._check_not_held()
-                # Under a query nothing has moved in a world that ssduck alone steps.
-                self._update_members()
-                self.snapshot.take(self._simulator, self._members)
+                self._take_asked()
+
+    def _take_asked(self) -> None:
+        if self._simulator.watched:
+            self._check_not_held()
+        # Under a query nothing has moved in a world that ssduck alone steps.
+        self._update_members()
+        self.snapshot.take(self._simulator, self._members)
 
     @contextmanager
     def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
@@ -207,6 +224,61 @@ class World(WorldSpellings):
         """A colour picture of the simulation as it is now, (height, width, 3)."""
         with self.lock:
             return self._simulator.render(camera or self.camera, width, height)
+
+    # -- what if --------------------------------------------------------------------------
+
+    def what_if(
+        self,
+        poses: Mapping[str | Entity, Sequence[float]] | None = None,
+        joints: Mapping[str | Entity, JointValues] | None = None,
+    ) -> World:
+        """The world of this tick with some bodies elsewhere; the simulator is not touched.
+
+        It has the same entities, of the same ids and names, the same time and tick, and is
+        queried like any other. It never changes, whatever this world does later. What is moved
+        is at rest, and sensors move with what they sit on. It was not simulated, so that it has
+        no contacts (asking for them is an error), the efforts of joints are unknown, and it can
+        neither be stepped nor drawn.
+
+        Args:
+            poses: of link frames in the world by entity: orientation, then position, [w, x, y,
+                z, x, y, z], as `Entity.pose`; the orientation of any length but 0.
+            joints: positions by entity, rad or m: by the joint's name, or one for each
+                revolute and prismatic joint in order. The others stay as they are.
+
+        Raises:
+            UnknownNameError: there is no entity or no joint of a name, with the nearest names.
+            StateError: a number is not finite, an orientation is all 0, or a joint is beyond
+                its limits.
+            ArgumentError: an entity is a sensor or of another world, a joint's position is not
+                one number, or there are too many values or too few.
+            RemovedEntityError: an entity is no longer in this world.
+        """
+        has_links = any(m.body and m.body.joints for m in self.snapshot.members)
+        with self.held(("links", "joints") if has_links else ()):
+            places = {body: pose_of(pose, name) for name, body, pose in self._bodies(poses or {})}
+            positions = {
+                body: positions_of(values, body, name)
+                for name, body, values in self._bodies(joints or {})
+            }
+            posed, snapshot = imagined(self.snapshot, places, positions)
+        world = World.__new__(World)
+        world._begin(posed, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
+        return world.tick()
+
+    def _bodies(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
+        """What is said of entities, with their names and what they are at this tick."""
+        for key, value in by_entity.items():
+            entity = key if isinstance(key, Entity) else self[key]
+            if entity.world is not self:
+                raise ArgumentError(
+                    f"{entity!r} is in world {entity.world.name!r}, not in {self.name!r}; "
+                    "give its name"
+                )
+            row = self.snapshot.rows.get(entity.id)
+            if row is None:
+                raise entity.removed()
+            yield entity.name, entity.body_of(self.snapshot.members[row], "move"), value
 
     # -- entities -------------------------------------------------------------------------
 
@@ -246,8 +318,145 @@ class World(WorldSpellings):
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
 
-    def place(self, entity: Entity, position: Array, orientation: Array) -> None:
-        """Put a body's link frame there and take a tick; see `Entity.move`."""
+    # -- sensors --------------------------------------------------------------------------
+
+    def add_sensor(
+        self,
+        type: str,
+        on: str | Entity,
+        name: str | None = None,
+        link: str | None = None,
+        *,
+        position: Sequence[float] = (0.0, 0.0, 0.0),
+        orientation: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+        **settings: float,
+    ) -> Sensor:
+        """Put a sensor on a body, and take a tick.
+
+        Args:
+            type: one of `ssduck.sensors.SENSOR_TYPES`.
+            on: the body, or its name. The sensor does not perceive it.
+            name: unique in the world; made of the two above if it is not given.
+            link: the link that it sits on; by default the base.
+            position: in that link's frame, metres.
+            orientation: in that link's frame, w, x, y, z; it looks along its own +x, with z up.
+            **settings: `max_range` (m), those of its type, `period` (seconds between two
+                measurements; 0: each tick is one) and `powered` (whether it is switched on).
+
+        Raises:
+            UnknownNameError: there is no such body or link, with the nearest names.
+            ArgumentError: a setting is wrong.
+            RemovedEntityError: the body is no longer in the world.
+        """
+        with self.lock:
+            self._check_not_held()
+            self._update_members()
+            host = self._host(on)
+            taken = {member.name for member in self._members}
+            if name in taken:
+                raise ArgumentError(f"add_sensor: name: {name!r} is there already")
+            values = {
+                "type": type,
+                "on": host.name,
+                "name": name if name is not None else _unique(f"{host.name}_{type}", taken),
+                "position": _plain(position),
+                "orientation": _plain(orientation),
+                **({} if link is None else {"link": link}),
+                **settings,
+            }
+            try:
+                spec = read_sensor(values, [host.name])
+                (member,) = self._mounted([next(self._ids)], [spec])
+            except SceneError as error:
+                message = f"add_sensor: {error.message.removeprefix('sensor[0].')}"
+                raise ArgumentError(message, suggestions=error.suggestions) from error
+            self._members = [*self._members, member]
+            self.snapshot.switch(member.id, on=spec.powered)
+            self.tick()
+            sensor = self.entity(member.id)
+        assert isinstance(sensor, Sensor)
+        return sensor
+
+    def _host(self, on: str | Entity) -> Member:
+        """The body of that name, or that entity."""
+        if isinstance(on, Entity):
+            if on.world is not self:
+                raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
+            found = [member for member in self._members if member.id == on.id]
+            if not found:
+                raise on.removed()
+        else:
+            found = [member for member in self._members if member.name == on]
+        if not found:
+            known = [member.name for member in self._members if member.body is not None]
+            raise UnknownNameError(
+                f"world {self.name!r} has no body {on!r}", suggestions=nearest(str(on), known)
+            )
+        if found[0].body is None:
+            raise ArgumentError(f"add_sensor: on: {found[0].name!r} is a sensor, not a body")
+        return found[0]
+
+    def remove_sensor(self, sensor: str | Sensor) -> None:
+        """Take a sensor off its body, and take a tick.
+
+        Raises:
+            UnknownNameError: there is no such sensor, with the nearest names.
+            RemovedEntityError: it is no longer in the world.
+        """
+        with self.lock:
+            self._check_not_held()
+            entity = sensor if isinstance(sensor, Entity) else self[sensor]
+            if entity not in self:
+                raise entity.removed()
+            if not isinstance(entity, Sensor):
+                raise ArgumentError(f"{entity.name!r} is a {entity.kind}, no sensor")
+            self._members = [member for member in self._members if member.id != entity.id]
+            self.tick()
+
+    def switch(self, sensor: Sensor, *, on: bool) -> None:
+        """Switch a sensor on or off; see `Sensor.power`."""
+        with self.lock:
+            self._check_not_held()
+            if sensor not in self:
+                raise sensor.removed()
+            if on != self.snapshot.sensing.is_on(sensor.id):
+                self.snapshot.switch(sensor.id, on=on)
+
+    def reading(self, sensor: Sensor, *, picture: bool = False) -> Reading | None:
+        """What a sensor measured last, with its colours if they are asked for; None if off."""
+        with self.lock:
+            if sensor not in self:
+                raise sensor.removed()
+            if self.snapshot.ask_sensor(sensor.id, picture=picture):
+                self._take_asked()
+                if sensor not in self:  # its body went
+                    raise sensor.removed()
+            return self.snapshot.sensing.readings.get(sensor.id)
+
+    # -- bodies ---------------------------------------------------------------------------
+
+    def place(self, entity: Entity, pose: Pose | None, joints: JointValues | None) -> None:
+        """Put a body's link frame and its joints there and take a tick; see `Entity.move`."""
+
+        def put(body: Body) -> None:
+            values = {} if joints is None else positions_of(joints, body, entity.name)
+            if pose is not None:
+                self._simulator.place(body, *pose)
+            if values:
+                self._simulator.set_joints(body, values)
+
+        self._change(entity, "move", put)
+
+    def enable(self, entity: Entity, on: bool) -> None:
+        """Let a body take part in collisions, or not, and take a tick."""
+        self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
+
+    def show(self, entity: Entity, on: bool) -> None:
+        """Let a body be drawn, or not, and take a tick."""
+        self._change(entity, "show", lambda body: self._simulator.show(body, on))
+
+    def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:
+        """Change a body in the simulator, and take a tick."""
         with self.lock:
             self._check_not_held()
             # Its number may be another body's by now.
@@ -255,9 +464,7 @@ class World(WorldSpellings):
             member = next((member for member in self._members if member.id == entity.id), None)
             if member is None:
                 raise entity.removed()
-            if member.body is None:
-                raise ArgumentError(f"{entity.name} is a sensor; move what it sits on")
-            self._simulator.place(member.body, position, orientation)
+            change(entity.body_of(member, verb))
             self.snapshot.read_all_anew()
             self.tick()
 
@@ -326,13 +533,16 @@ class LinkState:
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """A joint at a tick: position (rad or m), velocity, effort of its motor, limits."""
+    """A joint at a tick: position (rad or m), velocity, effort of its motor, limits.
+
+    The effort is None where nobody knows it, in a what-if world.
+    """
 
     name: str
     type: str
     position: float
     velocity: float
-    effort: float
+    effort: float | None
     lower: float | None
     upper: float | None
 
@@ -410,25 +620,84 @@ class Entity(EntitySpellings):
         return [JointState(**{key: row[key] for key in keys}) for row in self._table("joints")]
 
     def move(
-        self, position: Sequence[float] | None = None, orientation: Sequence[float] | None = None
+        self,
+        position: Sequence[float] | None = None,
+        orientation: Sequence[float] | None = None,
+        joints: JointValues | None = None,
     ) -> None:
         """Put it elsewhere at rest, and take a tick: the next query sees it.
+
+        In a simulation that ssduck loaded, motors that hold joints hold them at the new
+        positions; in one of yours they are as you set them.
 
         Args:
             position: of its link frame, [x, y, z], metres; None leaves it.
             orientation: of its link frame, [w, x, y, z], any length but 0; None leaves it.
+            joints: positions, rad or m: by the joint's name, or one for each revolute and
+                prismatic joint in order. The others stay as they are; joints alone leave the
+                body where it is, and as fast.
 
         Raises:
-            ValueError: a number is not finite, or the orientation is all 0.
+            StateError: a number is not finite, the orientation is all 0, or a joint is beyond
+                its limits.
+            UnknownNameError: there is no joint of a name, with the nearest names.
+            ArgumentError: it is a sensor, a joint's position is not one number, or there are
+                too many values or too few.
+            RemovedEntityError: it is no longer in its world.
+            UnsupportedError: it is in a what-if world.
+        """
+        pose = None
+        if joints is None or position is not None or orientation is not None:
+            place = self.position if position is None else position
+            turn = self.orientation if orientation is None else orientation
+            pose = (
+                finite(place, 3, f"{self.name}: position"),
+                unit(finite(turn, 4, f"{self.name}: orientation"), self.name),
+            )
+        self.world.place(self, pose, joints)
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it takes part in collisions; setting it takes a tick.
+
+        Rays do not meet what is not enabled either. PyBullet does not tell what a body may
+        collide with; enabled again, it is what PyBullet begins with.
+
+        Raises:
             ArgumentError: it is a sensor.
             RemovedEntityError: it is no longer in its world.
+            UnsupportedError: it is in a what-if world.
         """
-        place = _finite(self.position if position is None else position, 3, "position")
-        turn = _finite(self.orientation if orientation is None else orientation, 4, "orientation")
-        length = float(np.linalg.norm(turn))
-        if length < 1e-9:
-            raise ValueError("orientation: w, x, y, z are all 0")
-        self.world.place(self, place, turn / length)
+        return bool(self.column("enabled"))
+
+    @enabled.setter
+    def enabled(self, on: bool) -> None:
+        self.world.enable(self, on)
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is drawn; setting it takes a tick. It gets its colours back.
+
+        Raises:
+            ArgumentError: it is a sensor.
+            RemovedEntityError: it is no longer in its world.
+            UnsupportedError: it is in a what-if world.
+        """
+        return bool(self.column("visible"))
+
+    @visible.setter
+    def visible(self, on: bool) -> None:
+        self.world.show(self, on)
+
+    def body_of(self, member: Member, verb: str) -> Body:
+        """What it is made of, by its entry in the world; `verb` says what for.
+
+        Raises:
+            ArgumentError: it is a sensor.
+        """
+        if member.body is None:
+            raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
+        return member.body
 
     def column(self, name: str) -> Any:
         """Its value in a column of the table of entities; None for an unknown one."""
@@ -474,10 +743,84 @@ class Entity(EntitySpellings):
         return f"<{self.kind} {self.name!r}>"
 
 
-class Sensor(Entity):
-    """A handle of a sensor."""
+class Sensor(SensorSpellings, Entity):
+    """A handle of a sensor: what it measured last, by its world's last tick.
+
+    It is read from the simulator when it is asked for, and then again when its `period` has
+    passed. A ray is a ray of a laser, a pixel of a camera (row by row from the upper left) or a
+    contact point of a contact sensor. All arrays are numpy's, and cannot be written to.
+    """
 
     __slots__ = ()
+
+    def power(self, on: bool) -> None:
+        """Switch it on or off; the next query sees it. It perceives nothing while it is off."""
+        self.world.switch(self, on=on)
+
+    @property
+    def powered(self) -> bool:
+        """Whether it is switched on."""
+        self._row()
+        return self.world.snapshot.sensing.is_on(self.id)
+
+    @property
+    def reading(self) -> Reading | None:
+        """All that it measured last, and when; None while it is switched off."""
+        return self.world.reading(self)
+
+    @property
+    def rays(self) -> int:
+        """How many rays, pixels or contact points its reading has."""
+        return self._measured("rays")  # type: ignore[no-any-return]
+
+    @property
+    def ranges(self) -> Array:
+        """How long each ray is, m, (n,); inf for one that ends on nothing within range."""
+        return self._measured("ranges")  # type: ignore[no-any-return]
+
+    @property
+    def points(self) -> Array:
+        """Where rays end on something, [x, y, z] in the world frame, m, (hits, 3)."""
+        return self._measured("points")  # type: ignore[no-any-return]
+
+    @property
+    def depth(self) -> Array:
+        """Of a camera, how far along its axis each pixel is, m, (height, width); else inf."""
+        return self._measured("depth")  # type: ignore[no-any-return]
+
+    @property
+    def segmentation(self) -> Indices:
+        """Of a camera, the id of what each pixel shows, (height, width); 0 for nothing."""
+        return self._measured("segmentation")  # type: ignore[no-any-return]
+
+    @property
+    def image(self) -> npt.NDArray[np.uint8]:
+        """Of a camera, its colours: red, green, blue, (height, width, 3), from 0 to 255.
+
+        It shows what is drawn, the sensor's own body and what is out of range included.
+        """
+        return self._measured("image")  # type: ignore[no-any-return]
+
+    @property
+    def forces(self) -> Array:
+        """Of a contact sensor, the normal force at each contact point, N, (n,)."""
+        return self._measured("forces")  # type: ignore[no-any-return]
+
+    def _measured(self, what: str) -> Any:
+        reading = self.world.reading(self, picture=what == "image" and self._has_picture())
+        if reading is None:
+            raise SelectScriptError(
+                f"{self.name!r} measures nothing: it is switched off, or nowhere; "
+                "power(True) switches it on"
+            )
+        value = getattr(reading, what)
+        if value is None:
+            has = ", ".join(k for k, v in vars(reading).items() if isinstance(v, np.ndarray))
+            raise ArgumentError(f"{self.name!r} is a {self.spec.type}: no {what}, but {has}")
+        return value
+
+    def _has_picture(self) -> bool:
+        return SENSOR_TYPES[self.spec.type].has_picture
 
     @property
     def spec(self) -> SensorSpec:
@@ -487,8 +830,6 @@ class Sensor(Entity):
         return spec
 
 
-def _finite(values: Sequence[float], count: int, what: str) -> Array:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"{what}: expected {count} finite numbers, found {list(values)!r}")
-    return array
+def _plain(values: Any) -> Any:
+    """Numbers of an array or a sequence as a list, whatever they are."""
+    return values.tolist() if isinstance(values, np.ndarray) else list(values)

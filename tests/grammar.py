@@ -121,7 +121,7 @@ WILD = {
 COMPARISONS = ("==", "<", ">=", "!=", ">", "<=")
 REAL_RELATIONS = ("z", "x", "y", "aabbVolume", "volume")
 FLAG_RELATIONS = ("isRobot", "isKinbody", "isSensor")
-PAIR_RELATIONS = ("above", "within", "below")
+PAIR_RELATIONS = ("above", "within", "below", "isSensing")
 
 
 def plain(value: int, whole: int) -> int:
@@ -805,7 +805,8 @@ def small_world(folder: Path) -> ssduck.World:
         (folder / f"{name}.urdf").write_text(_BOX.format(name=name, size=size), encoding="utf-8")
         lines.append(f'[[body]]\nname = "{name}"\nkind = "{kind}"\nurdf = "{name}.urdf"')
         lines.append(f"fixed = true\nposition = {list(place)}")
-    lines.append('[[sensor]]\nname = "eye"\ntype = "range_finder"\non = "arm"\nmax_range = 2.0')
+    eye = '[[sensor]]\nname = "eye"\ntype = "planar_laser"\non = "arm"\nmax_range = 4.0\n'
+    lines.append(eye + "min_angle = 90\nmax_angle = 270\nresolution = 2")
     scene = folder / "scene.toml"
     scene.write_text("\n".join(lines), encoding="utf-8")
     return ssduck.World.load(find_scene(scene))

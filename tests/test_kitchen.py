@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import tomllib
 from pathlib import Path
 
@@ -57,6 +58,19 @@ def test_robots_and_their_sensors(loaded, robot):
     parents = loaded.sql("SELECT name, parent FROM entities WHERE kind = 'sensor'").fetchall()
     sensors = [sensor["name"] for sensor in FACTS["sensor"] if sensor["on"] == robot["name"]]
     assert [name for name, parent in parents if parent == robot["name"]] == sensors
+
+
+@pytest.mark.parametrize("sensor", FACTS["sensor"], ids=lambda sensor: sensor["name"])
+def test_sensors_are_what_they_are_measured_to_be(loaded, sensor):
+    spec = loaded.call_variable("kitchen")[sensor["name"]].spec
+    found = {"type": spec.type, "period": spec.period, "max_range": spec.max_range}
+    expected = {key: sensor[key] for key in sensor if key not in ("name", "on", "offset", "yaw")}
+    found |= {key: spec.settings[key] for key in expected if key not in found}
+    assert found == expected
+    if "yaw" in sensor:
+        w, x, y, z = spec.orientation
+        turned = math.degrees(2 * math.atan2(z, w)) % 360
+        assert (x, y, turned) == pytest.approx((0, 0, sensor["yaw"]))
 
 
 @pytest.mark.parametrize("sensor", FACTS["sensor"], ids=lambda sensor: sensor["name"])

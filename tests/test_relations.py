@@ -201,8 +201,11 @@ def test_every_relation_is_complete(relation, pair):
     assert all(parameter.meaning for parameter in relation.parameters)
     assert relation.required in relation.expressions
     # It is a function of rows in raw SQL, too; position needs quotes, being a word of SQL's.
-    count = len(relation.parameters[: relation.required])
-    arguments = ", ".join("ab"[:count])
+    entities, example = iter("abb"), {"place": "{'x': 0, 'y': 0, 'z': 0}", "real": "0.5"}
+    arguments = ", ".join(
+        example.get(parameter.type) or next(entities)
+        for parameter in relation.parameters[: relation.required]
+    )
     rows = ss.sql(f'SELECT "{relation.name}"({arguments}) FROM entities a, entities b').fetchall()
     assert len(rows) == 4
 

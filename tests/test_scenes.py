@@ -206,6 +206,8 @@ CAMERA = SENSOR.replace("range_finder", "depth_camera") + "width = 64\nheight = 
 LASER = SENSOR.replace("range_finder", "planar_laser") + (
     "min_angle = -45\nmax_angle = 45\nresolution = 1\n"
 )
+LIDAR = SENSOR.replace("range_finder", "lidar")
+TOUCH = SENSOR.replace("range_finder", "contact_sensor").replace("max_range = 1.0\n", "")
 HUGE = "1" + "0" * 400
 # (text, key, words of the reason, nearest right names)
 MISTAKES = [
@@ -268,6 +270,22 @@ MISTAKES = [
     (CAMERA.replace("64", "0"), "sensor[0].width", "0 is not above 0", ()),
     (LASER.replace("-45", "46"), "sensor[0].min_angle", "46 is more than max_angle", ()),
     (LASER.replace("resolution = 1", "resolution = 0"), "sensor[0].resolution", "not above 0", ()),
+    (SENSOR + "powered = 1", "sensor[0].powered", "expected true or false, found 1", ()),
+    (CAMERA.replace("48", "4.5"), "sensor[0].height", "4.5 is no whole number", ()),
+    (CAMERA.replace("64", "640000"), "sensor[0].width", "makes more than 1,000,000 rays", ()),
+    (CAMERA.replace("fov = 50", "fov = 180"), "sensor[0].fov", "180 is not below 180", ()),
+    (LASER.replace("45", "181"), "sensor[0].max_angle", "more than a turn from min_angle", ()),
+    (
+        LASER.replace("max_angle = 45", "max_angle = 361"),
+        "sensor[0].max_angle",
+        "is more than 360",
+        (),
+    ),
+    (LASER.replace("resolution = 1", ""), "sensor[0].resolution", "missing", ()),
+    (LIDAR + "layers = 2.5", "sensor[0].layers", "2.5 is no whole number", ()),
+    (LIDAR + "max_elevation = 90.5", "sensor[0].max_elevation", "90.5 is more than 90", ()),
+    (LIDAR + "min_elevations = 1", "sensor[0].min_elevations", "no such key", None),
+    (TOUCH + "max_range = 1", "sensor[0].max_range", "there is no such key", ()),
     (SENSOR + SENSOR.removeprefix(BODY), "sensor[1].name", "'s' is there already", ()),
 ]
 
@@ -282,7 +300,7 @@ def test_a_mistake_is_told_with_file_key_and_reason(scene, text, key, words, nea
         assert error.suggestions == nearest
 
 
-@pytest.mark.parametrize("text", [BODY, SENSOR, CAMERA, LASER])
+@pytest.mark.parametrize("text", [BODY, SENSOR, CAMERA, LASER, LIDAR, TOUCH])
 def test_without_the_mistake_they_are_right(scene, text):
     assert read_scene(scene(text)).bodies[0].name == "a"
 

@@ -1,4 +1,4 @@
-"""The published tutorial of SelectScript, cell by cell: sections 4, 5, 6 and 8.
+"""The published tutorial of SelectScript, cell by cell: sections 4 to 8.
 
 `CELLS` holds the programs as they are printed there, in order, with the results that are printed
 below them. Handles are compared by name; numbers to the precision that the scene is built to.
@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import ssduck
+from ssduck.scenes import find_scene
 
 # (cell, program, result)
 CELLS: list[tuple[str, str, Any]] = [
@@ -88,8 +89,44 @@ SELECT obj, position FROM kitchen WHERE within(microwave, this) AS list;",
     ),
 ]
 
-# What section 5 prints of help(), without the three relations that need readings of sensors.
+# What the three cells of section 7 print, and what section 9 prints once the barrett has driven in
+# front of the fridge.
+AS_LOADED = [{"sensor": "barrett_4918_laser_scaner", "robot": "roomba_625x"}]
+AT_THE_FRIDGE = [{"sensor": "fridge_webcam", "robot": "barrett_4918"}, *AS_LOADED]
+# Section 7, as printed: (cell, program).
+SENSING_CELLS = [
+    (
+        "25",
+        "SELECT to(id(e1.this), 'sensor'), to(id(e2.this), 'robot')                   \
+        FROM e1=kitchen, e2=kitchen                                                  \
+        WHERE isSensor(e1.this) AND isRobot(e2.this) AND isSensing(e1.this, e2.this) \
+        AS dict;",
+    ),
+    (
+        "26",
+        "sensor = SELECT obj FROM kitchen WHERE isSensor(this) AS list;     \
+        robot  = SELECT obj FROM kitchen WHERE isRobot(this)  AS list;     \
+                                                                           \
+        SELECT to(id(sensor.this), 'sensor'), to(id(robot.this), 'robot')  \
+        FROM sensor, robot                                                 \
+        WHERE isSensing(sensor.this, robot.this)                           \
+        AS dict;",
+    ),
+    (
+        "27",
+        "SELECT to(id(e1.this), 'sensor'), to(id(e2.this), 'robot')                   \
+        FROM e1=(SELECT obj FROM kitchen WHERE isSensor(this) AS list),              \
+             e2=(SELECT obj FROM kitchen WHERE isRobot(this) AS list)                \
+        WHERE isSensor(e1.this) AND isRobot(e2.this) AND isSensing(e1.this, e2.this) \
+        AS dict;",
+    ),
+]
+
+# What section 5 prints of help().
 TUTORIAL_FUNCTIONS = [
+    "sensingEnvIDs",
+    "sensingAmount",
+    "isSensing",
     "help",
     "getTime",
     "within",
@@ -205,6 +242,46 @@ def test_help_lists_the_tutorials_functions(tutorial):
     """Cell 13."""
     assert set(TUTORIAL_FUNCTIONS) <= set(tutorial.eval("help();"))
     assert "onX" in tutorial.eval("help();")
+
+
+# -- section 7 ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=[False, True], ids=["as SQL", "row by row"])
+def sensing(request):
+    """An interpreter with the kitchen, its sensors switched on as in cell 23."""
+    with ssduck.Interpreter(row_by_row=request.param) as ss:
+        env = ss.addVariable("kitchen", ssduck.World.load(find_scene("kitchen")))
+        Sensor = ssduck.Sensor  # noqa: N806  # the tutorial imports it by that name
+        for sensor in env.GetSensors():
+            sensor.Configure(Sensor.ConfigureCommand.PowerOff)
+        assert ss.eval(SENSING_CELLS[0][1]) == []
+        for sensor in env.GetSensors():
+            sensor.Configure(Sensor.ConfigureCommand.PowerOn)
+            sensor.Configure(Sensor.ConfigureCommand.RenderDataOn)
+        yield ss
+        env.close()
+
+
+def in_each_formulation(ss):
+    return [ss.eval(ss.compile(program)) for _, program in SENSING_CELLS]
+
+
+def test_which_sensors_perceive_a_robot(sensing):
+    """Cells 23 to 27: one result in three formulations, then in raw SQL."""
+    assert in_each_formulation(sensing) == [AS_LOADED] * 3
+    rows = sensing.sql(
+        "SELECT s.name, r.name FROM entities s, entities r "
+        "WHERE isSensor(s) AND isRobot(r) AND isSensing(s, r)"
+    ).fetchall()
+    assert rows == [("barrett_4918_laser_scaner", "roomba_625x")]
+
+
+def test_which_sensors_perceive_a_robot_at_the_fridge(sensing):
+    """Cell 38: the barrett in front of the fridge, turned to the roomba."""
+    env = sensing.callVariable("kitchen")
+    env["barrett_4918"].move([0.25, -1.9, 0.892], [0.92388, 0.0, 0.0, 0.38268])
+    assert in_each_formulation(sensing) == [AT_THE_FRIDGE] * 3
 
 
 def test_the_nine_pairs_of_the_prolog_section(tutorial):

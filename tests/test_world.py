@@ -11,7 +11,13 @@ from conftest import collision, joint, link, robot
 from scipy.spatial.transform import Rotation
 
 import ssduck
-from ssduck.errors import SelectScriptError, UnknownNameError
+from ssduck.errors import (
+    ArgumentError,
+    RemovedEntityError,
+    SelectScriptError,
+    SimulatorError,
+    UnknownNameError,
+)
 from ssduck.scenes import Camera, find_scene
 
 
@@ -176,6 +182,157 @@ def test_an_interpreter_closes_only_the_world_that_it_loaded(client):
         kitchen.tick()
 
 
+# -- collisions, drawing ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("row_by_row", [False, True])
+def test_flags_are_seen_by_the_next_query(kitchen, row_by_row):
+    with ssduck.Interpreter(row_by_row=row_by_row) as ss:
+        ss.add_variable("kitchen", kitchen)
+        disabled = (
+            "SELECT id FROM kitchen WHERE NOT isEnabled(this) AND NOT isSensor(this) AS list;"
+        )
+        hidden = "SELECT id FROM kitchen WHERE NOT isVisible(this) AND NOT isSensor(this) AS list;"
+        prepared = ss.compile(disabled)
+        assert ss.eval(prepared) == ss.eval(hidden) == []
+        kitchen["can"].enabled = False
+        kitchen["roomba_625x"].visible = False
+        assert (ss.eval(prepared), ss.eval(hidden)) == (["can"], ["roomba_625x"])
+        sql = "SELECT name FROM entities WHERE kind <> 'sensor' AND NOT (enabled AND visible)"
+        assert ss.sql(sql + " ORDER BY id").fetchall() == [("roomba_625x",), ("can",)]
+        kitchen.step(3)
+        assert not kitchen["can"].enabled
+        assert kitchen["can"].visible
+        assert not kitchen["roomba_625x"].visible
+        kitchen["can"].enabled = True
+        kitchen["roomba_625x"].visible = True
+        assert ss.eval(prepared) == ss.eval(hidden) == []
+
+
+def test_what_is_not_enabled_falls_through_the_table_and_back(client):
+    """Bodies of all sorts, against what they did before: a fixed one, a robot, rigid ones."""
+    pybullet.setGravity(0, 0, -10, client)
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
+    )
+    for index, position in enumerate(
+        [(0, 0, 0), (0.3, 0, 0), (0, 0, 0.95), (6, 0, 0), (6, 0, 0.95), (0, 0.2, 1.9)]
+    ):
+        pybullet.createMultiBody(
+            0 if index < 2 else 1,
+            box,
+            basePosition=position,
+            useMaximalCoordinates=index in (3, 4),
+            physicsClientId=client,
+        )
+    world = ssduck.World.attach(client)
+    pybullet.performCollisionDetection(client)
+
+    def touching():
+        world.ask(["contacts"])
+        world.tick()
+        table = world.snapshot.tables["contacts"].arrow
+        return set(zip(table["a"].to_pylist(), table["b"].to_pylist(), strict=True))
+
+    before = touching()
+    assert before == {(1, 3), (2, 3), (3, 6), (4, 5)}  # fixed ones do not meet each other
+    for entity in world:
+        entity.enabled = False
+        assert not any(entity.id in pair for pair in touching())
+        # The ray ends above all bodies but the last.
+        (hit,) = pybullet.rayTest([0, 0.2, 9], [0, 0.2, 1.5], physicsClientId=client)
+        assert hit[0] == (-1 if entity.id == 6 else 5)
+        entity.enabled = True
+        entity.enabled = True
+        assert touching() == before
+
+
+def test_a_robot_that_is_not_enabled_meets_nothing(write):
+    write("carrier.urdf", CARRIER)
+    write("table.urdf", robot(link("top", shapes=collision('<box size="9 9 1"/>'))))
+    scene = '[[body]]\nname = "{}"\nurdf = "{}.urdf"\nfixed = {}\n'
+    text = scene.format("carrier", "carrier", "false") + scene.format("table", "table", "true")
+    world = ssduck.World.load(find_scene(write("room.toml", text)))
+    world.ask(["contacts"])
+    contacts = world.snapshot.tables["contacts"]
+    assert contacts.count
+    world["carrier"].enabled = False
+    assert not contacts.count
+    world.step(24)
+    assert not contacts.count
+    assert world["carrier"].velocity[2] < -0.9
+    world.close()
+
+
+def test_what_is_hidden_is_not_drawn_and_gets_its_colours_back(kitchen):
+    camera = Camera(eye=(2.5, 2.0, 2.5), target=(1.0, 0.4, 0.9))
+    before = kitchen.render(160, 120, camera)
+    for name in ("table", "cup_905a"):
+        kitchen[name].visible = False
+        kitchen[name].visible = False
+        without = kitchen.render(160, 120, camera)
+        assert (without != before).any()
+        kitchen[name].visible = True
+        assert (kitchen.render(160, 120, camera) == before).all()
+
+
+def test_a_removed_bodys_state_does_not_pass_on(client):
+    """PyBullet gives its number to the next body."""
+    first = pybullet.createMultiBody(1, physicsClientId=client)
+    world = ssduck.World.attach(client)
+    (old,) = world
+    old.enabled, old.visible = False, False
+    pybullet.removeBody(first, client)
+    assert pybullet.createMultiBody(1, physicsClientId=client) == first
+    for change in (
+        lambda: setattr(old, "enabled", True),
+        lambda: setattr(old, "visible", True),
+        lambda: old.move([0, 0, 0]),
+    ):
+        with pytest.raises(RemovedEntityError, match="no longer"):
+            change()
+    (new,) = world.tick()
+    assert (new.enabled, new.visible) == (True, True)
+    assert not world._simulator.disabled
+    assert not world._simulator.hidden
+    assert not world._simulator._colours
+
+
+def test_sensors_and_closed_worlds_have_no_such_state(kitchen):
+    eye = kitchen["fridge_webcam"]
+    assert (eye.enabled, eye.visible) == (False, False)
+    for name in ("enabled", "visible"):
+        with pytest.raises(ArgumentError, match=r"is a sensor; (enable|show) what it sits on"):
+            setattr(eye, name, True)
+    with pytest.raises(ArgumentError, match="is a sensor"):
+        eye.move(joints=[])
+    can = kitchen["can"]
+    kitchen.close()
+    for change in (
+        lambda: setattr(can, "enabled", False),
+        lambda: setattr(can, "visible", False),
+        lambda: can.move(joints=[]),
+        lambda: kitchen["roomba_625x"].move(joints=[0, 0]),
+    ):
+        with pytest.raises(SimulatorError, match="closed"):
+            change()
+    assert (can.enabled, can.visible) == (True, True)
+
+
+def test_nothing_is_set_while_a_query_runs(kitchen):
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("kitchen", kitchen)
+
+        def disable(thing):
+            thing.enabled = False
+            return True
+
+        ss.add_function("disable", disable)
+        with pytest.raises(SelectScriptError, match="a query on 'kitchen' is running"):
+            ss.eval("SELECT id FROM kitchen WHERE disable(this);")
+    assert kitchen["can"].enabled
+
+
 # -- links, joints, sensors ------------------------------------------------------------------------
 
 LIMIT = '<limit lower="-3" upper="3" effort="5" velocity="2"/>'
@@ -268,6 +425,98 @@ def test_a_moved_robot_keeps_its_joints(carrier):
     assert carrier["on_the_arm"].position == pytest.approx(
         Rotation.from_rotvec([0, 0.5, 0]).apply([0.1, 0.2, 0.9]) + [0, 0, 1], abs=1e-6
     )
+
+
+def test_joints_are_set_and_seen_by_the_next_query(carrier):
+    robot = carrier["carrier"]
+    pose = robot.pose
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("room", carrier)
+        for values in ({"turn": -0.25}, [0.75]):
+            (value,) = values.values() if isinstance(values, dict) else values
+            robot.move(joints=values)
+            assert ss.sql("SELECT position, velocity FROM joints").fetchall() == [(value, 0.0)]
+            assert robot.pose == pose
+            # The joint's axis is the world's z here.
+            centre = np.array([2 + np.cos(value), 2 + np.sin(value), 3])
+            assert np.array(robot.links[1].aabb) == pytest.approx(
+                np.array([centre - 0.25, centre + 0.25]), abs=1e-6
+            )
+    robot.move([0, 0, 0], [1, 0, 0, 0], {"turn": 0.5})
+    assert robot.position == [0, 0, 0]
+    assert robot.joints[0].position == 0.5
+
+
+def test_motors_that_hold_joints_hold_them_where_they_are_set(write):
+    """In a world that ssduck loaded; without gravity, so that they have nothing to lift."""
+    write("carrier.urdf", CARRIER)
+    scene = SCENE.replace("1e-6", "0.004").partition("[[sensor]]")[0]
+    world = ssduck.World.load(find_scene(write("room.toml", scene)))
+    world["carrier"].move(joints={"turn": -1.5})
+    world.step(100)
+    assert world["carrier"].joints[0].position == pytest.approx(-1.5, abs=0.01)
+    world.close()
+
+
+def test_motors_of_a_client_are_its_owners(client, write):
+    path = write("carrier.urdf", CARRIER)
+    handle = pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client)
+    pybullet.setJointMotorControl2(
+        handle, 0, pybullet.POSITION_CONTROL, targetPosition=0.5, force=50, physicsClientId=client
+    )
+    world = ssduck.World.attach(client)
+    world["carrier"].move(joints={"turn": -1.5})
+    assert world["carrier"].joints[0].position == -1.5
+    world.step(2000)
+    assert world["carrier"].joints[0].position == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("joints", "error", "said"),
+    [
+        ({"tur": 0}, UnknownNameError, "carrier has no joint 'tur'; did you mean 'turn'?"),
+        ({"turn": 3.5}, ValueError, "joint 'turn': 3.5 is not from -3 to 3, the joint's limits"),
+        ({"turn": float("nan")}, ValueError, "joint 'turn': expected 1 finite numbers"),
+        ([], ArgumentError, "takes 1 joint values (turn), found 0"),
+        ([1, 2], ArgumentError, "takes 1 joint values (turn), found 2"),
+    ],
+)
+def test_bad_joints_change_nothing(carrier, joints, error, said):
+    robot = carrier["carrier"]
+    before = robot.pose, robot.joints[0].position
+    with pytest.raises(error) as caught:
+        robot.move([9, 9, 9], joints=joints)
+    assert said in str(caught.value)
+    assert (robot.pose, robot.joints[0].position) == before
+
+
+def test_openraves_setters(carrier):
+    robot = carrier["carrier"]
+    robot.SetDOFValues([0.25])
+    assert robot.GetDOFValues().tolist() == [0.25]
+    robot.SetDOFValues([-0.25], [0])
+    assert robot.GetDOFValues().tolist() == [-0.25]
+    for indices, said in (([1], "has no joint 1; it has 1"), ([], "0 indices, 1 values")):
+        with pytest.raises(ArgumentError, match=said):
+            robot.SetDOFValues([0.5], indices)
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
+    turn[:3, 3] = [1, 2, 3]
+    robot.SetTransform(turn)
+    assert robot.GetTransform() == pytest.approx(turn, abs=1e-9)
+    robot.SetTransform([1, 0, 0, 0, 4, 5, 6])
+    assert robot.pose == pytest.approx([1, 0, 0, 0, 4, 5, 6])
+    for wrong in (np.zeros((4, 4)), [1, 2, 3], -np.eye(4)):
+        with pytest.raises(ValueError, match="carrier: "):
+            robot.SetTransform(wrong)
+    robot.Enable(False)
+    robot.SetVisible(False)
+    assert not robot.IsEnabled()
+    assert not robot.IsVisible()
+    robot.Enable(True)
+    robot.SetVisible(True)
+    assert robot.IsEnabled()
+    assert robot.IsVisible()
 
 
 def test_contacts_are_of_where_things_are(kitchen):

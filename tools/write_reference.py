@@ -26,7 +26,8 @@ itself is False, a distance 0. An unknown value is NULL (None in Python), never 
 A relation is a function of entities in SelectScript (`above(table, this)`) and a function of rows
 of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In raw SQL `position`
 is written `"position"(a)`, for it is a word of SQL's; an alias must not be the name of a column
-(`FROM entities x` hides the row `x` behind the column `x`).
+(`FROM entities x` hides the row `x` behind the column `x`). Relations of sensors look things up in
+the table `sensings`; in raw SQL they are for one world, for a row does not tell which one it is of.
 
 ## Relations
 """
@@ -34,8 +35,8 @@ is written `"position"(a)`, for it is a word of SQL's; an alias must not be the 
 TABLES_HEAD = """# Tables
 
 Each world is a schema of its name (`kitchen.entities`); the tables of the first world go without
-it (`entities`). All rows are of the world's last tick. `links`, `joints`, `shapes` and `contacts`
-are read from the simulator from when they are first asked for.
+it (`entities`). All rows are of the world's last tick. `links`, `joints`, `shapes`, `contacts` and
+`sensings` are read from the simulator from when they are first asked for.
 
 Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
 those of link frames, not of centres of mass.

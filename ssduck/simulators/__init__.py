@@ -8,7 +8,7 @@ world; orientations are w, x, y, z.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
@@ -19,6 +19,8 @@ from ssduck.geometry import Array, Indices, PlacedGeometry, cross
 from ssduck.scenes import Camera
 
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
+# The types of joints whose position is one number.
+SETTABLE = ("revolute", "prismatic")
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,11 @@ class Joint:
     """A joint between a link and its parent.
 
     Limits are radians or metres; `effort` newton metres or newtons; none is None.
+
+    Attributes:
+        axis: in the frame of `link`, which has its origin on it. A revolute joint turns the
+            link about it, and it is of length 1; a prismatic one shifts it by position times
+            axis; of other types it is 0.
     """
 
     name: str
@@ -44,6 +51,7 @@ class Joint:
     upper: float | None
     max_effort: float | None
     max_velocity: float | None
+    axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +63,8 @@ class Body:
         name: as the scene, the caller or the model's file says; not yet unique.
         kind: robot or kinbody.
         movable: whether the simulation can move any of its frames.
-        links: link 0 is the base.
-        joints: one for each link but the base.
+        links: link 0 is the base; parents come before their children.
+        joints: one for each link but the base, in the order of the links.
         shapes: collision shapes; `PlacedGeometry.frame` is the index of the link.
     """
 
@@ -107,6 +115,38 @@ class Contact:
     force: float
 
 
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What n rays end on.
+
+    Attributes:
+        bodies: (n,), the bodies' handles; -1 for none.
+        fractions: (n,), how far along its way each ray ends; 1 for none.
+    """
+
+    bodies: Indices
+    fractions: Array
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a camera on a body looks at: along its own +x, +z up.
+
+    Attributes:
+        position: (3,), in the world.
+        matrix: (3, 3), its orientation in the world.
+        fov: the vertical angle, degrees.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+    """
+
+    position: Array
+    matrix: Array
+    fov: float
+    width: int
+    height: int
+
+
 class Simulator(Protocol):
     """One running simulation."""
 
@@ -117,6 +157,14 @@ class Simulator(Protocol):
     @property
     def watched(self) -> bool:
         """Whether others may add, remove and move bodies between two ticks."""
+
+    @property
+    def disabled(self) -> frozenset[Body]:
+        """The bodies that take no part in collisions; the same object until they change."""
+
+    @property
+    def hidden(self) -> frozenset[Body]:
+        """The bodies that are not drawn; the same object until they change."""
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         """Bodies that came and bodies that went since the last call; None if none did."""
@@ -136,11 +184,32 @@ class Simulator(Protocol):
     def read_contacts(self) -> Iterable[Contact]:
         """The contacts of the last step."""
 
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> Hits:
+        """The nearest body that each ray meets, as everything is now; none that it begins in.
+
+        Args:
+            starts: (n, 3), where they begin.
+            ends: (n, 3), where they end at the latest.
+            through: (n,), the handle of the body that each passes through.
+        """
+
+    def photograph(self, view: View) -> npt.NDArray[np.uint8]:
+        """A colour picture without shadows, (height, width, 3)."""
+
     def step(self, count: int) -> None:
         """Advance by that many steps."""
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
-        """Put a body's base link frame there."""
+        """Put a body's base link frame there, at rest."""
+
+    def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
+        """Set joints of a body, at rest: radians or metres by the number of the joint's link."""
+
+    def enable(self, body: Body, on: bool) -> None:
+        """Let a body take part in collisions, or not."""
+
+    def show(self, body: Body, on: bool) -> None:
+        """Draw a body, or do not."""
 
     def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
         """A colour picture, (height, width, 3)."""

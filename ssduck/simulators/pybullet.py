@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, repeat
 from operator import itemgetter
@@ -30,17 +31,24 @@ from ssduck.geometry import (
     rotation_matrices,
 )
 from ssduck.scenes import Camera, Scene
-from ssduck.simulators import Body, Contact, Frames, Kind
+from ssduck.simulators import Body, Contact, Frames, Hits, Kind, View
 from ssduck.simulators.pybullet_bodies import Description, Pose, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
-from ssduck.simulators.pybullet_scenes import load_models
+from ssduck.simulators.pybullet_rays import cast_rays
+from ssduck.simulators.pybullet_scenes import hold_joint, load_models
 
 T = TypeVar("T")
+
+# What a camera's picture shows, metres: PyBullet's own bounds of a camera, about.
+NEAREST_DRAWN = 0.01
+FARTHEST_DRAWN = 100.0
 
 _flatten = chain.from_iterable
 # Of a link's state: pose of the centre of mass; and linear and angular velocity.
 _pose = itemgetter(0, 1)
 _pose_and_twist = itemgetter(0, 1, 6, 7)
+# Bullet's groups and masks of collisions: what cannot move meets all else but its like.
+_FREE, _FIXED = (1, -1), (2, -3)
 
 
 class PyBulletSimulator:
@@ -66,6 +74,10 @@ class PyBulletSimulator:
         self.watched = not owned
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
+        self.disabled: frozenset[Body] = frozenset()
+        self.hidden: frozenset[Body] = frozenset()
+        # Of hidden bodies: link, number among its visual shapes, colour.
+        self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
         self._known: dict[int, Description] = {}
         # Two worlds on one client must not take each other's tags for their own.
         self._tag = f"ssduck.{id(self)}"
@@ -99,11 +111,19 @@ class PyBulletSimulator:
             new = self._call(lambda: {h: self._read(h) for h in handles if h not in kept})
         _warn_of_guesses([one.body for one in new.values() if not one.exact])
         gone = [one.body for handle, one in self._known.items() if handle not in kept]
+        self._forget(gone)
         self._known = {handle: self._known[handle] for handle in kept} | new
         self._listed = handles, self._call(lambda: self._tags_of(handles))
         # They were said of the bodies of that time, not of later ones of the same numbers.
         self._names, self._kinds, self._described = {}, {}, True
         return [one.body for one in new.values()], gone
+
+    def _forget(self, gone: Sequence[Body]) -> None:
+        if not self.disabled.isdisjoint(gone):
+            self.disabled -= frozenset(gone)
+        if not self.hidden.isdisjoint(gone):
+            self.hidden -= frozenset(gone)
+            self._colours = {body: self._colours[body] for body in self.hidden}
 
     def _tags_of(self, handles: Sequence[int]) -> list[int]:
         get = pybullet.getUserDataId
@@ -156,6 +176,10 @@ class PyBulletSimulator:
                     force=entry[9],
                 )
 
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> Hits:
+        """The nearest body that each ray meets; see `ssduck.simulators.pybullet_rays`."""
+        return self._call(lambda: cast_rays(self.client, starts, ends, through))
+
     def step(self, count: int) -> None:
         """Advance by that many steps."""
         timestep = self._clients_timestep()
@@ -189,12 +213,89 @@ class PyBulletSimulator:
 
         self._call(put)
 
+    def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
+        """Set joints by the numbers of their links, at rest.
+
+        The motors of a client that ssduck made go on holding, at the new positions.
+        """
+
+        def put() -> None:
+            for link, position in positions.items():
+                pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
+                if not self.watched:
+                    hold_joint(body.handle, body.joints[link - 1], position, self.client)
+            pybullet.performCollisionDetection(self.client)
+
+        self._call(put)
+
+    def enable(self, body: Body, on: bool) -> None:
+        """Let a body take part in collisions, or not.
+
+        PyBullet does not tell what it may collide with; afterwards it is what PyBullet begins
+        with.
+        """
+        if on == (body not in self.disabled):
+            return
+
+        def put() -> None:
+            for link, part in enumerate(body.links):
+                fixed = link == 0 and part.mass == 0.0
+                group, mask = (_FIXED if fixed else _FREE) if on else (0, 0)
+                pybullet.setCollisionFilterGroupMask(
+                    body.handle, link - 1, group, mask, self.client
+                )
+            pybullet.performCollisionDetection(self.client)
+
+        self._call(put)
+        self.disabled = self.disabled - {body} if on else self.disabled | {body}
+
+    def show(self, body: Body, on: bool) -> None:
+        """Draw a body in the colours that it had, or do not."""
+        if on == (body not in self.hidden):
+            return
+        colours = self._colours[body] if on else self._call(lambda: self._colours_of(body))
+
+        def put() -> None:
+            for link, shape, (*rgb, alpha) in colours:
+                colour = [*rgb, alpha if on else 0.0]
+                pybullet.changeVisualShape(
+                    body.handle, link, shape, rgbaColor=colour, physicsClientId=self.client
+                )
+
+        self._call(put)
+        self.hidden = self.hidden - {body} if on else self.hidden | {body}
+        self._colours = {kept: self._colours.get(kept, colours) for kept in self.hidden}
+
+    def _colours_of(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
+        shapes: Counter[int] = Counter()
+        colours = []
+        for entry in pybullet.getVisualShapeData(body.handle, physicsClientId=self.client):
+            colours.append((entry[1], shapes[entry[1]], entry[7]))
+            shapes[entry[1]] += 1
+        return colours
+
     def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
         """A colour picture by PyBullet's software renderer, (height, width, 3)."""
         view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
         # A view much deeper than the scene leaves too little depth apart: shadows get rings.
         depth = 3.0 * math.dist(camera.eye, camera.target)
         lens = pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
+        return self._drawn(width, height, view, lens, shadow=True)
+
+    def photograph(self, view: View) -> npt.NDArray[np.uint8]:
+        """A colour picture by PyBullet's software renderer, without shadows."""
+        target = view.position + view.matrix[:, 0]
+        seen = pybullet.computeViewMatrix(
+            view.position.tolist(), target.tolist(), view.matrix[:, 2].tolist()
+        )
+        lens = pybullet.computeProjectionMatrixFOV(
+            view.fov, view.width / view.height, NEAREST_DRAWN, FARTHEST_DRAWN
+        )
+        return self._drawn(view.width, view.height, seen, lens, shadow=False)
+
+    def _drawn(
+        self, width: int, height: int, view: Any, lens: Any, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
         picture = self._call(
             lambda: pybullet.getCameraImage(
                 width,
@@ -206,7 +307,7 @@ class PyBulletSimulator:
                 lightAmbientCoeff=0.65,
                 lightDiffuseCoeff=0.6,
                 lightSpecularCoeff=0.05,
-                shadow=1,
+                shadow=int(shadow),
                 renderer=pybullet.ER_TINY_RENDERER,
                 physicsClientId=self.client,
             )

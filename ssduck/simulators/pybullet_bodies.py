@@ -7,7 +7,7 @@ the link frame is `com`. It does not tell all: see `_Reader.shapes`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -67,7 +67,10 @@ def describe(client: int, handle: int, name: str | None, kind: Kind | None) -> D
 
 
 def joint_of(info: tuple[Any, ...]) -> Joint:
-    """A joint from what getJointInfo tells; a range of nothing is PyBullet's for no limits."""
+    """A joint from what getJointInfo tells; a range of nothing is PyBullet's for no limits.
+
+    Its axis is in the frame of the link's centre of mass yet.
+    """
     lower, upper = float(info[8]), float(info[9])
     limited = lower <= upper
     return Joint(
@@ -78,6 +81,7 @@ def joint_of(info: tuple[Any, ...]) -> Joint:
         upper=upper if limited else None,
         max_effort=float(info[10]) or None,
         max_velocity=float(info[11]) or None,
+        axis=info[13],
     )
 
 
@@ -118,7 +122,7 @@ class _Reader:
         )
 
     def described(self, name: str | None, kind: Kind | None) -> Description:
-        joints = tuple(map(joint_of, self.infos))
+        joints = tuple(map(self._joint, self.infos))
         jointed = any(joint.type != "fixed" for joint in joints)
         parents = [-1] + [info[16] + 1 for info in self.infos]
         names = [self.link_name] + [info[12].decode(errors="replace") for info in self.infos]
@@ -135,6 +139,15 @@ class _Reader:
             shapes=tuple(shape for link in range(len(names)) for shape in self.shapes(link)),
         )
         return Description(body, self.com, self.exact)
+
+    def _joint(self, info: tuple[Any, ...]) -> Joint:
+        """A joint, its axis in the frame of its link."""
+        joint = joint_of(info)
+        axis = rotation_matrices(self.com[1][[joint.link]])[0] @ joint.axis
+        # PyBullet turns by as many radians however long the axis is, but does not shift so.
+        length = float(np.linalg.norm(axis)) if joint.type == "revolute" else 1.0
+        x, y, z = (axis / (length or 1.0)).tolist()
+        return replace(joint, axis=(x, y, z))
 
     # -- shapes ---------------------------------------------------------------------------
 

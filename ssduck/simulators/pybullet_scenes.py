@@ -12,11 +12,10 @@ import numpy as np
 from ssduck.errors import SceneError, nearest
 from ssduck.geometry import compose
 from ssduck.scenes import BodySpec, Scene
-from ssduck.simulators import Joint, Kind
+from ssduck.simulators import SETTABLE, Joint, Kind
 from ssduck.simulators.pybullet_bodies import joint_of, wxyz, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 
-_SETTABLE = ("revolute", "prismatic")
 # Stands before each of Bullet's messages, which do not end in a new line.
 _MARK = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
 
@@ -100,19 +99,27 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> None:
     for name, value in spec.joints.items():
         _check_joint(name, value, joints, f"{place}joints.{name}: {spec.model.name}")
     for joint in joints:
-        if joint.type not in _SETTABLE:
+        if joint.type not in SETTABLE:
             continue
         value = spec.joints.get(joint.name, _next_to_zero(joint))
-        index = joint.link - 1
-        pybullet.resetJointState(handle, index, value, 0.0, client)
-        motor: dict[str, Any] = (
-            {"controlMode": pybullet.POSITION_CONTROL, "targetPosition": value}
-            if joint.lower is not None
-            else {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0}
-        )
-        pybullet.setJointMotorControl2(
-            handle, index, force=joint.max_effort or 0.0, physicsClientId=client, **motor
-        )
+        pybullet.resetJointState(handle, joint.link - 1, value, 0.0, client)
+        hold_joint(handle, joint, value, client)
+
+
+def hold_joint(handle: int, joint: Joint, value: float, client: int) -> None:
+    """Let a joint's motor hold it there; one without limits is held at velocity 0."""
+    motor: dict[str, Any] = (
+        {"controlMode": pybullet.POSITION_CONTROL, "targetPosition": value}
+        if joint.lower is not None
+        else {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0}
+    )
+    pybullet.setJointMotorControl2(
+        handle,
+        joint.link - 1,
+        force=joint.max_effort or 0.0,
+        physicsClientId=client,
+        **motor,
+    )
 
 
 def _check_joint(name: str, value: float, joints: Sequence[Joint], place: str) -> None:
@@ -121,7 +128,7 @@ def _check_joint(name: str, value: float, joints: Sequence[Joint], place: str) -
     if name not in known:
         raise SceneError(f"{place} has no such joint", suggestions=nearest(name, known))
     joint = known[name]
-    if joint.type not in _SETTABLE:
+    if joint.type not in SETTABLE:
         raise SceneError(f"{place}: a {joint.type} joint has no position")
     low, high = _range(joint)
     if not low <= value <= high:

@@ -1,0 +1,399 @@
+"""The narrow phase: relations of entities by the shapes that they are made of.
+
+An entity is all its shapes: it is as near, as deep and as much in contact as the closest of
+them. Every pair of shapes is compared once a tick, and only if their boxes and the spheres
+around and in them do not tell: see `ssduck.separation` for what a gap, a depth and a normal are,
+and `ssduck.meshes` for those of meshes that are not convex.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import pairwise
+from threading import RLock
+
+import numpy as np
+
+from ssduck.colliding import Scene, Sorts, colliding
+from ssduck.geometry import Array, Indices, rotate, rotation_matrices
+from ssduck.meshes import mesh_apart, mesh_depth
+from ssduck.overlap import covers, footprint, share_inside
+from ssduck.separation import Counter, Placed, Point, Separation, separation
+from ssduck.solids import Solid
+
+# What is deeper collides.
+COLLIDES = 1e-6
+# What is as near touches, for `on`.
+TOUCHES = 1e-3
+# The normal of what rests on something is at most 30 degrees off the vertical.
+UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
+
+
+class Narrow:
+    """The shapes of one tick.
+
+    All methods take entities by number. Their answer is None, for unknown, if a pose or a shape of
+    either is no number or no shape. An entity and itself have clearance 0, and no contact. One
+    without shapes collides with nothing, and its clearance is unknown.
+
+    Args:
+        solids: the different solids.
+        of: per shape, which solid it is.
+        positions: (shapes, 3), in the world.
+        orientations: (shapes, 4), quaternions w, x, y, z; their lengths do not matter.
+        boxes: (shapes, 6), lower corner, upper corner, in the world.
+        starts: (entities + 1,): the shapes of entity e are those from `starts[e]` up to, and
+            without, `starts[e + 1]`.
+        calls: counts what FCL is asked.
+    """
+
+    def __init__(
+        self,
+        solids: Sequence[Solid],
+        of: Indices,
+        positions: Array,
+        orientations: Array,
+        boxes: Array,
+        starts: Sequence[int],
+        calls: Counter,
+    ) -> None:
+        self.calls = calls
+        self._solids: list[Solid] = [solids[number] for number in np.asarray(of).tolist()]
+        self._positions, self._orientations, self._boxes = positions, orientations, boxes
+        self._starts = list(starts)
+        self._placed: dict[int, Placed] = {}
+        self._apart: dict[tuple[int, int], Separation | None] = {}
+        self._deep: dict[tuple[int, int], Separation] = {}
+        self._clearances: dict[tuple[int, int], float | None] = {}
+        self._beyond: dict[tuple[int, int], float] = {}
+        self._collisions: dict[tuple[int, int], bool | None] = {}
+        self._closest: dict[tuple[int, int], Separation | None] = {}
+        self._shares: dict[tuple[int, int], float | None] = {}
+        self._footprints: dict[int, Array] = {}
+        self._all: list[tuple[int, int]] | None = None
+        # DuckDB calls from its own threads. A pair would be compared twice, not wrongly.
+        self._lock = RLock()
+
+    # -- relations ------------------------------------------------------------------------
+
+    def collides(self, i: int, j: int) -> bool | None:
+        """Whether they are deeper in each other than 1e-6 m."""
+        if i == j:
+            return False
+        key = (i, j) if i < j else (j, i)
+        with self._lock:
+            if key not in self._collisions:
+                self._collisions[key] = self._collide(*key)
+            return self._collisions[key]
+
+    def all_that_collide(self, sorts: Sorts) -> list[tuple[int, int]]:
+        """The pairs of entities that collide, the lesser first.
+
+        Args:
+            sorts: what the shapes are, and whose.
+        """
+        with self._lock:
+            if self._all is None:
+                shown = np.array([not solid.is_empty for solid in self._solids], dtype=bool)
+                scene = Scene(
+                    sorts,
+                    np.array(self._known, dtype=bool) & shown,
+                    self._boxes.T,
+                    self._positions,
+                    self._matrices,
+                    self._moved_array([solid.centre for solid in self._solids]),
+                    self._moved_array([solid.inner_centre for solid in self._solids]),
+                )
+                self._all = colliding(scene, COLLIDES, self._are_deep)
+            return self._all
+
+    def _are_deep(self, s: int, t: int) -> bool:
+        return self._bound(s, t) <= 0.0 and self._separation(s, t).gap < -COLLIDES
+
+    def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
+        """The distance of the nearest points, 0 where they meet.
+
+        Args:
+            i: an entity.
+            j: another.
+            upto: what is farther does not matter: it is infinity.
+        """
+        if i == j:
+            return 0.0
+        key = (i, j) if i < j else (j, i)
+        with self._lock:
+            if key not in self._clearances:
+                if upto <= self._beyond.get(key, -math.inf):
+                    return math.inf
+                found = self._clear(*key, upto)
+                if found == math.inf:
+                    self._beyond[key] = upto
+                    return found
+                self._clearances[key] = found
+            found = self._clearances[key]
+            return math.inf if found is not None and found > upto else found
+
+    def penetration(self, i: int, j: int) -> float | None:
+        """The depth of the deepest two shapes, 0 if all are apart."""
+        if i == j:
+            return 0.0
+        with self._lock:
+            if not (self._are_known[i] and self._are_known[j]):
+                return None
+            meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
+            return max((0.0, *(-self._separation(s, t).gap for s, t in meeting)))
+
+    def separation(self, i: int, j: int) -> Separation | None:
+        """The deepest two shapes if any meet, else the nearest two; None without shapes."""
+        if i == j:
+            return None
+        key = (i, j) if i < j else (j, i)
+        with self._lock:
+            if key not in self._closest:
+                self._closest[key] = self._find_closest(*key)
+            found = self._closest[key]
+        return found if found is None or i < j else found.swapped()
+
+    def nearest_points(self, i: int, j: int) -> tuple[Point, Point] | None:
+        """A point on i and one on j, in the world: the nearest, or the deepest where they meet."""
+        found = self.separation(i, j)
+        return None if found is None else (found.point_a, found.point_b)
+
+    def contacts(self, i: int, j: int, within: float = TOUCHES) -> list[Separation] | None:
+        """Of all pairs of shapes that are no farther apart: the separation of i's from j's."""
+        if i == j:
+            return []
+        with self._lock:
+            if not (self._are_known[i] and self._are_known[j]):
+                return None
+            near = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= within]
+            found = [self._separation(s, t) for s, t in near]
+            return [one for one in found if one.gap <= within]
+
+    def on(self, a: int, b: int) -> bool | None:
+        """Whether b rests on a.
+
+        They are within 1 mm, a normal there from a to b is within 30 degrees of up, and the
+        middle of b's box is over the hull of a's footprint.
+        """
+        contacts = self.contacts(a, b)
+        if not contacts:
+            return None if contacts is None else False
+        if not any(one.normal is not None and -one.normal[2] >= UPRIGHT for one in contacts):
+            return False
+        with self._lock:
+            rows = self._boxes[self._starts[b] : self._starts[b + 1]]
+            x, y = ((rows[:, :3].min(axis=0) + rows[:, 3:].max(axis=0)) / 2)[:2].tolist()
+            if not (math.isfinite(x) and math.isfinite(y)):
+                return False
+            if a not in self._footprints:
+                self._footprints[a] = footprint(self._of(a))
+            return covers(self._of(a), self._footprints[a], x, y)
+
+    def inside(self, a: int, b: int) -> float | None:
+        """The share of b's volume that is inside the convex hull of a, 0..1.
+
+        None if b has no volume. See `ssduck.overlap.share_inside`.
+        """
+        with self._lock:
+            if not (self._are_known[a] and self._are_known[b]):
+                return None
+            if (a, b) not in self._shares:
+                self._shares[a, b] = share_inside(self._of(a), self._of(b))
+            return self._shares[a, b]
+
+    def solid_volume(self, e: int) -> float | None:
+        """The volumes of the shapes, m³, those that overlap more than once.
+
+        An open mesh has none, a half-space is infinite.
+        """
+        if not self._are_known[e]:
+            return None
+        return sum(self._solids[shape].volume for shape in self._shapes[e])
+
+    def is_without_shapes(self, e: int) -> bool:
+        """Whether an entity has no shape with a point."""
+        return not self._shapes[e]
+
+    # -- of two entities ------------------------------------------------------------------
+
+    def _collide(self, i: int, j: int) -> bool | None:
+        if not (self._are_known[i] and self._are_known[j]):
+            return None
+        meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
+        if any(self._surely_collide(s, t) for s, t in meeting):
+            return True
+        return any(self._separation(s, t).gap < -COLLIDES for s, t in meeting)
+
+    def _clear(self, i: int, j: int, upto: float) -> float | None:
+        if not (self._are_known[i] and self._are_known[j]):
+            return None
+        best = math.inf
+        pairs = self._pairs(i, j)
+        if not pairs:
+            return None
+        for bound, s, t in pairs:
+            if bound >= best or bound > upto:
+                break
+            if bound <= 0.0 and self._surely_collide(s, t):
+                return 0.0
+            apart = self._gap(s, t)
+            best = min(best, 0.0 if apart is None else max(0.0, apart.gap))
+            if best == 0.0:
+                break
+        return best if best <= upto else math.inf
+
+    def _find_closest(self, i: int, j: int) -> Separation | None:
+        if not (self._are_known[i] and self._are_known[j]):
+            return None
+        best: Separation | None = None
+        for bound, s, t in self._pairs(i, j):
+            # Those that meet are all compared, for the deepest; the others up to the nearest.
+            if best is not None and bound > max(0.0, best.gap):
+                break
+            found = self._separation(s, t)
+            if best is None or found.gap < best.gap:
+                best = found
+        return best
+
+    def _pairs(self, i: int, j: int) -> list[tuple[float, int, int]]:
+        """The pairs of their shapes with a lower bound of their distances, nearest first."""
+        first, second = self._shapes[i], self._shapes[j]
+        bound = self._bound
+        if len(first) == len(second) == 1:
+            s, t = first[0], second[0]
+            return [(bound(s, t), s, t)]
+        return sorted((bound(s, t), s, t) for s in first for t in second)
+
+    def _bound(self, s: int, t: int) -> float:
+        """The distance of two shapes' boxes, or of the spheres around them if that is more."""
+        both = self._reaches[s] + self._reaches[t]
+        if both == math.inf:
+            is_plane = self._reaches[s] == math.inf
+            return self._bound_of_plane(s, t) if is_plane else self._bound_of_plane(t, s)
+        a, b = self._corners[s], self._corners[t]
+        x = max(0.0, a[0] - b[3], b[0] - a[3])
+        y = max(0.0, a[1] - b[4], b[1] - a[4])
+        z = max(0.0, a[2] - b[5], b[2] - a[5])
+        spheres = math.dist(self._centres[s], self._centres[t]) - both
+        return max(math.sqrt(x * x + y * y + z * z), spheres)
+
+    def _bound_of_plane(self, plane: int, other: int) -> float:
+        """Its box does not serve: far out, a plane that is hardly tilted is out of it."""
+        if self._solids[other].type == "plane":
+            return 0.0
+        x, y, z = self._place(plane).normals[0].tolist()
+        (a, b, c), (d, e, f) = self._centres[other], self._place(plane).position
+        height: float = x * (a - d) + y * (b - e) + z * (c - f)
+        return max(0.0, height - self._solids[other].reach)
+
+    def _surely_collide(self, s: int, t: int) -> bool:
+        """Whether spheres in the shapes are deeper in each other than counts."""
+        together = self._solids[s].inner_radius + self._solids[t].inner_radius - COLLIDES
+        return together > 0.0 and math.dist(self._inner[s], self._inner[t]) < together
+
+    # -- of two shapes --------------------------------------------------------------------
+
+    def _gap(self, s: int, t: int) -> Separation | None:
+        """The separation of shapes, s's from t's; None for meshes that meet."""
+        if s > t:
+            found = self._gap(t, s)
+            return None if found is None else found.swapped()
+        if (s, t) not in self._apart:
+            a, b = self._place(s), self._place(t)
+            self._apart[s, t] = _compare(a, b, self.calls)
+        return self._apart[s, t]
+
+    def _separation(self, s: int, t: int) -> Separation:
+        if s > t:
+            return self._separation(t, s).swapped()
+        found = self._gap(s, t)
+        if found is not None:
+            return found
+        if (s, t) not in self._deep:
+            self._deep[s, t] = mesh_depth(self._place(s), self._place(t), self.calls)
+        return self._deep[s, t]
+
+    def _place(self, shape: int) -> Placed:
+        if shape not in self._placed:
+            x, y, z = self._positions[shape].tolist()
+            turn = self._unit[shape].tolist()
+            orientation = turn[0], turn[1], turn[2], turn[3]
+            self._placed[shape] = Placed(self._solids[shape], (x, y, z), orientation)
+        return self._placed[shape]
+
+    # -- of one entity --------------------------------------------------------------------
+
+    def _of(self, e: int) -> list[Placed]:
+        return [self._place(shape) for shape in self._shapes[e]]
+
+    @cached_property
+    def _shapes(self) -> list[list[int]]:
+        """Of each entity the shapes that have points."""
+        empty = [solid.is_empty for solid in self._solids]
+        ranges = map(range, self._starts, self._starts[1:])
+        return [[shape for shape in shapes if not empty[shape]] for shapes in ranges]
+
+    @cached_property
+    def _are_known(self) -> list[bool]:
+        """Of each entity whether all its poses and shapes are known."""
+        return [all(self._known[a:b]) for a, b in pairwise(self._starts)]
+
+    @cached_property
+    def _reaches(self) -> list[float]:
+        return [solid.reach for solid in self._solids]
+
+    # What all shapes need of their poses is worked out at once, and not before it is asked for.
+
+    @cached_property
+    def _unit(self) -> Array:
+        length = np.sqrt(np.einsum("ij,ij->i", self._orientations, self._orientations))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            unit: Array = self._orientations / length[:, None]
+        return unit
+
+    @cached_property
+    def _known(self) -> list[bool]:
+        finite = np.isfinite(self._positions).all(axis=1) & np.isfinite(self._unit).all(axis=1)
+        known = np.array([solid.known for solid in self._solids], dtype=bool)
+        found: list[bool] = (finite & known).tolist()
+        return found
+
+    @cached_property
+    def _corners(self) -> list[list[float]]:
+        corners: list[list[float]] = self._boxes.tolist()
+        return corners
+
+    @cached_property
+    def _centres(self) -> list[list[float]]:
+        return self._moved([solid.centre for solid in self._solids])
+
+    @cached_property
+    def _inner(self) -> list[list[float]]:
+        return self._moved([solid.inner_centre for solid in self._solids])
+
+    def _moved(self, points: list[Point]) -> list[list[float]]:
+        """A point of each shape in the world."""
+        found: list[list[float]] = self._moved_array(points).tolist()
+        return found
+
+    def _moved_array(self, points: list[Point]) -> Array:
+        local = np.array(points, dtype=np.float64).reshape(-1, 3)
+        with np.errstate(invalid="ignore"):
+            moved: Array = self._positions + rotate(self._matrices, local)
+        return moved
+
+    @cached_property
+    def _matrices(self) -> Array:
+        with np.errstate(invalid="ignore"):
+            return rotation_matrices(self._unit)
+
+
+def _compare(a: Placed, b: Placed, calls: Counter) -> Separation | None:
+    """The separation of two shapes; None for meshes that meet."""
+    kinds = {a.solid.type, b.solid.type}
+    if "mesh" not in kinds or "plane" in kinds:
+        return separation(a, b, calls)
+    return mesh_apart(a, b, calls)

@@ -1,0 +1,116 @@
+"""What the relations of shapes ask of one tick, by the ids of entities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ssduck.colliding import Sorts
+from ssduck.narrow import Narrow
+
+
+class Shapes:
+    """The narrow phase of a tick, by the ids of entities.
+
+    Every answer is None, for unknown, where a pose is no number, and where an entity is none of
+    the tick's.
+
+    Args:
+        narrow: the shapes.
+        numbers: which entity of `narrow` an id is.
+        sorts: what the shapes are, and whose.
+    """
+
+    def __init__(self, narrow: Narrow, numbers: Mapping[int, int], sorts: Sorts) -> None:
+        self._narrow = narrow
+        self._numbers = numbers
+        self._sorts = sorts
+        self._compared: set[tuple[int, int]] = set()
+
+    @cached_property
+    def _colliding(self) -> tuple[list[int], list[int]]:
+        """The ids of all that collide, the first ones and the second ones, each pair both ways."""
+        pairs = self._narrow.all_that_collide(self._sorts)
+        ids = np.array(list(self._numbers), dtype=np.int64)
+        a, b = ids[np.array(pairs, dtype=np.intp).reshape(-1, 2).T]
+        return np.concatenate((a, b)).tolist(), np.concatenate((b, a)).tolist()
+
+    def first(self) -> list[int]:
+        """Of the pairs that collide, the first ones."""
+        return self._colliding[0]
+
+    def second(self) -> list[int]:
+        """Of the pairs that collide, the second ones."""
+        return self._colliding[1]
+
+    def _pair(self, a: int, b: int) -> tuple[int, int]:
+        """Which entities two ids are; a pair counts once a tick."""
+        i, j = self._numbers[a], self._numbers[b]
+        pair = (i, j) if i < j else (j, i)
+        if pair not in self._compared:
+            self._compared.add(pair)
+            self._narrow.calls.pairs += 1
+        return i, j
+
+    def collides(self, a: int, b: int) -> bool | None:
+        """Whether they are deeper in each other than counts."""
+        return self._narrow.collides(*self._pair(a, b))
+
+    def penetration(self, a: int, b: int) -> float | None:
+        """The depth of the deepest two shapes, m; 0 if all are apart."""
+        return self._narrow.penetration(*self._pair(a, b))
+
+    def clearance(self, a: int, b: int) -> float | None:
+        """The distance of the nearest points, m; infinite of what has no shapes."""
+        i, j = self._pair(a, b)
+        if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
+            return math.inf
+        return self._narrow.clearance(i, j)
+
+    def near(self, a: int, b: int, apart: float) -> bool | None:
+        """Whether they are at most that far apart, m; what has no shapes is near nothing."""
+        i, j = self._pair(a, b)
+        if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
+            return False
+        found = self._narrow.clearance(i, j, apart)
+        return None if found is None else found <= apart
+
+    def points(self, a: int, b: int) -> list[list[float]] | None:
+        """The nearest or the deepest points, one of each."""
+        found = self._narrow.nearest_points(*self._pair(a, b))
+        return None if found is None else [list(point) for point in found]
+
+    def on(self, a: int, b: int) -> bool | None:
+        """Whether b rests on a."""
+        return self._narrow.on(*self._pair(a, b))
+
+    def inside(self, a: int, b: int) -> float | None:
+        """The share of b's volume that is inside a's convex hull; 0 if it has none."""
+        i, j = self._pair(a, b)
+        return 0.0 if self._narrow.solid_volume(j) == 0.0 else self._narrow.inside(i, j)
+
+    def volume(self, entity: int) -> float | None:
+        """The sum of the volumes of its shapes, m³."""
+        return self._narrow.solid_volume(self._numbers[entity])
+
+
+Answer: TypeAlias = Callable[..., Any]
+ANSWERS: dict[str, Answer] = {
+    f"narrow {answer.__name__}": answer
+    for answer in (
+        Shapes.first,
+        Shapes.second,
+        Shapes.collides,
+        Shapes.penetration,
+        Shapes.clearance,
+        Shapes.near,
+        Shapes.points,
+        Shapes.on,
+        Shapes.inside,
+        Shapes.volume,
+    )
+}

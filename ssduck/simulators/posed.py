@@ -1,0 +1,77 @@
+"""Bodies at given poses: a `Simulator` in which no time passes and nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ssduck.errors import UnsupportedError
+from ssduck.geometry import Array
+from ssduck.simulators import Body, Contact, Frames
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """What is known of the bodies, behind the interface of a simulator.
+
+    Attributes:
+        time: simulated seconds.
+        frames: of the bodies that are read together.
+        joints: position, velocity and effort of each body's joints, (joints, 3).
+        disabled: the bodies that take no part in collisions.
+        hidden: the bodies that are not drawn.
+    """
+
+    time: float
+    frames: Mapping[tuple[Body, ...], Frames]
+    joints: Mapping[Body, Array]
+    disabled: frozenset[Body]
+    hidden: frozenset[Body]
+    watched: bool = False
+
+    def describe(self) -> None:
+        """None comes, none goes."""
+
+    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:  # noqa: ARG002
+        """All frames of these bodies; the velocities of links are known in any case."""
+        return self.frames[bodies]
+
+    def read_joints(self, bodies: Sequence[Body]) -> Array:
+        """Position, velocity and effort of these bodies' joints, (joints, 3)."""
+        return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
+
+    def read_contacts(self) -> Iterable[Contact]:
+        """None are known: they are what a solver finds."""
+        return ()
+
+    def step(self, count: int) -> None:  # noqa: ARG002
+        """Refuse."""
+        raise UnsupportedError(
+            "a what-if world is not simulated: it cannot be stepped; step the world that it was "
+            "taken of, and take another"
+        )
+
+    def _refuse(self, *_: Any) -> NoReturn:
+        raise UnsupportedError(
+            "a what-if world does not change: take another of it, "
+            "world.what_if({name: pose}, joints={name: {joint: value}})"
+        )
+
+    place = set_joints = enable = show = _refuse
+
+    def _perceive(self, *_: Any) -> NoReturn:
+        raise UnsupportedError(
+            "sensors perceive nothing in a what-if world: no simulation casts their rays"
+        )
+
+    cast_rays = photograph = _perceive
+
+    def render(self, *_: Any) -> NoReturn:
+        """Refuse."""
+        raise UnsupportedError("a what-if world has no picture: no simulator draws it")
+
+    def close(self) -> None:
+        """It holds nothing."""

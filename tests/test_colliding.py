@@ -1,0 +1,122 @@
+"""All that collides in a tick, found at once, is what is found pair by pair."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+
+import ssduck
+
+BOTH = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE collides(a.this, b.this) AS list;"
+# A condition on one of the two alone: then pairs are asked about one by one.
+ONE_BY_ONE = BOTH.replace(" AS list", " AND z(a.this) > -100 AS list")
+
+
+def turned(rng):
+    quaternion = rng.normal(size=4)
+    return (quaternion / np.linalg.norm(quaternion)).tolist()
+
+
+def shape(client, kind, rng):
+    """A shape of a kind, of random size."""
+    a, b, c = rng.uniform(0.05, 0.25, 3).tolist()
+    if kind == "hull":
+        points = rng.normal(size=(12, 3)) * 0.15
+        return pybullet.createCollisionShape(
+            pybullet.GEOM_MESH, vertices=points.tolist(), physicsClientId=client
+        )
+    made = {
+        "box": {"shapeType": pybullet.GEOM_BOX, "halfExtents": [a, b, c]},
+        "sphere": {"shapeType": pybullet.GEOM_SPHERE, "radius": a},
+        "capsule": {"shapeType": pybullet.GEOM_CAPSULE, "radius": a, "height": b},
+        "cylinder": {"shapeType": pybullet.GEOM_CYLINDER, "radius": a, "height": b},
+        "plane": {"shapeType": pybullet.GEOM_PLANE},
+    }[kind]
+    return pybullet.createCollisionShape(**made, physicsClientId=client)
+
+
+def fill(client, kinds, seed, side=1.6):
+    """A body of each kind, anywhere in a cube, turned at random."""
+    rng = np.random.default_rng(seed)
+    for kind in kinds:
+        pybullet.createMultiBody(
+            1,
+            shape(client, kind, rng),
+            basePosition=rng.uniform(0, side, 3).tolist(),
+            baseOrientation=[0, 0, 0, 1] if kind == "plane" else turned(rng),
+            physicsClientId=client,
+        )
+
+
+@pytest.fixture
+def ask(client):
+    """The pairs that a program gives, and how often FCL was called for it."""
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("w", ssduck.World.attach(client))
+
+        def asked(program):
+            world.tick()
+            before = world.snapshot.calls.calls
+            found = ss.eval(program)
+            return list(zip(found[::2], found[1::2], strict=True)), (
+                world.snapshot.calls.calls - before
+            )
+
+        yield asked
+
+
+MIXED = ["box"] * 20 + ["sphere"] * 10 + ["capsule"] * 6 + ["cylinder"] * 6 + ["hull"] * 6
+SCENES = {"boxes": ["box"] * 60, "mixed": MIXED, "on the ground": ["plane", *MIXED]}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kinds", SCENES.values(), ids=SCENES)
+def test_at_once_is_one_by_one(client, ask, kinds, seed):
+    fill(client, kinds, seed)
+    (together, calls), (single, most) = ask(BOTH), ask(ONE_BY_ONE)
+    assert together == single
+    assert together
+    assert calls <= most
+    assert calls == 0 or "hull" in kinds
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 0.3, np.pi / 2])
+@pytest.mark.parametrize(("depth", "collides"), [(-1e-6, 0), (0, 0), (0.9e-6, 0), (1.1e-6, 1)])
+def test_the_boundary_of_boxes(client, ask, angle, depth, collides):
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
+    )
+    turn = [0, 0, np.sin(angle / 2), np.cos(angle / 2)]
+    for z, orientation in ((0.0, [0, 0, 0, 1]), (1.0 - depth, turn)):
+        pybullet.createMultiBody(
+            1, box, basePosition=[0, 0, z], baseOrientation=orientation, physicsClientId=client
+        )
+    assert len(ask(BOTH)[0]) == len(ask(ONE_BY_ONE)[0]) == 2 * collides
+
+
+def test_links_of_one_robot_do_not_count(client, ask):
+    sphere = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.2, physicsClientId=client)
+    pybullet.createMultiBody(
+        1,
+        sphere,
+        linkMasses=[1],
+        linkCollisionShapeIndices=[sphere],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[[0.1, 0, 0]],
+        linkOrientations=[[0, 0, 0, 1]],
+        linkInertialFramePositions=[[0, 0, 0]],
+        linkInertialFrameOrientations=[[0, 0, 0, 1]],
+        linkParentIndices=[0],
+        linkJointTypes=[pybullet.JOINT_FIXED],
+        linkJointAxis=[[0, 0, 1]],
+        physicsClientId=client,
+    )
+    pybullet.createMultiBody(1, sphere, basePosition=[0.4, 0, 0], physicsClientId=client)
+    found, _ = ask(BOTH)
+    assert found == ask(ONE_BY_ONE)[0]
+    assert len(found) == 2
+
+
+def test_nothing_collides_in_an_empty_world(ask):
+    assert ask(BOTH) == ([], 0)

@@ -1,0 +1,757 @@
+"""The narrow phase against oracles, at its edges, and with all that FCL does wrong."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import fcl
+import numpy as np
+import pairs
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pairs import Shape, ell
+
+from ssduck.geometry import Boxer, Geometry, PlacedGeometry, rotation_matrices
+from ssduck.narrow import Narrow
+from ssduck.overlap import share_inside
+from ssduck.separation import Counter, Placed
+from ssduck.solids import solid_of
+
+STRAIGHT = (1.0, 0.0, 0.0, 0.0)
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+def box(x=1.0, y=1.0, z=1.0):
+    return Geometry.primitive("box", (x, y, z))
+
+
+def sphere(radius=0.5):
+    return Geometry.primitive("sphere", (radius, 0, 0))
+
+
+def cylinder(radius=0.5, length=1.0):
+    return Geometry.primitive("cylinder", (radius, length, 0))
+
+
+def capsule(radius=0.5, length=1.0):
+    return Geometry.primitive("capsule", (radius, length, 0))
+
+
+def plane(normal=(0, 0, 1)):
+    return Geometry.primitive("plane", normal)
+
+
+def mesh_of(geometry, *, inverted=False):
+    """The surface of a solid as a mesh."""
+    surface = solid_of(geometry).surface
+    faces = surface.faces[:, ::-1] if inverted else surface.faces
+    return Geometry("mesh", (0, 0, 0), surface.vertices, np.ascontiguousarray(faces))
+
+
+def floor(size=2.0, cells=4):
+    """An open mesh: a square of the ground."""
+    axis = np.linspace(-size / 2, size / 2, cells + 1)
+    vertices = np.array([[x, y, 0] for x in axis for y in axis])
+    faces = []
+    for i, j in itertools.product(range(cells), repeat=2):
+        n = i * (cells + 1) + j
+        faces += [[n, n + cells + 1, n + 1], [n + 1, n + cells + 1, n + cells + 2]]
+    return Geometry("mesh", (0, 0, 0), vertices, np.array(faces, np.int32))
+
+
+def shape(geometry, position=ORIGIN, turn=STRAIGHT):
+    turn = np.array(turn, float)
+    return Shape(geometry.type, geometry, np.array(position, float), turn / np.linalg.norm(turn))
+
+
+def gap(a, b, at=ORIGIN, turn=STRAIGHT):
+    """The gap of one geometry at a place over another at the origin."""
+    return pairs.gap(shape(a, at, turn), shape(b)).gap
+
+
+def narrow(*entities):
+    """A tick; an entity is a list of (geometry, position) or (geometry, position, orientation)."""
+    shapes = [(*one, STRAIGHT)[:3] for entity in entities for one in entity]
+    starts = np.cumsum([0] + [len(entity) for entity in entities]).tolist()
+    positions = np.array([position for _, position, _ in shapes], float).reshape(-1, 3)
+    turns = np.array([turn for _, _, turn in shapes], float).reshape(-1, 4)
+    placed = [
+        PlacedGeometry(n, g, np.zeros(3), np.array(STRAIGHT)) for n, (g, _, _) in enumerate(shapes)
+    ]
+    with np.errstate(all="ignore"):
+        unit = turns / np.linalg.norm(turns, axis=1)[:, None]
+        boxes = (
+            Boxer(placed, range(len(shapes)), len(shapes))
+            .boxes(positions, rotation_matrices(unit))
+            .T
+        )
+    solids = [solid_of(geometry) for geometry, _, _ in shapes]
+    return Narrow(solids, np.arange(len(shapes)), positions, turns, boxes, starts, Counter())
+
+
+def two(a, b, at=ORIGIN, turn=STRAIGHT):
+    """Entity 0 at the origin, entity 1 at a place."""
+    return narrow([(a, ORIGIN)], [(b, at, turn)])
+
+
+# -- against oracles -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kinds", pairs.COMBINATIONS, ids=" ".join)
+def test_a_gap_is_what_the_oracle_says(kinds):
+    bound = 1e-6 if "cylinder" in kinds else 1e-9
+    for seed in range(10):
+        error, found = pairs.error_of(*pairs.pair(kinds, seed))
+        assert error <= bound, (seed, found)
+
+
+@given(kinds=st.sampled_from(pairs.COMBINATIONS), seed=st.integers(0, 2**32))
+@settings(max_examples=150)
+def test_a_gap_is_symmetric(kinds, seed):
+    a, b = pairs.pair(kinds, seed)
+    one, other = pairs.gap(a, b), pairs.gap(b, a)
+    assert one.gap == pytest.approx(other.gap, abs=2e-7)
+
+
+@given(
+    kinds=st.sampled_from(pairs.COMBINATIONS),
+    seed=st.integers(0, 2**32),
+    shift=st.tuples(*[st.floats(-5, 5)] * 3),
+    turn=st.tuples(st.floats(0.1, 1), *[st.floats(-1, 1)] * 3),
+)
+@settings(max_examples=150)
+def test_a_gap_stays_if_the_world_moves(kinds, seed, shift, turn):
+    a, b = pairs.pair(kinds, seed)
+    turn = np.array(turn) / np.linalg.norm(turn)
+    moved = [pairs.moved(one, np.array(shift), turn) for one in (a, b)]
+    assert pairs.gap(*moved).gap == pytest.approx(pairs.gap(a, b).gap, abs=2e-7)
+
+
+@given(
+    kinds=st.sampled_from(pairs.COMBINATIONS),
+    seed=st.integers(0, 2**32),
+    bounds=st.lists(st.floats(0, 3), min_size=2),
+)
+@settings(max_examples=80)
+def test_what_is_near_is_near_for_more(kinds, seed, bounds):
+    a, b = pairs.pair(kinds, seed)
+    places = [[(one.geometry, one.position, one.quaternion)] for one in (a, b)]
+    exact = narrow(*places).clearance(0, 1)
+    tick = narrow(*places)
+    for bound in bounds:
+        found = tick.clearance(0, 1, upto=bound)
+        assert found == (exact if exact <= bound else math.inf)
+
+
+FCL = {
+    "sphere": lambda size: fcl.Sphere(size[0]),
+    "box": lambda size: fcl.Box(*size),
+    "capsule": lambda size: fcl.Capsule(size[0], size[1]),
+}
+
+
+@pytest.mark.parametrize(
+    "kinds", list(itertools.combinations_with_replacement(FCL, 2)), ids=" ".join
+)
+def test_formulas_agree_with_fcl(kinds):
+    """Where nothing is parallel FCL's GJK is right, up to its tolerance."""
+    random = np.random.default_rng(0)
+    for _ in range(100):
+        a, b = (
+            Shape(k, pairs.geometry(k, random, is_round=False), *pairs.pose(random, is_round=False))
+            for k in kinds
+        )
+        objects = [
+            fcl.CollisionObject(
+                FCL[one.kind](one.geometry.size), fcl.Transform(one.quaternion, one.position)
+            )
+            for one in (a, b)
+        ]
+        distance = fcl.distance(*objects, fcl.DistanceRequest(), fcl.DistanceResult())
+        found = pairs.gap(a, b).gap
+        assert max(0.0, found) == pytest.approx(max(0.0, distance), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [("box", "box"), ("sphere", "cylinder"), ("capsule", "box"), ("cylinder", "cylinder")],
+    ids=" ".join,
+)
+def test_gaps_agree_with_pybullet(client, kinds):
+    """Whose margins are up to 1 mm for each box and cylinder."""
+
+    def body(one):
+        a, b, _ = one.geometry.size
+        halves = [length / 2 for length in one.geometry.size]
+        number = getattr(pybullet, f"GEOM_{one.kind.upper()}")
+        made = pybullet.createCollisionShape(
+            number, radius=a, height=b, halfExtents=halves, physicsClientId=client
+        )
+        turn = np.roll(one.quaternion, -1)
+        return pybullet.createMultiBody(
+            0, made, basePosition=one.position, baseOrientation=turn, physicsClientId=client
+        )
+
+    random = np.random.default_rng(1)
+    compared = 0
+    for _ in range(60):
+        a, b = (
+            Shape(k, pairs.geometry(k, random, is_round=False), *pairs.pose(random, is_round=False))
+            for k in kinds
+        )
+        found = pairs.gap(a, b).gap
+        if found > 0.01:
+            bodies = body(a), body(b)
+            points = pybullet.getClosestPoints(*bodies, 10.0, physicsClientId=client)
+            assert found == pytest.approx(min(point[8] for point in points), abs=3e-3)
+            compared += 1
+    assert compared > 5
+
+
+# -- boundaries ----------------------------------------------------------------------------
+
+# A shape that reaches 0.5 below its origin, and one whose top is at height 0.
+OVER = {
+    "box": box(),
+    "sphere": sphere(),
+    "cylinder": cylinder(),
+    "capsule": capsule(0.25, 0.5),
+    "hull": Geometry.hull([[0, 0, -0.5], [1, 0, 0], [0, 1, 0], [-1, -1, 0]]),
+    "mesh": ell(1.0, 1.0, 1.0),
+}
+UNDER = {
+    "plane": (plane(), ORIGIN),
+    "box": (box(4, 4, 1), (0.1, 0.2, -0.5)),
+    "floor": (box(200, 200, 10), (3.0, -7.0, -5.0)),
+    "cylinder": (cylinder(3.0, 2.0), (0.1, 0.2, -1.0)),
+    "hull": (Geometry.hull(solid_of(box(4, 4, 2)).core), (0.1, 0.2, -1.0)),
+    "closed mesh": (mesh_of(box(4, 4, 2)), (0.1, 0.2, -1.0)),
+    "ell": (ell(8.0, 4.0, 2.0), (2.0, 0.0, -1.0)),
+    "open mesh": (floor(4.0), (0.1, 0.2, 0.0)),
+}
+
+
+@pytest.mark.parametrize("under", UNDER)
+@pytest.mark.parametrize("over", OVER)
+@pytest.mark.parametrize(
+    "height", [0.3, 1e-3, 1e-5, 2e-6, 1e-7, 0.0, -1e-7, -0.9e-6, -1.1e-6, -1e-4, -1e-2]
+)
+def test_at_the_surface(over, under, height):
+    """The clearance, the depth, and colliding from 1e-6 m on."""
+    geometry, at = UNDER[under]
+    tick = narrow([(geometry, at)], [(OVER[over], (0.0, 0.0, 0.5 + height))])
+    assert tick.clearance(0, 1) == pytest.approx(max(0.0, height), abs=3e-9)
+    assert tick.penetration(0, 1) == pytest.approx(max(0.0, -height), abs=2e-8)
+    assert tick.collides(0, 1) is (height < -1e-6)
+    for within in (0.0, abs(height) - 1e-8, abs(height) + 1e-8):
+        expected = max(0.0, height) <= within
+        if abs(max(0.0, height) - within) > 5e-9:
+            assert (tick.clearance(0, 1, upto=within) <= within) is expected
+    normal = tick.separation(1, 0).normal
+    assert normal == pytest.approx((0, 0, 1), abs=1e-4)
+
+
+@pytest.mark.parametrize(("a", "b"), list(itertools.combinations_with_replacement(OVER, 2)))
+def test_the_same_place_and_parallel_edges(a, b):
+    """FCL ends the process on such a pair of cylinders, and is off by metres on boxes."""
+    for x, y, z in itertools.product((0.0, 0.5, 1.0, 1.5), repeat=3):
+        found = pairs.gap(shape(OVER[a], (x, y, z)), shape(OVER[b]))
+        if a == b == "box":
+            outside = [max(0.0, c - 1.0) for c in (x, y, z)]
+            expected = math.hypot(*outside) if any(outside) else max(x, y, z) - 1.0
+            assert found.gap == pytest.approx(expected, abs=1e-9)
+        assert math.isfinite(found.gap)
+        way = np.array(found.point_a) - found.point_b
+        assert way == pytest.approx(found.gap * np.array(found.normal), abs=1e-9)
+
+
+# -- what FCL does wrong -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("over", OVER)
+def test_half_spaces_are_solid_and_endless(over):
+    tick = two(plane(), OVER[over], (1000.0, -2000.0, -50.0))
+    assert tick.collides(0, 1)
+    assert tick.penetration(0, 1) == pytest.approx(50.5)
+    assert tick.clearance(0, 1) == 0.0
+    assert tick.calls.calls == 0
+
+
+def test_a_hardly_tilted_plane_is_not_its_box():
+    slope = 3e-5
+    tick = narrow([(plane((slope, 0, 1)), ORIGIN)], [(sphere(0.01), (-1000.0, 0.0, 0.02))])
+    assert tick.collides(0, 1)
+
+
+# (normals and positions of two half-spaces, gap)
+HALF_SPACES = [
+    ((0, 0, 1), (0, 0, 0), (0, 0, -1), (5, 0, 1), 1.0),
+    ((0, 0, 1), (0, 0, 0), (0, 0, -1), (5, 0, 0), 0.0),
+    ((0, 0, 1), (0, 0, 0), (0, 0, -1), (5, 0, -2), -2.0),
+    ((0, 0, 1), (0, 0, 0), (0, 0, 1), (0, 0, 7), -math.inf),
+    ((0, 0, 1), (0, 0, 0), (1, 0, 0), (9, 0, 7), -math.inf),
+]
+
+
+@pytest.mark.parametrize(("n", "p", "m", "q", "expected"), HALF_SPACES)
+def test_two_half_spaces(n, p, m, q, expected):
+    found = pairs.gap(shape(plane(n), p), shape(plane(m), q))
+    assert found.gap == expected
+    for point in (found.point_a, found.point_b):
+        assert np.isfinite(point).all()
+    if found.normal is None:
+        assert np.dot(np.subtract(found.point_a, p), n) <= 1e-9
+        assert np.dot(np.subtract(found.point_b, q), m) <= 1e-9
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+@pytest.mark.parametrize("over", [*OVER, "plane"])
+def test_a_pose_that_is_no_number_is_unknown(over, number):
+    geometry = OVER.get(over, plane())
+    for pose in (
+        ((0.0, number, 0.0), STRAIGHT),
+        (ORIGIN, (1.0, number, 0.0, 0.0)),
+        (ORIGIN, (0.0, 0.0, 0.0, 0.0)),
+    ):
+        tick = narrow([(box(), ORIGIN)], [(geometry, *pose)])
+        told = [
+            tick.collides(0, 1),
+            tick.clearance(0, 1),
+            tick.penetration(1, 0),
+            tick.nearest_points(0, 1),
+        ]
+        told += [
+            tick.contacts(0, 1),
+            tick.on(0, 1),
+            tick.inside(0, 1),
+            tick.inside(1, 0),
+            tick.solid_volume(1),
+        ]
+        assert told == [None] * 9
+
+
+NO_SHAPES = [
+    sphere(-1.0),
+    sphere(math.nan),
+    box(1, math.inf, 1),
+    plane((0, 0, 0)),
+    Geometry.hull([[0, 0, math.nan], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    Geometry("mesh", (0, 0, 0), np.eye(3), np.array([[0, 1, 3]], np.int32)),
+    Geometry("mesh", (0, 0, 0), np.eye(3), np.array([[0, 1, -1]], np.int32)),
+]
+
+
+@pytest.mark.parametrize("geometry", NO_SHAPES, ids=lambda one: one.type)
+def test_numbers_that_make_no_shape_are_unknown(geometry):
+    solid = solid_of(geometry)
+    boxes = np.array([[-1.0] * 3 + [1.0] * 3] * 2)
+    tick = Narrow(
+        [solid, solid_of(box())],
+        np.arange(2),
+        np.zeros((2, 3)),
+        np.tile(STRAIGHT, (2, 1)),
+        boxes,
+        [0, 1, 2],
+        Counter(),
+    )
+    assert tick.collides(0, 1) is None
+    assert tick.clearance(1, 0) is None
+    assert tick.inside(0, 1) is None
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        Geometry.hull(np.zeros((0, 3))),
+        Geometry("mesh", (0, 0, 0), np.zeros((0, 3)), np.zeros((0, 3), np.int32)),
+    ],
+)
+def test_what_has_no_points_meets_nothing(geometry):
+    tick = narrow([(geometry, ORIGIN)], [(box(), ORIGIN)], [])
+    for empty in (0, 2):
+        assert tick.collides(empty, 1) is False
+        assert tick.clearance(1, empty) is None
+        assert tick.penetration(empty, 1) == 0.0
+        assert tick.nearest_points(empty, 1) is None
+        assert tick.on(1, empty) is False
+        assert tick.inside(1, empty) is None
+        assert tick.inside(empty, 1) == 0.0
+        assert tick.solid_volume(empty) == 0.0
+
+
+# (corners of a hull without an inside, gap to a unit box 2 above)
+THIN = [
+    ([[0, 0, 0]], 1.5),
+    ([[0, 0, 0]] * 9, 1.5),
+    ([[0, 0, 0], [0, 0, 1]], 0.5),
+    ([[0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5]], math.sqrt(2 / 3)),
+    ([[0, 0, 1], [1, 0, 1], [0, 1, 1]], 0.5),
+    ([[-1, -1, 1.5], [1, -1, 1.5], [1, 1, 1.5], [-1, 1, 1.5], [0, 0, 1.5]], 0.0),
+    ([[0, 0, 1.6], [1, 0, 1.6], [0, 1, 1.6]], -0.1),
+    ([[0, 0, 1.6]], -0.1),
+    ([[-1, 0, 1.6], [1, 0, 1.6]], -0.1),
+]
+
+
+@pytest.mark.parametrize(("corners", "expected"), THIN)
+def test_thin_hulls(corners, expected):
+    assert gap(box(), Geometry.hull(corners), (0, 0, 2)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_quaternions_need_not_have_length_one():
+    turn = np.array([1.0, 0.0, 0.0, 1.0])
+    for scale in (1e-3, 1.0, 7.0):
+        tick = two(box(), box(4, 1, 1), (0, 0, 2), scale * turn)
+        assert tick.clearance(0, 1) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "small",
+    [
+        box(0.1, 0.1, 0.1),
+        sphere(0.05),
+        cylinder(0.05, 0.1),
+        capsule(0.03, 0.05),
+        ell(0.1, 0.1, 0.1),
+    ],
+)
+@pytest.mark.parametrize("inverted", [False, True])
+def test_a_closed_mesh_is_solid(small, inverted):
+    big = ell(2.0, 2.0, 2.0)
+    if inverted:
+        big = Geometry("mesh", (0, 0, 0), big.vertices, np.ascontiguousarray(big.faces[:, ::-1]))
+    tick = two(big, small, (-0.5, 0.0, -0.5))
+    assert tick.collides(0, 1)
+    assert tick.clearance(0, 1) == 0.0
+    assert 0.4 < tick.penetration(1, 0) < 0.6
+    hollow = two(big, small, (0.5, 0.0, 0.5))
+    assert hollow.clearance(0, 1) == pytest.approx(0.45, abs=0.01)
+    assert not hollow.collides(0, 1)
+
+
+def test_a_closed_mesh_inside_a_convex_shape_meets_it():
+    for big in (box(3, 3, 3), sphere(2), cylinder(2, 3), capsule(2, 1), ell(9, 9, 9)):
+        at = (-2.0, 0.0, -2.0) if big.type == "mesh" else ORIGIN
+        tick = two(big, ell(0.5, 0.5, 0.5), at)
+        assert tick.collides(0, 1), big.type
+        assert tick.clearance(0, 1) == 0.0
+
+
+def test_faces_that_do_not_agree_are_turned():
+    whole = ell(1.0, 1.0, 1.0)
+    faces = whole.faces.copy()
+    faces[::3] = faces[::3, ::-1]
+    solid = solid_of(Geometry("mesh", (0, 0, 0), whole.vertices, faces))
+    assert solid.closed
+    assert solid.volume == pytest.approx(0.75)
+
+
+def test_copies_of_vertices_do_not_open_a_mesh():
+    whole = ell(1.0, 1.0, 1.0)
+    apart = Geometry(
+        "mesh",
+        (0, 0, 0),
+        whole.vertices[whole.faces].reshape(-1, 3),
+        np.arange(60, dtype=np.int32).reshape(-1, 3),
+    )
+    assert solid_of(apart).closed
+    assert not solid_of(Geometry("mesh", (0, 0, 0), whole.vertices, whole.faces[1:])).closed
+
+
+def test_a_convex_closed_mesh_is_a_hull():
+    assert solid_of(mesh_of(box())).type == "hull"
+    assert solid_of(mesh_of(box(), inverted=True)).volume == pytest.approx(1.0)
+
+
+def test_a_mesh_with_faces_without_an_area():
+    whole = ell(1.0, 1.0, 1.0)
+    faces = np.concatenate((whole.faces, [[0, 0, 1], [2, 2, 2]])).astype(np.int32)
+    solid = solid_of(Geometry("mesh", (0, 0, 0), whole.vertices, faces))
+    assert solid.closed
+    flat = Geometry(
+        "mesh",
+        (0, 0, 0),
+        np.array([[0, 0, 0], [1, 0, 0], [2.0, 0, 0]]),
+        np.array([[0, 1, 2]], np.int32),
+    )
+    assert gap(sphere(0.5), flat, (1, 0, 2)) == pytest.approx(1.5)
+
+
+def test_an_open_mesh_is_a_surface():
+    assert gap(sphere(0.1), floor(), (0, 0, -0.3)) == pytest.approx(0.2)
+    assert two(floor(), sphere(0.1), (0, 0, 0.05)).collides(0, 1)
+
+
+def test_nearest_points_of_a_sphere_and_a_mesh_are_in_the_world():
+    tick = narrow(
+        [(ell(1, 1, 1), (5, 6, 7), (1, 1, 0, 0))], [(sphere(0.5), (5, 6, 9), (0.3, 1, 0, 0))]
+    )
+    p, q = tick.nearest_points(0, 1)
+    assert p == pytest.approx((5, 6, 7.5), abs=0.51)
+    assert p[2] == pytest.approx(7.5)
+    assert math.dist(q, (5, 6, 9)) == pytest.approx(0.5)
+    assert math.dist(p, q) == pytest.approx(tick.clearance(0, 1))
+
+
+def test_an_answer_does_not_depend_on_the_one_before():
+    near, far = (box(), (0, 0, 1.2)), (box(), (0, 0, 3.0))
+    tick = narrow([(box(), ORIGIN)], [near], [far])
+    assert tick.clearance(0, 1) == pytest.approx(0.2)
+    assert tick.clearance(0, 2) == pytest.approx(2.0)
+
+
+# -- a tick --------------------------------------------------------------------------------
+
+
+def test_spheres_tell_without_fcl():
+    tick = narrow([(box(), ORIGIN)], [(box(), (0.2, 0, 0))], [(ell(1, 1, 1), (9, 9, 9))])
+    assert tick.collides(0, 1)
+    assert tick.clearance(0, 1) == 0.0
+    assert not tick.collides(0, 2)
+    assert tick.clearance(0, 2, upto=5.0) == math.inf
+    assert tick.calls.calls == 0
+
+
+def test_a_pair_is_asked_once_a_tick():
+    tick = two(box(), box(), (0.3, 0.2, 1.2))
+    for _ in range(3):
+        assert tick.clearance(0, 1) == tick.clearance(1, 0) == pytest.approx(0.2)
+        assert tick.nearest_points(0, 1) == tick.nearest_points(1, 0)[::-1]
+        assert not tick.collides(1, 0)
+        assert tick.penetration(0, 1) == 0.0
+        assert tick.contacts(0, 1) == []
+    assert tick.calls.calls == 1
+
+
+def test_only_the_closest_shapes_are_asked():
+    arm = [(box(0.1, 0.1, 0.9), (0, 0, z)) for z in range(10)]
+    tick = narrow(arm, [(box(0.1, 0.1, 0.1), (0.5, 0.02, 0))])
+    assert tick.clearance(0, 1) == pytest.approx(0.4)
+    assert tick.calls.calls <= 2
+    assert tick.clearance(0, 1, upto=0.1) == math.inf
+    assert tick.clearance(1, 0, upto=0.4 + 1e-9) == pytest.approx(0.4)
+
+
+def test_an_entity_is_all_its_shapes():
+    table = [(box(2, 2, 0.1), (0, 0, 1)), (box(0.1, 0.1, 1), (0.9, 0.9, 0.5))]
+    tick = narrow(table, [(sphere(0.1), (0, 0, 0.8))], [(sphere(0.1), (0.8, 0.9, 0.5))])
+    assert tick.clearance(0, 1) == pytest.approx(0.05)
+    assert tick.penetration(0, 2) == pytest.approx(0.05)
+    assert tick.collides(2, 0)
+    assert len(tick.contacts(0, 2)) == 1
+    assert tick.solid_volume(0) == pytest.approx(0.41)
+
+
+def test_an_entity_and_itself():
+    tick = two(box(), box())
+    assert tick.collides(0, 0) is False
+    assert tick.clearance(0, 0) == 0.0
+    assert tick.penetration(0, 0) == 0.0
+    assert tick.contacts(0, 0) == []
+    assert tick.nearest_points(0, 0) is None
+
+
+def test_many_entities_as_one_by_one():
+    random = np.random.default_rng(5)
+    kinds = ["sphere", "box", "hull", "cylinder", "mesh"]
+    shapes = [
+        Shape(
+            k,
+            pairs.geometry(k, random, is_round=False),
+            random.uniform(-1, 1, 3),
+            pairs.pose(random, is_round=False)[1],
+        )
+        for k in kinds * 4
+    ]
+    tick = narrow(*([(one.geometry, one.position, one.quaternion)] for one in shapes))
+    for i, j in itertools.combinations(range(len(shapes)), 2):
+        alone = pairs.gap(shapes[i], shapes[j]).gap
+        assert tick.collides(j, i) is (alone < -1e-6)
+        assert tick.clearance(i, j) == pytest.approx(max(0.0, alone), abs=1e-7)
+
+
+def test_threads_get_the_same():
+    random = np.random.default_rng(6)
+    places = [
+        [(pairs.geometry("hull", random, is_round=False), random.uniform(-1, 1, 3))]
+        for _ in range(12)
+    ]
+    every = list(itertools.combinations(range(12), 2))
+    alone, together = narrow(*places), narrow(*places)
+    expected = [alone.clearance(i, j) for i, j in every]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(lambda pair: together.clearance(*pair), every * 3)) == expected * 3
+    assert together.calls.calls == alone.calls.calls
+
+
+# -- on, inside ----------------------------------------------------------------------------
+
+TABLE = [(box(2, 1, 0.1), (0, 0, 0.95)), (box(0.1, 0.1, 0.9), (0.9, 0.4, 0.45))]
+SLOPE = 1 / math.cos(math.radians(15)) / 2
+
+# (what, where, turn, whether it is on the table)
+ON = [
+    (box(0.2, 0.2, 0.2), (0, 0, 1.1), STRAIGHT, True),
+    (box(0.2, 0.2, 0.2), (0, 0, 1.1009), STRAIGHT, True),
+    (box(0.2, 0.2, 0.2), (0, 0, 1.1011), STRAIGHT, False),
+    (box(0.2, 0.2, 0.2), (0, 0, 1.098), STRAIGHT, True),
+    (box(0.2, 0.2, 0.2), (0.999, 0, 1.1), STRAIGHT, True),
+    (box(0.2, 0.2, 0.2), (1.001, 0, 1.1), STRAIGHT, False),
+    (box(0.2, 0.2, 0.2), (0, 0, 0.7), STRAIGHT, False),
+    (box(0.2, 0.2, 0.2), (1.1, 0, 0.95), STRAIGHT, False),
+    (sphere(0.1), (0.3, 0.2, 1.1), STRAIGHT, True),
+    (cylinder(0.1, 0.2), (0.3, 0.2, 1.1), (1, 0, 0, 0.3), True),
+    (cylinder(0.1, 0.2), (0.3, 0.2, 1.1), (1, 1, 0, 0), True),
+    (capsule(0.1, 0.2), (0.3, 0.2, 1.2), STRAIGHT, True),
+    (ell(0.2, 0.2, 0.2), (0.3, 0.2, 1.1), STRAIGHT, True),
+]
+
+
+@pytest.mark.parametrize(("what", "at", "turn", "expected"), ON)
+def test_on(what, at, turn, expected):
+    tick = narrow(TABLE, [(what, at, turn)])
+    assert tick.on(0, 1) is expected
+    assert tick.on(1, 0) is False
+
+
+@pytest.mark.parametrize(
+    ("degrees", "expected"), [(0, True), (29.9, True), (30.1, False), (80, False)]
+)
+@pytest.mark.parametrize("under", [plane(), box(9, 9, 9)])
+def test_on_a_slope(degrees, expected, under):
+    tilt = (math.cos(math.radians(degrees) / 2), math.sin(math.radians(degrees) / 2), 0, 0)
+    normal = np.array([0, -math.sin(math.radians(degrees)), math.cos(math.radians(degrees))])
+    top = 0.0 if under.type == "plane" else 4.5
+    tick = narrow([(under, ORIGIN, tilt)], [(sphere(0.1), normal * (top + 0.1))])
+    assert tick.on(0, 1) is expected
+
+
+def test_on_the_ground():
+    tick = narrow(
+        [(plane(), ORIGIN)], [(box(), (50, 60, 0.5))], [(floor(), ORIGIN)], [(box(), (0, 0, 0.5))]
+    )
+    assert tick.on(0, 1) is True
+    assert tick.on(2, 3) is True
+    assert tick.on(1, 0) is False
+    wall = narrow([(plane((1, 0, 0)), ORIGIN)], [(box(), (0.5, 0, 0))])
+    assert wall.on(0, 1) is False
+
+
+def test_on_a_thin_shelf():
+    rail = Geometry.hull([[-1, 0, 0], [1, 0, 0]])
+    tick = narrow(
+        [(rail, ORIGIN)], [(sphere(0.1), (0.5, 0, 0.1))], [(sphere(0.1), (0.5, 0.001, 0.1))]
+    )
+    assert tick.on(0, 1) is True
+    assert tick.on(0, 2) is False
+
+
+CRATE = solid_of(box(2, 2, 2))
+BOWL = Geometry("mesh", (0, 0, 0), CRATE.core, CRATE.faces[:-2])
+# (a, b, where b is, share of b in a's hull)
+INSIDE = [
+    (box(2, 2, 2), box(), ORIGIN, 1.0),
+    (box(2, 2, 2), box(), (0.5, 0.5, 0.5), 1.0),
+    (box(2, 2, 2), box(), (1, 0, 0), 0.5),
+    (box(2, 2, 2), box(), (1, 1, 1), 0.125),
+    (box(2, 2, 2), box(), (1.5, 0, 0), 0.0),
+    (box(2, 2, 2), box(), (7, 0, 0), 0.0),
+    (box(), box(2, 2, 2), ORIGIN, 0.125),
+    (box(2, 2, 2), ell(1, 1, 1), (1, 0, 0), 2 / 3),
+    (box(2, 2, 2), ell(1, 1, 1), (0, 0, 0), 1.0),
+    (ell(2, 2, 2), box(0.1, 0.1, 0.1), (0.2, 0, -0.2), 1.0),
+    (BOWL, box(), (0, 0, 0.5), 1.0),
+    (box(4, 4, 4), BOWL, (2, 0, 0), 0.5),
+    (plane(), box(), (0, 0, 0.25), 0.25),
+    (plane(), box(), (0, 0, 0.5), 0.0),
+    (box(), plane(), ORIGIN, 0.0),
+    (box(), floor(), ORIGIN, None),
+    (floor(), box(), ORIGIN, 0.0),
+    (box(), Geometry.hull([[0, 0, 0], [1, 1, 1]]), ORIGIN, None),
+]
+
+
+@pytest.mark.parametrize(("a", "b", "at", "expected"), INSIDE)
+def test_inside(a, b, at, expected):
+    found = two(a, b, at).inside(0, 1)
+    assert found == (expected if expected is None else pytest.approx(expected, abs=1e-9))
+
+
+def cap(height):
+    """The share of a ball of radius 1 below that height of a cut."""
+    return (2 + 3 * height - height**3) / 4
+
+
+# (a, b, where b is, share of b in a's hull): round ones
+ROUND_INSIDE = [
+    (plane(), sphere(1.0), (0, 0, 0.0), cap(0.0)),
+    (plane(), sphere(1.0), (0, 0, 0.3), cap(-0.3)),
+    (plane(), sphere(1.0), (0, 0, -0.9), cap(0.9)),
+    (box(4, 4, 4), sphere(1.0), (2, 2, 2), 0.125),
+    (box(4, 4, 4), cylinder(1.0, 2.0), (2, 0, 2), 0.25),
+    (box(4, 4, 4), capsule(0.5, 2.0), (0, 0, 2), 0.5),
+    (sphere(1.0), box(2, 2, 2), ORIGIN, math.pi / 6),
+    (cylinder(1.0, 2.0), box(2, 2, 2), ORIGIN, math.pi / 4),
+    (sphere(1.0), sphere(0.5), (0.4, 0.2, 0.1), 1.0),
+    (sphere(0.5), sphere(1.0), ORIGIN, 0.125),
+]
+
+
+@pytest.mark.parametrize(("a", "b", "at", "expected"), ROUND_INSIDE)
+def test_inside_of_round_shapes(a, b, at, expected):
+    assert two(a, b, at).inside(0, 1) == pytest.approx(expected, abs=0.005)
+
+
+@given(seed=st.integers(0, 2**32))
+@settings(max_examples=15)
+def test_shares_as_by_counting_points(seed):
+    random = np.random.default_rng(seed)
+    a = Shape(
+        "hull", pairs.geometry("hull", random, is_round=False), *pairs.pose(random, is_round=False)
+    )
+    b = Shape(
+        "box", pairs.geometry("box", random, is_round=False), *pairs.pose(random, is_round=False)
+    )
+    grid = np.stack(np.meshgrid(*[(np.arange(24) + 0.5) / 24 - 0.5] * 3), -1).reshape(-1, 3)
+    points = (grid * b.geometry.size) @ b.matrix.T + b.position
+    hull = a.placed()
+    held = (points @ hull.normals.T <= hull.offsets).all(axis=1).mean()
+    assert share_inside([hull], [b.placed()]) == pytest.approx(held, abs=0.02)
+
+
+def test_hulls_of_half_spaces():
+    ground = Placed(solid_of(plane()), ORIGIN, STRAIGHT)
+    wall = Placed(solid_of(plane((1, 0, 0))), ORIGIN, STRAIGHT)
+    block = Placed(solid_of(box()), (0.0, 0.0, 0.5), STRAIGHT)
+    high = Placed(solid_of(box()), (9.0, 9.0, 1.0), STRAIGHT)
+    assert share_inside([ground, block], [high]) == pytest.approx(0.5)
+    assert share_inside([ground, wall], [high]) == 1.0
+    assert share_inside([ground, wall], [ground]) == 1.0
+
+
+# (shape, its volume)
+VOLUMES = [
+    (box(1, 2, 3), 6.0),
+    (sphere(0.5), math.pi / 6),
+    (cylinder(0.5, 2.0), math.pi / 2),
+    (capsule(0.5, 2.0), math.pi / 2 + math.pi / 6),
+    (ell(1, 2, 1), 1.5),
+    (mesh_of(box(1, 2, 3)), 6.0),
+    (Geometry.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), 1 / 6),
+    (floor(), 0.0),
+    (plane(), math.inf),
+]
+
+
+@pytest.mark.parametrize(("geometry", "expected"), VOLUMES)
+def test_volumes(geometry, expected):
+    assert narrow([(geometry, (1, 2, 3), (1, 1, 0, 0))]).solid_volume(0) == pytest.approx(expected)
+
+
+def test_solids_are_built_once_for_equal_contents():
+    assert solid_of(box(1, 2, 3)) is solid_of(box(1, 2, 3))
+    assert solid_of(box(1, 2, 3)) is not solid_of(box(1, 2, 4))
