@@ -158,7 +158,10 @@ class Planned:
         if not self.plan.paths:
             return Rows(fetched, names)
         if self.plan.graph is not None:
-            return _graph_paths(self.plan.graph, fetched, names, self._database.meter.step)
+            meter = self._database.meter
+            found = _graph_paths(self.plan.graph, fetched, names, meter.step)
+            meter.check_rows(len(found.paths))
+            return found
         return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
 
     def _fetched(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:

@@ -269,7 +269,7 @@ GIVEN = [
     (list[int], [], []),
     (list[float], [1, 2], [1, 2]),
     (list[float], [None], [None]),
-    (list[float], [np.float64(0.5)], [np.float64(0.5)]),
+    (list[float], [np.float64(0.5)], [0.5]),
     (list[list[float]], [[0.5], [1]], [[0.5], [1]]),
     (list[str], "ab", "ab"),
 ]
