@@ -569,7 +569,7 @@ def test_what_has_no_shapes(stage):
     body = pybullet.createMultiBody(1.0, -1, physicsClientId=stage.client)
     stage.names[body] = "none"
     world = stage.open()
-    world.add_sensor("rangefinder", "a", "eye", max_range=1.0)
+    world.add_sensor("range_finder", "a", "eye", max_range=1.0)
     for ss in stage.interpreters(sim=world):
         for other in ("none", "eye"):
             assert ss.eval(f"[clearance(a, {other}), penetration(a, {other})];") == [math.inf, 0.0]

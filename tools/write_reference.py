@@ -33,8 +33,9 @@ under `NOT` and in `OR`. A pair is compared once a tick, however often it is ask
 compares every pair that it is asked for; where a distance will do, `near(a, b, d)` is cheaper.
 
 An entity is all its shapes, those of all its links: a relation of two holds for their closest
-shapes. A plane is a solid half-space: what is under the ground collides with it. A closed mesh is solid, an
-open one a surface. What has no shapes, a sensor say, meets nothing and is infinitely far from all.
+shapes. A plane is a solid half-space: what is under the ground collides with it. A closed mesh is
+solid, an open one a surface. What has no shapes, a sensor say, meets nothing and is infinitely far
+from all.
 
 ```python
 import ssduck
