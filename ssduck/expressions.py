@@ -363,7 +363,7 @@ class Expressions:
             raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
         if value.extent or value.risky:
             raise NotSqlError  # of what is infinite, a formula may be no number
-        if value.tag.type == parameter.type:
+        if value.tag.type == parameter.type or (parameter.type == "real" and value.tag.is_number):
             return value
         if parameter.type == "place" and value.tag.type == "entity":
             return value

@@ -192,6 +192,11 @@ def test_planes_are_solid_below_and_endless():
 # -- the registry -------------------------------------------------------------------------------
 
 
+def argument_of(place, parameter):
+    """What a parameter may be in raw SQL: a row, or a number."""
+    return "0.5" if parameter.type == "real" else "aba"[place]
+
+
 @pytest.mark.parametrize("relation", RELATIONS.values(), ids=lambda r: r.name)
 def test_every_relation_is_complete(relation, pair):
     ss, _ = pair
@@ -201,11 +206,8 @@ def test_every_relation_is_complete(relation, pair):
     assert all(parameter.meaning for parameter in relation.parameters)
     assert relation.required in relation.expressions
     # It is a function of rows in raw SQL, too; position needs quotes, being a word of SQL's.
-    entities, example = iter("abb"), {"place": "{'x': 0, 'y': 0, 'z': 0}", "real": "0.5"}
-    arguments = ", ".join(
-        example.get(parameter.type) or next(entities)
-        for parameter in relation.parameters[: relation.required]
-    )
+    required = relation.parameters[: relation.required]
+    arguments = ", ".join(argument_of(n, p) for n, p in enumerate(required))
     rows = ss.sql(f'SELECT "{relation.name}"({arguments}) FROM entities a, entities b').fetchall()
     assert len(rows) == 4
 

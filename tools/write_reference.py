@@ -18,19 +18,57 @@ from ssduck.udfs import RELATIONS, Relation
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
-RELATIONS_HEAD = """# Relations and functions
+RELATIONS_HEAD = '''# Relations and functions
 
-Metres, radians, kilograms; world frame; quaternions w, x, y, z. A relation of an entity with
-itself is False, a distance 0. An unknown value is NULL (None in Python), never NaN.
+Metres, newtons, radians, kilograms; world frame; quaternions w, x, y, z. A relation of an entity
+with itself is False, a distance 0. An unknown value is NULL (None in Python), never NaN.
+
+## Boxes and shapes
+
+`above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` are of positions and axis-aligned
+boxes: formulas over columns, and fast. The relations that say `Asks the narrow phase` are of the
+shapes themselves: two balls side by side may overlap and yet be apart. DuckDB then calls Python,
+but only for the pairs that are said there, wherever the relation stands: in `WHERE` and `SELECT`,
+under `NOT` and in `OR`. A pair is compared once a tick, however often it is asked for. `clearance`
+compares every pair that it is asked for; where a distance will do, `near(a, b, d)` is cheaper.
+
+An entity is all its shapes, those of all its links: a relation of two holds for their closest
+shapes. A plane is a solid half-space: what is under the ground collides with it. A closed mesh is
+solid, an open one a surface. What has no shapes, a sensor say, meets nothing and is infinitely far
+from all.
+
+```python
+import ssduck
+
+ss = ssduck.load("kitchen")
+kitchen = ss.call_variable("kitchen").step(480)  # two seconds, until all is at rest
+ss.eval("""
+    table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;
+    SELECT id FROM kitchen WHERE on(table, this) AS list;
+""")  # four cups and three plates, and no chair
+ss.eval("SELECT id FROM kitchen WHERE contains(this, var('table')) AS list;")  # ['kitchen']
+ss.eval("SELECT id, clearance(table, this) FROM kitchen WHERE near(table, this, 0.5);")
+ss.sql("SELECT a.name, b.name, penetration(a, b) FROM entities a, entities b WHERE collides(a, b)")
+print(ss.statistics()["kitchen"])  # how many pairs that took, and how many calls
+```
+
+## In SelectScript and in raw SQL
 
 A relation is a function of entities in SelectScript (`above(table, this)`) and a function of rows
-of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In raw SQL `position`
-is written `"position"(a)`, for it is a word of SQL's; an alias must not be the name of a column
-(`FROM entities x` hides the row `x` behind the column `x`). Relations of sensors look things up in
-the table `sensings`; in raw SQL they are for one world, for a row does not tell which one it is of.
+of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In raw SQL:
+
+- `position` and `on` are written in quotes, `"on"(a, b)`, for they are words of SQL's.
+- An alias must not be the name of a column: `FROM entities x` hides the row `x` behind the column.
+- A point is a struct: `inSphere(e, {'x': 0, 'y': 0, 'z': 1}, 0.5)`.
+- What looks something up (shapes, contacts, sensings) is for one world, for a row does not tell
+  which one it is of. With several worlds, write the one that is meant before it:
+  `FROM kitchen.entities a, kitchen.entities b WHERE kitchen.collides(a, b)`.
+- `contains` of two texts is DuckDB's own; of a list or a map, write `list_contains` or
+  `map_contains`.
+- DuckDB lists what they do: `SELECT function_name, comment FROM duckdb_functions()`.
 
 ## Relations
-"""
+'''
 
 TABLES_HEAD = """# Tables
 
@@ -48,7 +86,8 @@ def relation_lines(relation: Relation) -> Iterator[str]:
     yield f"\n### `{relation.usage}`\n"
     unit = f" Unit: {relation.unit}." if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.symmetric else ""
-    yield f"{relation.about}{unit}{symmetric}\n"
+    asked = f" Asks the narrow phase {relation.asked}." if relation.asked else ""
+    yield f"{relation.about}{unit}{symmetric}{asked}\n"
     for parameter in relation.parameters:
         yield f"- `{parameter.name}`: {parameter.meaning}"
 
