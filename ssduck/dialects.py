@@ -25,7 +25,6 @@ _OURS = (
     (exp.GenerateSeries, "lists"),
     (exp.Anonymous, "functions of DuckDB"),
 )
-_HAVE_LISTS = frozenset(("duckdb",))
 
 
 def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:

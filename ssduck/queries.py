@@ -41,12 +41,8 @@ MOST_FAILURES = 3
 TRIED_AGAIN = 64
 # A search or a product of lists with at most so many rows a state is not worth a statement.
 FEW_ROWS = 64
-
-
 # So many combinations of the sources are kept from state to state.
 MOST_COMBINATIONS = 10_000
-
-
 # Longer lists are not written into a statement.
 MOST_WRITTEN = 1000
 

@@ -330,6 +330,8 @@ _CORNERS = (
 _BESIDE = "(" + " + ".join(f"{o}.{s}max - {o}.{s}min" for o in "ab" for s in "xyz") + ") / 36"
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 
+_COLLIDES = _narrow('"narrow collides"($world, a.id, b.id)')
+
 _LISTED = (
     _of_entity("id", "text", "object.name", "Returns the name of an object, unique in its world."),
     _of_entity(
@@ -457,7 +459,7 @@ _LISTED = (
     _on_shapes(
         "collides",
         "flag",
-        _narrow('"narrow collides"($world, a.id, b.id)'),
+        _COLLIDES,
         "Checks if shapes of a and b are deeper in each other than 1e-6 m.",
         symmetric=True,
     ),
@@ -686,7 +688,7 @@ _LISTED = (
     _on_shapes(
         "collision",
         "flag",
-        _narrow('"narrow collides"($world, a.id, b.id)'),
+        _COLLIDES,
         "Checks if a and b collide: collides(a, b).",
         symmetric=True,
     ),
