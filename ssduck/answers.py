@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import partial
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
@@ -68,7 +69,7 @@ def _write_table(value: Any) -> None:
     answer = answer_of(value)
     if answer.columns and not answer.named:
         for row in answer.rows:
-            print_line(shown(row[0]))
+            print_line(readable(row[0]))
     elif answer.columns or answer.rows:
         print_table(answer)
     if answer.columns and not answer.rows and value is not None:
@@ -148,7 +149,7 @@ def _cell(value: Any) -> str:
     return plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False)
 
 
-def shown(value: Any, *, inside: bool = False) -> str:
+def readable(value: Any, *, inside: bool = False) -> str:
     """A value for people: numbers rounded to six digits, entities by name."""
     match value:
         case float():
@@ -156,10 +157,10 @@ def shown(value: Any, *, inside: bool = False) -> str:
         case str():
             return repr(value) if inside else value
         case list() | tuple():
-            return f"[{', '.join(shown(element, inside=True) for element in value)}]"
+            return f"[{', '.join(readable(element, inside=True) for element in value)}]"
         case dict():
-            items = (f"{shown(k, inside=True)}: {shown(v, inside=True)}" for k, v in value.items())
-            return f"{{{', '.join(items)}}}"
+            told = partial(readable, inside=True)
+            return f"{{{', '.join(f'{told(key)}: {told(part)}' for key, part in value.items())}}}"
         case None:
             return "NULL"
         case bool():
@@ -248,5 +249,5 @@ def _is_number(value: Any) -> bool:
 
 def _on_one_line(value: Any) -> str:
     """As `shown`; line ends and what else would upset a terminal are escaped."""
-    text = shown(value)
+    text = readable(value)
     return text if text.isprintable() else repr(text)[1:-1]

@@ -32,7 +32,7 @@ from ssduck.answers import (
     console_of_answers,
     print_line,
     print_table,
-    shown,
+    readable,
     table_of,
 )
 from ssduck.errors import SelectScriptError
@@ -387,7 +387,7 @@ def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql
     grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
     if with_sql and not question.sql and (sql := ss.explain(question.program)):
         grid.add_row("  as SQL", _compact(sql), style="dim")
-    grid.add_row("  answer", table_of(answer) if answer.named else shown(value))
+    grid.add_row("  answer", table_of(answer) if answer.named else readable(value))
     with console.capture() as captured:
         console.print(grid)
         console.line()

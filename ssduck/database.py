@@ -101,7 +101,7 @@ class Statement:
         if self._prepared_for != generation:
             if self._has_parameters:
                 self._database.show(self._name, self._row.arrow)
-            self._database.run(self._prepare)
+            self._database.run(self._prepare, timed=True)
             self._prepared_for = generation
         try:
             return self._database.rows(self._execute)
@@ -324,11 +324,11 @@ class Database:
         self.meter.check_rows(table.num_rows)
         return table
 
-    def run(self, sql: str) -> None:
-        """Run a statement of ssduck's own."""
-        self._told(sql, lambda: self._connection.execute(sql).fetchall())
+    def run(self, sql: str, *, timed: bool = False) -> None:
+        """Run a statement of ssduck's own; whatever a program may take, it is not cut off."""
+        self._told(sql, lambda: self._connection.execute(sql).fetchall(), timed=timed)
 
-    def _told(self, sql: str, work: Callable[[], T]) -> T:
+    def _told(self, sql: str, work: Callable[[], T], *, timed: bool = True) -> T:
         """Tell the tracer of a statement, run it, and end it in time.
 
         DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call behind
@@ -339,7 +339,7 @@ class Database:
         self._raised.clear()
         listening = ctrl_c.Listening(self._interrupt)
         try:
-            result = self._in_time(work, listening)
+            result = self._in_time(work, listening, self._timer() if timed else None)
         except Exception as error:
             if not (listening.pressed or _is_duckdbs(error)):
                 raise
@@ -348,8 +348,9 @@ class Database:
             raise KeyboardInterrupt
         return result
 
-    def _in_time(self, work: Callable[[], T], listening: ctrl_c.Listening) -> T:
-        timer = self._timer()
+    def _in_time(
+        self, work: Callable[[], T], listening: ctrl_c.Listening, timer: threading.Timer | None
+    ) -> T:
         try:
             listening.enter()
             if timer is not None:

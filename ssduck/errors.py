@@ -10,6 +10,13 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+# Longer messages and lines of a program are cut: whoever sees one is to read it.
+MOST_OF_MESSAGE = 4000
+MOST_OF_LINE = 160
+_BEFORE = 60
+# A longer name is compared with others by its beginning.
+_MOST_OF_NAME = 200
+
 
 @dataclass(frozen=True)
 class Span:
@@ -19,10 +26,13 @@ class Span:
     end: int
 
 
-def nearest(name: str, known: Iterable[str], limit: int = 3) -> tuple[str, ...]:
-    """The known names that are most alike to `name`, best first, case aside."""
+def nearest(name: object, known: Iterable[str], limit: int = 3) -> tuple[str, ...]:
+    """The known names that are most alike to `name`, best first, case aside; to a text only."""
+    if not isinstance(name, str):
+        return ()
     by_folded = {candidate.casefold(): candidate for candidate in sorted(known)}
-    found = difflib.get_close_matches(str(name).casefold(), list(by_folded), n=limit, cutoff=0.6)
+    wanted = name[:_MOST_OF_NAME].casefold()
+    found = difflib.get_close_matches(wanted, list(by_folded), n=limit, cutoff=0.6)
     return tuple(by_folded[match] for match in found)
 
 
@@ -44,6 +54,8 @@ class SelectScriptError(Exception):
         span: Span | None = None,
         suggestions: Iterable[str] = (),
     ) -> None:
+        if len(message) > MOST_OF_MESSAGE:
+            message = f"{message[:MOST_OF_MESSAGE]}…"
         super().__init__(message)
         self.message = message
         self.text = text
@@ -78,14 +90,19 @@ class SelectScriptError(Exception):
         return f"{told}\n  line {self.line}, column {self.column}\n{self._underlined()}"
 
     def _underlined(self) -> str:
-        """The offending line with the offending text underlined."""
+        """The offending line, or its part around the offending text, which is underlined."""
         assert self.text is not None
         assert self.span is not None
         first = self.text.rfind("\n", 0, self.span.start) + 1
         last = self.text.find("\n", self.span.start)
         last = len(self.text) if last < 0 else last
-        line = self.text[first:last]
-        before = line[: self.span.start - first]
+        cut = ""
+        if last - first > MOST_OF_LINE:
+            cut = "…" if self.span.start - first > _BEFORE else ""
+            first = max(first, self.span.start - _BEFORE)
+            last = min(last, first + MOST_OF_LINE)
+        line = cut + self.text[first:last]
+        before = line[: len(cut) + self.span.start - first]
         width = max(1, min(self.span.end, last) - self.span.start)
         # A tab keeps its place, so that the mark stands under what it marks.
         indent = "".join("\t" if letter == "\t" else " " for letter in before)

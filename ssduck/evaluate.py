@@ -6,27 +6,33 @@ evaluated. Variables, functions and nested queries are looked up through the fra
 
 from __future__ import annotations
 
-import math
-import operator
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import fields
-from itertools import islice
-from reprlib import Repr
-from typing import Any, Protocol, TypeAlias, cast
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Protocol, TypeAlias
 
-import numpy as np
-
+from ssduck.deferred import Deferred
 from ssduck.dependencies import aliases_of, free_aliases, is_impure
 from ssduck.errors import (
     ArgumentError,
-    EvaluationError,
     SelectScriptError,
     Span,
     UnknownNameError,
     UnsupportedError,
     nearest,
 )
+from ssduck.keys import NUMPYS, written
 from ssduck.limits import Meter
+from ssduck.messages import bounded, shown, unusable
+from ssduck.operators import (
+    CHAINS,
+    GROWING,
+    OPERATORS,
+    QUICK,
+    apply,
+    apply_unary,
+    check_size,
+    indexed,
+    truth,
+)
 from ssduck.tree import (
     Aged,
     Assignment,
@@ -45,13 +51,8 @@ from ssduck.tree import (
     Unary,
 )
 
-# Larger results are refused: they are mistakes, and nothing could stop them.
-MOST_BITS = 1_000_000
-MOST_ELEMENTS = 10_000_000
+# A longer list is looked at for its size as it is made.
 FEW = 4
-# So many keys and letters of what is wrong are told.
-MOST_KEYS = 20
-MOST_LETTERS = 200
 # So many parts keep the functions that they were made into; then all are made anew.
 MOST_COMPILED = 5000
 
@@ -153,29 +154,6 @@ class Frame:
 Thunk: TypeAlias = Callable[[Frame], Any]
 
 
-class Deferred:
-    """A list that mentions elements of sources that are not there yet.
-
-    It is resolved in the query that uses it.
-
-    Args:
-        node: the list, or a list or text that contains it.
-        text: the program that it is from.
-    """
-
-    def __init__(self, node: Node, text: str) -> None:
-        self.node = node
-        self.text = text
-
-    def __repr__(self) -> str:
-        return f"<list for the query that uses it: {self.source}>"
-
-    @property
-    def source(self) -> str:
-        """How it was written."""
-        return self.text[self.node.span.start : self.node.span.end]
-
-
 # Weak keys would stay, too: the functions know their parts.
 _COMPILED: dict[Node, Thunk] = {}
 
@@ -230,7 +208,7 @@ class Compiler:
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """A part as a function that tells whether it holds."""
         thunk = self.thunk(node)
-        if isinstance(node, Binary) and node.operator in _CHAINS:
+        if isinstance(node, Binary) and node.operator in CHAINS:
             return thunk  # which is True or False
 
         def holds(frame: Frame) -> bool:
@@ -389,19 +367,19 @@ class Compiler:
         def element(frame: Frame) -> Any:
             value = base(frame)
             for index, span in indices:
-                value = _indexed(value, index(frame), span)
+                value = indexed(value, index(frame), span)
             return value.item() if isinstance(value, NUMPYS) else value
 
         return element
 
     def _binary(self, node: Binary) -> Thunk:
         sign = node.operator
-        if sign in _CHAINS:
+        if sign in CHAINS:
             return self._chain(node)
-        operate = _OPERATORS[sign]
-        if sign in _GROWING:
+        operate = OPERATORS[sign]
+        if sign in GROWING:
             left, right = self.thunk(node.left), self.thunk(node.right)
-            quick = _QUICK[sign]
+            quick = QUICK[sign]
 
             def growing(frame: Frame) -> Any:
                 a, b = left(frame), right(frame)
@@ -560,345 +538,3 @@ def _no_element(alias: str | None, frame: Frame, span: Span) -> SelectScriptErro
     return UnknownNameError(
         "there is no 'this' here: it is the element of a query's only source", span=span
     )
-
-
-def _indexed(value: Any, index: Any, span: Span) -> Any:
-    try:
-        return value[index]
-    except (SelectScriptError, RecursionError):
-        raise
-    except (IndexError, KeyError) as error:
-        raise _no_such(value, index, span, error) from error
-    except TypeError as error:
-        raise ArgumentError(f"{_kind(value)} has no element {shown(index)}", span=span) from error
-    except Exception as error:
-        raise unusable(error, span) from error
-
-
-def _no_such(value: Any, index: Any, span: Span, error: Exception) -> EvaluationError:
-    """Of an element that is not there, with what is there."""
-    missing = f"no element {shown(index)}"
-    if isinstance(value, dict):
-        keys = list(islice(value, MOST_KEYS))
-        more = ", …" if len(value) > MOST_KEYS else ""
-        told = ", ".join(map(shown, keys))
-        near = nearest(index, map(str, keys))
-        return EvaluationError(
-            f"{missing}: there are keys [{told}{more}]", span=span, suggestions=near
-        )
-    if isinstance(value, list | tuple | str):
-        return EvaluationError(f"{missing}: there are {len(value)} elements", span=span)
-    return EvaluationError(f"{missing}: {reason(error)}", span=span)
-
-
-_SHORT = Repr()
-_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MOST_KEYS
-_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MOST_LETTERS
-
-
-def shown(value: Any) -> str:
-    """A value as it is written, if that is not too long."""
-    try:
-        return bounded(_SHORT.repr(value))
-    except ValueError:  # Python writes no number of thousands of digits
-        if not isinstance(value, int):
-            return _kind(value)
-        sign = "negative " if value < 0 else ""
-        return f"a {sign}number of some {int(value.bit_length() * math.log10(2))} digits"
-
-
-def reason(error: BaseException) -> str:
-    """What an error of whatever kind says, if that is not too long."""
-    try:
-        return bounded(str(error))
-    except Exception:  # noqa: BLE001  # a user's class may do anything
-        return "it does not tell why"
-
-
-def bounded(text: str) -> str:
-    """The first line of a text, if that is not too long."""
-    line = text.strip().partition("\n")[0]
-    return line if len(line) <= MOST_LETTERS else f"{line[:MOST_LETTERS]}…"
-
-
-def truth(value: Any, node: Node) -> bool:
-    """Whether a value holds.
-
-    Raises:
-        EvaluationError: it is neither true nor false.
-    """
-    try:
-        return bool(value)
-    except (SelectScriptError, RecursionError):
-        raise
-    except Exception as error:
-        raise unusable(error, node.span) from error
-
-
-def unusable(error: Exception, span: Span | None) -> EvaluationError:
-    """Of values that Python brought in: an array that is neither true nor false, say.
-
-    Their libraries have errors of their own, of whatever kind and length.
-    """
-    return EvaluationError(f"{type(error).__name__}: {reason(error)}", span=span)
-
-
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "XOR": lambda left, right: bool(left) != bool(right),
-    "IN": lambda left, right: left in right,
-    "==": operator.eq,
-    "!=": operator.ne,
-    ">=": operator.ge,
-    ">": operator.gt,
-    "<=": operator.le,
-    "<": operator.lt,
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "%": operator.mod,
-    "^": operator.pow,
-}
-_UNARY: dict[str, Callable[[Any], Any]] = {
-    "-": operator.neg,
-    "+": operator.pos,
-}
-_GROWING = frozenset("+*^")
-# Of two values of these types a result is never too large.
-_QUICK = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[type]()}
-_CHAINS = frozenset(("AND", "OR"))
-
-
-def apply(sign: str, left: Any, right: Any, span: Span | None = None) -> Any:
-    """The value of a binary operator other than AND and OR.
-
-    Raises:
-        EvaluationError: a division by zero, or a result that is too large.
-        ArgumentError: values that the operator does not take.
-    """
-    if sign in _GROWING and _is_endless(sign, left, right):
-        raise EvaluationError(f"the result of {sign} is too large", span=span)
-    try:
-        value = _OPERATORS[sign](left, right)
-    except ZeroDivisionError as error:
-        raise EvaluationError("division by zero", span=span) from error
-    except OverflowError as error:
-        raise EvaluationError(f"the result of {sign} is too large", span=span) from error
-    except TypeError as error:
-        raise ArgumentError(
-            f"{sign} does not take {_kind(left)} and {_kind(right)}", span=span
-        ) from error
-    except SelectScriptError:
-        raise
-    except Exception as error:
-        raise unusable(error, span) from error
-    if isinstance(value, complex):
-        raise EvaluationError(f"{sign} of these has no real value", span=span)
-    return value
-
-
-def _is_endless(sign: str, left: Any, right: Any) -> bool:
-    """Whether a power, a product or a repetition would take all time and memory there is."""
-    if isinstance(left, int) and isinstance(right, int):
-        if sign == "^":
-            return abs(left) > 1 and right * left.bit_length() > MOST_BITS
-        return sign == "*" and left.bit_length() + right.bit_length() > MOST_BITS
-    if sign == "+" and isinstance(left, str | list) and type(left) is type(right):
-        return len(left) + len(right) > MOST_ELEMENTS
-    if sign == "*":
-        for sequence, times in ((left, right), (right, left)):
-            if isinstance(sequence, str | list) and isinstance(times, int):
-                return len(sequence) * times > MOST_ELEMENTS
-    return False
-
-
-def check_size(value: Any, span: Span) -> None:
-    """Refuse a list of lists of lists that would take for ever to print or to compare.
-
-    Raises:
-        EvaluationError: it has more than `MOST_ELEMENTS`, all the way down.
-    """
-    if type(value) is list and _leaves(value, {}) > MOST_ELEMENTS:
-        raise EvaluationError("the list is too large", span=span)
-
-
-def _leaves(values: list[Any], counted: dict[int, int]) -> int:
-    """How many elements a list has, all the way down; each list is counted once."""
-    count = len(values)
-    for value in values:
-        if type(value) is not list:
-            continue
-        if list not in map(type, value):
-            count += len(value)
-        elif id(value) in counted:
-            count += counted[id(value)]
-        else:
-            known = counted[id(value)] = _leaves(value, counted)
-            count += known
-    return count
-
-
-def apply_unary(sign: str, value: Any, span: Span) -> Any:
-    """The value of - or +.
-
-    Raises:
-        ArgumentError: a sign before what is no number.
-    """
-    try:
-        return _UNARY[sign](value)
-    except TypeError as error:
-        raise ArgumentError(f"{sign} does not take {_kind(value)}", span=span) from error
-    except (SelectScriptError, RecursionError):
-        raise
-    except Exception as error:
-        raise unusable(error, span) from error
-
-
-def _kind(value: Any) -> str:
-    """What a value is, in words."""
-    if value is None:
-        return "nothing"
-    words = {
-        bool: "True or False",
-        int: "a number",
-        float: "a number",
-        str: "a text",
-        list: "a list",
-        Deferred: "a list for the query that uses it",
-    }
-    return words.get(type(value), type(value).__name__)
-
-
-def written(node: Node) -> str:
-    """A part so that parts are written alike only if they mean the same where they stand."""
-    if isinstance(node, Query):
-        return f"Query({id(node)})"
-    values = (getattr(node, field.name) for field in fields(node))
-    parts = ", ".join(_written(value) for value in values if not isinstance(value, Span))
-    return f"{type(node).__name__}({parts})"
-
-
-def _written(value: Any) -> str:
-    """What is in a part: another one, some of them, or a name, a number, a text."""
-    if isinstance(value, tuple):
-        return f"({', '.join(map(_written, value))})"
-    return written(value) if isinstance(value, Node) else repr(value)
-
-
-_ATOMS = frozenset((int, float, str, bool, type(None)))
-NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
-
-
-def plain(value: Any) -> Any:
-    """A value whose lists, tuples and dicts hold Python's numbers, truths and texts, not numpy's.
-
-    numpy's would overflow, and be infinite where Python's raise. It is the value itself where
-    there are none.
-    """
-    kind = type(value)
-    if kind is dict:
-        parts = {plain(key): plain(part) for key, part in value.items()}
-        same = all(map(operator.is_, parts.values(), value.values()))
-        return value if same and all(map(operator.is_, parts, value)) else parts
-    if kind is list or kind is tuple:
-        if _ATOMS.issuperset(map(type, value)):
-            return value
-        elements = kind(map(plain, value))
-        return value if all(map(operator.is_, elements, value)) else elements
-    return value.item() if isinstance(value, NUMPYS) else value
-
-
-def hashable(value: Any) -> Any:
-    """What stands for a value in sets: alike for equal values, lists and dicts included.
-
-    Raises:
-        ArgumentError: values of its type cannot be told apart.
-    """
-    kind = type(value)
-    if kind in _ATOMS:
-        return value
-    if kind is list or kind is tuple:
-        return (kind, *[part if type(part) in _ATOMS else hashable(part) for part in value])
-    if kind is dict:
-        return (dict, frozenset((key, hashable(part)) for key, part in value.items()))
-    try:
-        hash(value)
-    except TypeError as error:
-        raise ArgumentError(f"{_kind(value)} cannot be told apart from others: {error}") from error
-    return cast("Any", value)
-
-
-_EXACT_ATOMS = frozenset((int, str, bool, type(None)))
-
-
-def exactly(value: Any) -> Any:
-    """What stands for a value in sets: alike only for values that no function tells apart.
-
-    1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart. So it may be
-    with equal values of any other type.
-
-    Raises:
-        ArgumentError: values of its type cannot be told apart.
-    """
-    kind = type(value)
-    if kind in _EXACT_ATOMS:
-        return (kind, value)
-    if kind is float:
-        return (float, repr(value))
-    if kind is list or kind is tuple:
-        return (kind, *map(exactly, value))
-    if kind is dict:
-        return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])
-    return (kind, hashable(value), _told_apart(value))
-
-
-def _told_apart(value: Any) -> str:
-    try:
-        return repr(value)
-    except Exception as error:
-        raise ArgumentError(f"{_kind(value)} cannot be told apart from others") from error
-
-
-class Keys:
-    """What stands for values, so that it is quick to look up; for one search.
-
-    Lists that were seen before are known by what they are, without being looked into; they
-    must not change meanwhile.
-    """
-
-    def __init__(self) -> None:
-        self._seen: dict[int, tuple[Any, int]] = {}
-        self._exact: dict[Any, int] = {}
-        self._equal: dict[int, Any] = {}
-        self._numbers: dict[Any, int] = {}
-
-    def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
-        """What stands for each of some values, alike only for what no function tells apart."""
-        seen = self._seen
-        return tuple(
-            [seen[id(value)][1] if id(value) in seen else self._exactly(value) for value in values]
-        )
-
-    def _exactly(self, value: Any) -> Any:
-        if type(value) is not list:
-            return exactly(value)
-        number = self._exact.setdefault(exactly(value), len(self._exact))
-        self._seen[id(value)] = (value, number)
-        return number
-
-    def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
-        """A number for what is selected of a row and what it is called, alike for equal ones."""
-        parts = [value if type(value) in _ATOMS else self._part(value) for value in values]
-        called = names if _ATOMS.issuperset(map(type, names)) else hashable(names)
-        return self._numbers.setdefault((*parts, called), len(self._numbers))
-
-    def _part(self, value: Any) -> Any:
-        if type(value) is not list:
-            return hashable(value)
-        seen = self._seen.get(id(value))
-        if seen is None:
-            return (list, *[part if type(part) in _ATOMS else self._part(part) for part in value])
-        part = self._equal.get(seen[1])
-        if part is None:
-            part = self._equal[seen[1]] = hashable(value)
-        return part

@@ -14,8 +14,11 @@ from dataclasses import replace
 from sqlglot import exp
 
 from ssduck import subqueries, tree
+from ssduck.arithmetic import arithmetic, double_of
 from ssduck.dependencies import IMPURE, free_aliases, is_impure
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.formulas import expanded, looked_up
+from ssduck.messages import shown
 from ssduck.plan import Binding
 from ssduck.sqlvalues import (
     Context,
@@ -45,15 +48,13 @@ from ssduck.tree import (
     Unary,
 )
 from ssduck.types import ANY, EXACT, FLAG, INTEGER, REAL, TEXT, Tag, merged
-from ssduck.udfs import RELATIONS, Parameter, Relation, in_schema
+from ssduck.udfs import RELATIONS, Parameter, Relation
 
 _COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
-_ARITHMETIC = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
 # Of these values none is equal to one of another kind.
 _APART = ("text", "list", "number")
 # Functions of reals that C has, so that SQL and Python agree to the last digit.
 _OF_REALS = ("sin", "cos", "tan", "atan")
-MOST_EXPONENT = 64
 # Longer lists of literals are parameters.
 MOST_WRITTEN = 32
 
@@ -84,17 +85,11 @@ class Expressions:
         """The expressions of a query nested in this one."""
         return Expressions(self.context, self)
 
-    def risk(self) -> None:
-        """Leave to Python what could fail in SQL, if the plan is to be cautious."""
-        if self.context.cautious:
-            raise NotSqlError
-        self.context.risks += 1
-
     def certain(self, value: SqlValue) -> SqlValue:
         """A value that is a number where it is used; what is none is left to Python."""
         if value.extent < Extent.NAN:
             return value
-        self.risk()
+        self.context.risk()
         is_none = exp.func("isnan", copied(value.sql))
         case = exp.case().when(is_none, failure(value.tag)).else_(value.sql)
         return replace(value, given=case, extent=Extent.INFINITE)
@@ -142,7 +137,7 @@ class Expressions:
         if not self.names.has_source(node.alias):
             known = list(self.rows)
             raise UnknownNameError(
-                f"there is no source {node.alias!r} here",
+                f"there is no source {shown(node.alias)} here",
                 span=node.span,
                 suggestions=nearest(node.alias, known) or known[:3],
             )
@@ -272,7 +267,7 @@ class Expressions:
         signature = self.names.signature(node.name, tuple(value.tag for value in values))
         if signature is None or any(value.tag.nullable or value.wide for value in values):
             raise NotSqlError
-        self.risk()
+        self.context.risk()
         self.context.signatures.add(signature)
         arguments = [
             exp.cast(value.sql.copy(), tag.sql_type, dialect="duckdb")
@@ -295,7 +290,7 @@ class Expressions:
             case name, [value] if name in _OF_REALS and value.tag.is_number and not value.wide:
                 return self._of_real(name, value)
             case "floor" | "ceil", [SqlValue(tag=Tag(type="real")) as value]:
-                self.risk()
+                self.context.risk()
                 whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
                 return SqlValue(exp.cast(whole, "BIGINT"), INTEGER, wide=True)
             case "str", [SqlValue(tag=Tag(type="text")) as value]:
@@ -303,7 +298,7 @@ class Expressions:
             case "str", [SqlValue(tag=Tag(type="integer")) as value]:
                 return SqlValue(exp.cast(value.sql.copy(), "VARCHAR"), TEXT)
             case "sum", [SqlValue(tag=Tag(type="list", element=Tag(type="integer"))) as value]:
-                self.risk()
+                self.context.risk()
                 total = exp.cast(_of_list("sum", value), "BIGINT")
                 nothing = exp.Literal.number(0)
                 return SqlValue(exp.Coalesce(this=total, expressions=[nothing]), INTEGER, wide=True)
@@ -316,16 +311,16 @@ class Expressions:
             case "min" | "max", [SqlValue(tag=Tag(type="list", element=Tag() as element)) as v] if (
                 element.type in ("real", "integer", "text")
             ):
-                self.risk()
+                self.context.risk()
                 return SqlValue(or_failure(_of_list(name, v), element), element, extent=v.extent)
         return None
 
     def _of_real(self, name: str, value: SqlValue) -> SqlValue:
         """Where it is infinite, Python has no value and SQL has one that is no number."""
-        self.risk()
-        sql: exp.Expr = exp.Anonymous(this=name, expressions=[_double(value)])
+        self.context.risk()
+        sql: exp.Expr = exp.Anonymous(this=name, expressions=[double_of(value)])
         if value.extent:
-            finite = exp.func("isfinite", copied(_double(value)))
+            finite = exp.func("isfinite", copied(double_of(value)))
             sql = exp.case().when(finite, sql).else_(failure(REAL))
         return SqlValue(sql, REAL)
 
@@ -340,12 +335,12 @@ class Expressions:
             (entity,) = values.values()
 
             def column(name: str) -> exp.Expr:
-                return _expanded(formula, values, name)
+                return expanded(formula, values, name)
 
             return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
         if relation.tables:
-            formula = _looked_up(relation, formula, values)
-        sql = _expanded(formula, values)
+            formula = looked_up(relation, formula, values)
+        sql = expanded(formula, values)
         extent = Extent.INFINITE if relation.is_unbounded else Extent.FINITE
         if isinstance(sql, exp.Array):
             elements = tuple(SqlValue(part, REAL, extent=extent) for part in sql.expressions)
@@ -412,89 +407,7 @@ class Expressions:
             return SqlValue(exp.paren(joined), TEXT)
         if sign == "+" and left_value.tag.type == right_value.tag.type == "list":
             return self._concatenation(left_value, right_value)
-        return self._arithmetic(node, left_value, right_value)
-
-    def _arithmetic(self, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
-        sign = node.operator
-        for value in (left, right):
-            if not value.tag.is_number or value.tag.nullable:
-                raise NotSqlError
-        kinds = {left.tag.type, right.tag.type}
-        tag = Tag("number") if "number" in kinds and "real" not in kinds else REAL
-        if kinds == {"integer"}:
-            tag = INTEGER
-        elif left.wide or right.wide:
-            raise NotSqlError  # rounded in another place than Python does
-        if sign in _ARITHMETIC:
-            return self._sum(_ARITHMETIC[sign], left, right, tag)
-        if sign == "/":
-            if left.wide or right.wide:
-                raise NotSqlError
-            return self._quotient(node, left, right)
-        if sign == "%" and "number" not in kinds:
-            return self._remainder(node, left, right, tag)
-        if sign == "^" and "number" not in kinds:
-            return self._power(node, left, tag)
-        raise NotSqlError
-
-    def _sum(self, kind: type[exp.Binary], left: SqlValue, right: SqlValue, tag: Tag) -> SqlValue:
-        if tag == INTEGER:
-            self.risk()  # Python's integers have no end
-        sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
-        extent = Extent.FINITE if tag == INTEGER else _extent(kind, left, right)
-        return SqlValue(exp.paren(sql), tag, wide=tag == INTEGER, extent=extent)
-
-    def _quotient(self, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
-        divided = exp.Div(
-            this=wrapped(left.sql), expression=wrapped(right.sql), typed=False, safe=False
-        )
-        extent = _extent(exp.Div, left, right)
-        return SqlValue(self._unless_zero(node, right, divided, REAL), REAL, extent=extent)
-
-    def _remainder(self, node: Binary, left: SqlValue, right: SqlValue, tag: Tag) -> SqlValue:
-        """Python's: it has the sign of the divisor."""
-        a, b = wrapped(left.sql), wrapped(right.sql)
-        rest = exp.paren(exp.Mod(this=a, expression=b))
-        copied(rest)
-        zero = exp.Literal.number(0)
-        apart = exp.NEQ(
-            this=exp.paren(exp.LT(this=rest, expression=zero)),
-            expression=exp.paren(exp.LT(this=b.copy(), expression=zero.copy())),
-        )
-        nonzero = exp.NEQ(this=rest.copy(), expression=zero.copy())
-        shifted = exp.Add(this=rest.copy(), expression=b.copy())
-        case = exp.case().when(exp.and_(nonzero, apart), shifted)
-        if tag != INTEGER:  # a remainder of 0 has the sign of the divisor as well
-            none = exp.Mul(this=b.copy(), expression=zero.copy())
-            case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
-        case = case.else_(rest.copy())
-        extent = Extent.NAN if left.extent or right.extent else Extent.FINITE
-        sql = self._unless_zero(node, right, case, tag)
-        return SqlValue(sql, tag, wide=left.wide, extent=extent)
-
-    def _unless_zero(self, node: Binary, right: SqlValue, sql: exp.Expr, tag: Tag) -> exp.Expr:
-        """Fail where the divisor is 0; SQL would yield nothing there."""
-        if isinstance(node.right, tree.Literal) and node.right.value:
-            return exp.paren(sql)
-        self.risk()
-        is_zero = exp.EQ(this=wrapped(copied(right.sql)), expression=exp.Literal.number(0))
-        return exp.case().when(is_zero, failure(tag)).else_(sql)
-
-    def _power(self, node: Binary, left: SqlValue, tag: Tag) -> SqlValue:
-        """With a small whole exponent; of other powers SQL has other ideas."""
-        match node.right:
-            case tree.Literal(value=exponent) if (
-                type(exponent) is int and 0 <= exponent <= MOST_EXPONENT
-            ):
-                self.risk()
-                power = exp.Pow(this=_double(left), expression=exp.Literal.number(exponent))
-                beyond: float = EXACT if tag == INTEGER else 1.7976931348623157e308
-                too_large = exp.GT(
-                    this=exp.func("abs", copied(power)), expression=exp.Literal.number(repr(beyond))
-                )
-                whole: exp.Expr = exp.cast(power, "BIGINT") if tag == INTEGER else power
-                return SqlValue(exp.case().when(too_large, failure(tag)).else_(whole), tag)
-        raise NotSqlError
+        return arithmetic(self.context, node, left_value, right_value)
 
     def _concatenation(self, left: SqlValue, right: SqlValue) -> SqlValue:
         tag = merged((left.tag, right.tag))
@@ -594,7 +507,7 @@ class Expressions:
             raise NotSqlError
         if not element.is_sql:
             raise NotSqlError
-        self.risk()
+        self.context.risk()
         found = exp.Anonymous(
             this="list_extract", expressions=[value.sql.copy(), self._place(index)]
         )
@@ -652,67 +565,11 @@ def _is_short(items: Sequence[Node]) -> bool:
     return 0 < len(items) <= MOST_WRITTEN and all(isinstance(i, tree.Literal) for i in items)
 
 
-def _extent(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> Extent:
-    """Which reals a sum, a product or a quotient may be: finite ones add up to infinite ones."""
-    extents = (left.extent, right.extent)
-    if max(extents) == Extent.NAN or extents == (Extent.INFINITE, Extent.INFINITE):
-        return Extent.NAN
-    if kind is exp.Mul and max(extents) == Extent.INFINITE:  # infinity times 0
-        finite = left if left.extent == Extent.FINITE else right
-        is_factor = isinstance(finite.sql, exp.Literal) and float(finite.sql.this) != 0
-        return Extent.INFINITE if is_factor else Extent.NAN
-    return Extent.INFINITE
-
-
 def _of_list(function: str, value: SqlValue) -> exp.Expr:
     return exp.Anonymous(this=f"list_{function}", expressions=[value.sql.copy()])
-
-
-def _double(value: SqlValue) -> exp.Expr:
-    return value.sql.copy() if value.tag.type == "real" else exp.cast(value.sql.copy(), "DOUBLE")
 
 
 def _element_at(value: SqlValue, place: int) -> exp.Expr:
     if value.elements is not None:
         return value.elements[place - 1].sql
     return exp.func("list_extract", value.sql.copy(), exp.Literal.number(place))
-
-
-def _expanded(
-    formula: exp.Expr, values: Mapping[str, SqlValue], name: str | None = None
-) -> exp.Expr:
-    """A relation's formula with its parameters put in.
-
-    Args:
-        formula: over columns of the parameters.
-        values: what the parameters stand for.
-        name: the column to be taken instead of `name`, for a relation that yields an entity.
-    """
-
-    def put_in(part: exp.Expr) -> exp.Expr:
-        if not isinstance(part, exp.Column):
-            return part
-        if (part.table or part.name) not in values:
-            return part  # of a table that the formula looks things up in
-        if not part.table:
-            return wrapped(values[part.name].sql.copy())
-        column = values[part.table].column
-        assert column is not None, f"{part.table} has no columns"
-        return column(name if name is not None and part.name == "name" else part.name)
-
-    expanded: exp.Expr = formula.copy().transform(put_in)
-    return exp.paren(expanded) if isinstance(expanded, exp.Connector | exp.In) else expanded
-
-
-def _looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
-    """A relation's formula with the tables of its entities' world.
-
-    Raises:
-        NotSqlError: which world that is is not known yet.
-    """
-    schemas = {value.tag.schema for value in values.values() if value.tag.type == "entity"}
-    if None in schemas:
-        raise NotSqlError
-    if len(schemas) > 1:
-        return relation.when_apart
-    return in_schema(formula, str(schemas.pop()))

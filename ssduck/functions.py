@@ -11,8 +11,10 @@ from functools import partial
 from typing import Any
 
 from ssduck.errors import FunctionError, LimitError, SelectScriptError
-from ssduck.evaluate import NUMPYS, apply, bounded, hashable, reason
 from ssduck.hints import Hints, hints_of
+from ssduck.keys import NUMPYS, hashable
+from ssduck.messages import bounded, reason
+from ssduck.operators import apply
 
 # A double has no digits beyond these, before or behind the point.
 MOST_DIGITS = 400

@@ -18,10 +18,13 @@ from operator import itemgetter
 from typing import Any, TypeAlias
 
 from ssduck.adapters import Rows
+from ssduck.deferred import Deferred
 from ssduck.dependencies import is_impure, mentions, states
 from ssduck.errors import ArgumentError, LimitError
-from ssduck.evaluate import Compiler, Deferred, Frame, Keys, Thunk, check_size, resolved, truth
+from ssduck.evaluate import Compiler, Frame, Thunk, resolved
 from ssduck.graphs import Vertex, simple_paths
+from ssduck.keys import Keys
+from ssduck.operators import check_size, truth
 from ssduck.rows import Clauses, Paths, Selected, checked_count
 from ssduck.tree import Assignment, Name, Node, Query, Recursion
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +20,7 @@ from weakref import WeakKeyDictionary
 
 from ssduck.adapters import ADAPTERS, Adapter, Rows
 from ssduck.database import Database
+from ssduck.deferred import Deferred
 from ssduck.dependencies import tables_of, variables_of
 from ssduck.dialects import in_dialect
 from ssduck.errors import (
@@ -30,11 +31,13 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.evaluate import MOST_LETTERS, Deferred, Frame, plain, shown
+from ssduck.evaluate import Frame
 from ssduck.explain import told
 from ssduck.functions import BUILTINS, Function
+from ssduck.keys import plain
 from ssduck.language import is_reserved, parse
 from ssduck.limits import Limits, Meter
+from ssduck.messages import shown
 from ssduck.planner import Planner
 from ssduck.result import Result
 from ssduck.rows import check_columns, formed
@@ -319,7 +322,7 @@ class Interpreter:
         described: dict[str, Function | Relation] = {**self._functions, **RELATIONS}
         if name not in described:
             raise UnknownNameError(
-                f"there is no function {shown(name)}", suggestions=_nearest(name, described)
+                f"there is no function {shown(name)}", suggestions=nearest(name, described)
             )
         return f"{name}\n{described[name].help}"
 
@@ -423,7 +426,7 @@ class Interpreter:
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
         raise UnknownNameError(
-            f"there is no variable {shown(name)}", suggestions=_nearest(name, self.names())
+            f"there is no variable {shown(name)}", suggestions=nearest(name, self.names())
         )
 
     def has_variable(self, name: str) -> bool:
@@ -541,11 +544,6 @@ def _plain(value: Any) -> Any:
         return value
 
 
-def _nearest(name: Any, known: Iterable[str]) -> tuple[str, ...]:
-    """The nearest of some names; to look for one of a million letters would take its time."""
-    return nearest(name[:MOST_LETTERS] if isinstance(name, str) else shown(name), known)
-
-
 def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
     function = Function.of(name, call, f"{about}\nUsage: {name}({usage})")
     least = 1 if usage.endswith("...") else function.least
@@ -566,7 +564,7 @@ def _adapter(query: Query) -> Adapter:
     name = query.adapter.name
     if name not in ADAPTERS:
         raise UnknownNameError(
-            f"there is no result form {name!r}",
+            f"there is no result form {shown(name)}",
             span=query.adapter.span,
             suggestions=nearest(name, ADAPTERS),
         )

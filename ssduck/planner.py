@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ssduck.database import Database
+from ssduck.deferred import Deferred
 from ssduck.dependencies import aliases_of, is_impure, mentions, sees_outside, states
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
-from ssduck.evaluate import Deferred, Frame, Scope
+from ssduck.evaluate import Frame, Scope
 from ssduck.functions import Function
 from ssduck.limits import Limits
 from ssduck.plan import Plan, Shape

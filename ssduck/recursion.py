@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from sqlglot import exp
 
 from ssduck import tree
+from ssduck.elements import Element, world_table
 from ssduck.expressions import Expressions
 from ssduck.plan import Graph
 from ssduck.rows import Column
 from ssduck.sqlvalues import Extent, NotSqlError, SqlValue, failure
-from ssduck.subqueries import Element, world_table
 from ssduck.tree import Assignment, Query, Recursion
 from ssduck.types import FLAG, INTEGER, Tag, merged
 
@@ -95,7 +95,7 @@ class _Search:
         self.stop = sql.truth(sql.value(recursion.stop))
         where = query.where
         self.found = self.stop if where is None else sql.truth(sql.value(where))
-        sql.risk()  # it may be too broad
+        sql.context.risk()  # it may be too broad
 
     def _started(self, assignment: Assignment) -> SqlValue:
         if not self.sql.is_constant(assignment.value):

@@ -16,8 +16,10 @@ from typing import Any, TypeAlias
 from ssduck.adapters import Rows
 from ssduck.dependencies import free_aliases
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
-from ssduck.evaluate import Compiler, Frame, Thunk, apply, shown, truth, unusable
+from ssduck.evaluate import Compiler, Frame, Thunk
 from ssduck.functions import AGGREGATES
+from ssduck.messages import shown, unusable
+from ssduck.operators import apply, truth
 from ssduck.tree import Call, Given, Key, Node, Query
 
 

@@ -109,7 +109,7 @@ def find_scene(name: str | Path) -> Scene:
         raise UnknownNameError(
             f"there is no scene {str(name)!r}: neither a shipped one ({', '.join(shipped)}) "
             "nor a file of that name",
-            suggestions=nearest(str(name), shipped),
+            suggestions=nearest(name, shipped),
         )
     suffix = path.suffix.lower()
     if suffix == ".toml":

@@ -90,8 +90,9 @@ def _of_numpy(value: Any) -> Any:
 
 
 def _of_polars(column: Any) -> list[Any]:
-    """A column's values; Arrow would see the addresses of Python's objects."""
-    if str(column.dtype) == "Object":
+    """A column's values; Arrow sees the addresses of Python's objects, and no 128 bits."""
+    kind = str(column.dtype)
+    if kind == "Object" or "128" in kind:
         return [_of_numpy(value) for value in column.to_list()]
     values: list[Any] = column.to_arrow().to_pylist()
     return values

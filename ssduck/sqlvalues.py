@@ -108,6 +108,12 @@ class Context:
     bare: dict[str, bool] = field(default_factory=dict)
     risks: int = 0
 
+    def risk(self) -> None:
+        """Leave to Python what could fail in SQL, if the plan is to be cautious."""
+        if self.cautious:
+            raise NotSqlError
+        self.risks += 1
+
     def alias(self, name: str) -> str:
         """What a source is called in SQL, which does not tell upper from lower case."""
         candidates = (name if n == 1 else f"{name} {n}" for n in range(1, len(self.aliases) + 2))

@@ -15,6 +15,14 @@ from sqlglot import exp
 
 from ssduck import tree
 from ssduck.dependencies import aliases_of, is_impure
+from ssduck.elements import (
+    Element,
+    column_of,
+    entity_value,
+    product_of,
+    unnested,
+    world_table,
+)
 from ssduck.plan import Binding, Shape
 from ssduck.resolve import Resolved, resolve
 from ssduck.sqlvalues import (
@@ -27,7 +35,7 @@ from ssduck.sqlvalues import (
     wrapped,
 )
 from ssduck.tree import Binary, ListOf, Name, Node, Query
-from ssduck.types import ANY, INTEGER, Tag, merged
+from ssduck.types import INTEGER, Tag, merged
 
 if TYPE_CHECKING:
     from ssduck.expressions import Expressions
@@ -39,33 +47,6 @@ MOST_SOURCES = 64
 _LISTS = ("list",)
 _VALUES = ("value", "val")
 _DICTS = ("dict", "dictionary")
-
-
-@dataclass(frozen=True)
-class Element:
-    """A source in SQL.
-
-    Attributes:
-        value: its current element.
-        table: what stands in FROM.
-        position: the keys by which its elements are in their order.
-    """
-
-    value: SqlValue
-    table: exp.Expr
-    position: tuple[exp.Ordered, ...]
-
-
-def product_of(elements: Sequence[Element]) -> exp.Select:
-    """A SELECT of all combinations of sources, without columns yet."""
-    select = exp.Select()
-    for index, element in enumerate(elements):
-        table = element.table.copy()
-        if index:
-            select.append("joins", exp.Join(this=table, kind="CROSS"))
-        else:
-            select.from_(table, copy=False)
-    return select
 
 
 @dataclass(frozen=True)
@@ -116,7 +97,7 @@ def value(around: Expressions, query: Query) -> SqlValue:
     if form in _LISTS:
         return _unrolled_list(rows) if isinstance(rows, Unrolled) else _list(rows)
     if form in _VALUES:
-        around.risk()  # there may be no row
+        around.context.risk()  # there may be no row
         return _unrolled_value(rows) if isinstance(rows, Unrolled) else _value(rows)
     raise NotSqlError
 
@@ -416,8 +397,9 @@ def ordered(inner: Expressions, keys: Sequence[tree.Key]) -> list[exp.Ordered]:
     found = []
     for key in keys:
         if inner.is_constant(key.value):
-            if inner.names.tag(key.value).type == "any":  # it may be an error
-                raise NotSqlError
+            tag = inner.names.tag(key.value)
+            if inner.context.constants.setdefault(key.value, tag).type == "any":
+                raise NotSqlError  # it may be an error
             continue
         value = inner.value(key.value)
         if not (value.tag.is_number or value.tag.type in ("text", "flag")):
@@ -484,90 +466,6 @@ def element(around: Expressions, alias: str, node: Node) -> Element:
     return unnested(name, SqlValue(given, tag))
 
 
-def world_table(schema: str, name: str) -> Element:
-    """The entities of a world."""
-    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name))
-    return Element(
-        entity_value(schema, name),
-        table,
-        (
-            _ascending(
-                exp.NEQ(this=_column(name, "kind"), expression=exp.Literal.string("sensor"))
-            ),
-            _ascending(_column(name, "id")),
-        ),
-    )
-
-
-def entity_value(schema: str | None, name: str) -> SqlValue:
-    """The current row of a table of entities."""
-    tag = Tag("entity", schema=schema)
-    return SqlValue(_column(name, "id"), tag, lambda column: _column(name, column))
-
-
-def unnested(name: str, values: SqlValue) -> Element:
-    """The elements of a list; of any other value itself."""
-    rows, tag = values.sql, values.tag.element
-    if values.tag.type != "list":
-        rows, tag = exp.Array(expressions=[values.sql]), values.tag
-    if tag is None or not tag.is_sql or tag.nullable:
-        raise NotSqlError
-    numbers = exp.func("generate_subscripts", rows.copy(), exp.Literal.number(1))
-    what = "id" if tag.type == "entity" else "value"
-    table: exp.Select = exp.select(
-        exp.alias_(exp.func("unnest", rows.copy()), what), exp.alias_(numbers, "n")
-    )
-    position = (_ascending(_column(name, "n")),)
-    alias = exp.to_identifier(name)
-    if tag.type != "entity":
-        value = SqlValue(_column(name, "value"), tag, extent=values.extent)
-        return Element(value, table.subquery(alias), position)
-    entities = exp.table_("entities", db=tag.schema, alias="e")
-    joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
-    return Element(entity_value(tag.schema, name), joined.subquery(alias), position)
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """A table of pairs of ids."""
-
-    table: exp.Expr
-    columns: tuple[exp.Expr, exp.Expr]
-
-
-def colliding_pairs(schema: str, name: str) -> Pairs:
-    """All pairs of entities of a world that collide."""
-
-    def side(function: str, column: str) -> exp.Expr:
-        called = exp.to_identifier(function, quoted=True)
-        ids = exp.Anonymous(this=called, expressions=[exp.Literal.string(schema)])
-        return exp.alias_(exp.func("unnest", ids), column)
-
-    columns = (side("narrow first", "a"), side("narrow second", "b"))
-    table = exp.select(*columns).subquery(exp.to_identifier(name))
-    return Pairs(table, (_column(name, "a"), _column(name, "b")))
-
-
-def counted_rows(name: str, parameter: exp.Expr) -> Element:
-    """As many rows as there are values that SQL does not know."""
-    numbers = exp.func("generate_subscripts", parameter, exp.Literal.number(1))
-    table = exp.select(exp.alias_(numbers, "n")).subquery(exp.to_identifier(name))
-    value = SqlValue(_column(name, "n"), ANY)
-    return Element(value, table, (_ascending(_column(name, "n")),))
-
-
-def record_table(name: str, table: str, tag: Tag) -> Element:
-    """Records as a table: `n`, and a column a key."""
-    fields = {
-        key: SqlValue(_column(name, f"f{index}"), part)
-        for index, (key, part) in enumerate(tag.fields)
-        if part.is_sql and part.type not in ("record", "entity")
-    }
-    value = SqlValue(_column(name, "n"), tag, fields=fields)
-    source = exp.table_(table, quoted=True, alias=exp.to_identifier(name))
-    return Element(value, source, (_ascending(_column(name, "n")),))
-
-
 def _derived(around: Expressions, name: str, query: Query) -> Element:
     """A query as a source: its one item, or its columns by their names."""
     form = _form(query)
@@ -590,7 +488,7 @@ def _derived_items(rows: Subquery, name: str) -> Element:
     if item.tag.type != "entity":
         if not item.tag.is_sql or item.tag.type == "record":
             raise NotSqlError
-        value = replace(item, given=_column(name, "value"), elements=None)
+        value = replace(item, given=column_of(name, "value"), elements=None)
         return _derived_element(rows, name, value, {"value": item.sql})
     assert item.column is not None
     columns = {column: item.column(column) for column in ENTITY_COLUMNS}
@@ -609,7 +507,7 @@ def _derived_records(rows: Subquery, name: str) -> Element:
         if not item.tag.comes_back or item.tag.type == "entity" or item.tag.nullable:
             raise NotSqlError
         columns[f"f{index}"] = item.sql
-        fields[key] = replace(item, given=_column(name, f"f{index}"), elements=None)
+        fields[key] = replace(item, given=column_of(name, f"f{index}"), elements=None)
     tag = Tag("record", fields=tuple((key, field.tag) for key, field in fields.items()))
     return _derived_element(rows, name, SqlValue(None, tag, fields=fields), columns)
 
@@ -628,18 +526,10 @@ def _derived_element(
     if rows.limit is not None:
         select = select.order_by(*(key.copy() for key in rows.order)).limit(rows.limit)
     position = tuple(
-        exp.Ordered(this=_column(name, alias), desc=key.args.get("desc"), nulls_first=False)
+        exp.Ordered(this=column_of(name, alias), desc=key.args.get("desc"), nulls_first=False)
         for alias, key in zip(keys, rows.order, strict=True)
     )
     return Element(value, select.subquery(exp.to_identifier(name)), position)
-
-
-def _column(table: str, name: str) -> exp.Expr:
-    return exp.column(exp.to_identifier(name, quoted=" " in name), table=exp.to_identifier(table))
-
-
-def _ascending(key: exp.Expr) -> exp.Ordered:
-    return exp.Ordered(this=key, desc=False, nulls_first=False)
 
 
 def is_inline(node: Node) -> bool:

@@ -15,14 +15,23 @@ from sqlglot import exp
 
 from ssduck import subqueries, tree
 from ssduck.dependencies import changing, free_aliases, is_impure
+from ssduck.elements import (
+    Element,
+    colliding_pairs,
+    counted_rows,
+    product_of,
+    record_table,
+    unnested,
+    world_table,
+)
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.expressions import Expressions
+from ssduck.messages import shown
 from ssduck.plan import Binding, Names, Output, Plan, Shape
 from ssduck.recursion import searched
 from ssduck.resolve import resolve
 from ssduck.rows import Rest, aggregates
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
-from ssduck.subqueries import Element
 from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import Tag
 from ssduck.udfs import RELATIONS
@@ -135,18 +144,18 @@ class _Translator:
         name = self.context.alias(shape.alias)
         if shape.tag is None:
             assert shape.schema is not None
-            return subqueries.world_table(shape.schema, name)
+            return world_table(shape.schema, name)
         if shape.tag.type == "record":
             table = self.result.tables[shape.alias] = f"the rows of {name}"
-            return subqueries.record_table(name, table, shape.tag)
+            return record_table(name, table, shape.tag)
         tag = Tag("list", shape.tag if shape.tag.is_sql else None)
         binding = Binding("", source=shape.alias, tag=tag)
         given = exp.cast(
             self.context.parameter(shape.alias, binding), tag.sql_type, dialect="duckdb"
         )
         if tag.element is None:
-            return subqueries.counted_rows(name, given)
-        return subqueries.unnested(name, SqlValue(given, tag))
+            return counted_rows(name, given)
+        return unnested(name, SqlValue(given, tag))
 
     def _known_shapes(self) -> list[Shape]:
         return [
@@ -173,7 +182,7 @@ class _Translator:
         others = [part for part in _conjuncts(self.query.where) if part is not node]
         if any(len(free_aliases(part) & {a.alias, b.alias}) == 1 for part in others):
             return None
-        pairs = subqueries.colliding_pairs(str(schemas.pop()), self.context.alias("pairs"))
+        pairs = colliding_pairs(str(schemas.pop()), self.context.alias("pairs"))
         self.pairs.append(pairs.table)
         sides = zip((a, b), pairs.columns, strict=True)
         return exp.and_(*(exp.EQ(this=self.sql.value(s).sql, expression=c) for s, c in sides))
@@ -266,7 +275,7 @@ class _Translator:
                     raise NotInlineError(shape.alias) from error
         else:
             plan.outputs = [plan.known[column.node] for column in self.selected]
-        select = subqueries.product_of(self.elements)
+        select = product_of(self.elements)
         for table in self.pairs:
             select.append("joins", exp.Join(this=table, kind="CROSS"))
         select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
@@ -329,7 +338,7 @@ def _conjuncts(node: Node | None) -> Iterator[Node]:
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     """The error for a function that is not there."""
     return UnknownNameError(
-        f"there is no function {node.name!r}",
+        f"there is no function {shown(node.name)}",
         span=node.name_span,
         suggestions=nearest(node.name, known),
     )

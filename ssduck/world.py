@@ -390,7 +390,7 @@ class World(WorldSpellings):
         if not found:
             known = [member.name for member in self._members if member.body is not None]
             raise UnknownNameError(
-                f"world {self.name!r} has no body {on!r}", suggestions=nearest(str(on), known)
+                f"world {self.name!r} has no body {on!r}", suggestions=nearest(on, known)
             )
         if found[0].body is None:
             raise ArgumentError(f"add_sensor: on: {found[0].name!r} is a sensor, not a body")

@@ -6,7 +6,7 @@ import pytest
 from grammar import evaluators, program, programs, seeded, shrunk
 from hypothesis import HealthCheck, given, settings
 
-SEEDS = range(1000)
+SEEDS = range(2500)
 # So many of a hundred queries run as SQL alone.
 LEAST_SQL = 40
 
@@ -27,7 +27,7 @@ def test_they_agree(both, first):
 
 
 @settings(
-    max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+    max_examples=500, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
 )
 @given(text=programs())
 def test_they_agree_on_what_hypothesis_finds(both, text):

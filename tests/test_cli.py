@@ -301,7 +301,11 @@ ERRORS = [
     (["query", "two.toml", "sqrt(1, 2, 3);"], 1, "sqrt takes 1 argument, not 3"),
     (["query", "two.toml", "SELECT id FROM two AS lst;"], 1, "did you mean 'list'?"),
     (["query", "two.toml", "id(tow);"], 1, "did you mean 'to' or 'two'"),
-    (["query", "two.toml", LONG], 1, f"    {LONG}\n    {' ' * LONG.index('that')}"),
+    (
+        ["query", "two.toml", LONG],
+        1,
+        f"    …{LONG[LONG.index('that') - 60 :]}\n    {' ' * 61}^^^^\n",
+    ),
     (["query", "two.toml", "--sql", "SELCT 1"], 1, 'syntax error at or near "SELCT"'),
     (["query", "two.toml", "--sql", "FROM entitis"], 1, "entitis"),
     (["query", "kitchn", "1;"], 1, "did you mean 'kitchen'?"),

@@ -82,6 +82,10 @@ TABLES = {
         pl.DataFrame({"a": pl.Series([1, "a"], dtype=pl.Object)}),
         [{"a": 1}, {"a": "a"}],
     ),
+    "whole numbers of 128 bits": (
+        pl.DataFrame({"a": pl.Series([1, 2**100], dtype=pl.Int128)}),
+        [{"a": 1}, {"a": 2**100}],
+    ),
     "polars": (
         pl.DataFrame({"a": [{"x": 1}, None], "b": [[1], []], "c": [0.5, None]}),
         [{"a": {"x": 1}, "b": [1], "c": 0.5}, {"a": None, "b": [], "c": None}],

@@ -207,6 +207,14 @@ LEFT_OUT = [
 ]
 
 
+def test_a_key_that_orders_nothing_may_be_an_error(ss):
+    program = "SELECT (SELECT 5 FROM b=l ORDER BY [0.5, 1.5][a.this] AS value) FROM a=[{}] AS list;"
+    ss.add_variable("l", [1.0, 2.0])
+    assert ss.eval(program.format("0, 1")) == [5, 5]
+    with pytest.raises(ssduck.SelectScriptError, match="no element 2"):
+        ss.eval(program.format("0, 2"))
+
+
 @pytest.mark.parametrize("program", LEFT_OUT)
 def test_what_sql_would_leave_out_is_an_error_too(ss, program):
     ss.add_variable("l", [float(number) for number in range(1, 100)])

@@ -8,6 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import (
+    MOST_OF_LINE,
     ArgumentError,
     EvaluationError,
     FunctionError,
@@ -385,6 +386,32 @@ def test_nearest_names(name, known, best):
 
 def test_nothing_is_near_to_nonsense():
     assert nearest("qqqq", ["isRobot", "volume"]) == ()
+    assert nearest(7, ["7", "isRobot"]) == ()
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "x" * 100_000 + ";",
+        "f" * 100_000 + "(1);",
+        "a = " + "9" * 5000 + "x;",
+        "SELECT this FROM [1] AS " + "q" * 100_000 + ";",
+        "SELECT " + "q" * 100_000 + ".this FROM a = [1], b = [2];",
+        "[" + "1, " * 40 + "[1][7], " + "2, " * 1000 + "3];",
+        "a = [" + "1, " * 2000 + "nope];",
+        "[1, 2]['" + "k" * 100_000 + "'];",
+    ],
+)
+def test_what_is_told_of_a_long_program_is_short(program):
+    with ssduck.Interpreter() as ss, pytest.raises(SelectScriptError) as caught:
+        ss.eval(program)
+    told = str(caught.value)
+    assert len(told) < 5000
+    *_, line, mark = told.splitlines()
+    place = mark.index("^")
+    span = caught.value.span
+    assert line[place : place + 5] == program[span.start : span.start + 5][: len(line) - place]
+    assert max(len(line), len(mark)) <= 4 + 1 + MOST_OF_LINE
 
 
 def test_long_offending_text_over_several_lines_is_marked_on_its_first():

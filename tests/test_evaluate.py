@@ -19,7 +19,7 @@ from ssduck.errors import (
     SelectScriptError,
     UnknownNameError,
 )
-from ssduck.evaluate import Keys, exactly
+from ssduck.keys import Keys, exactly
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 

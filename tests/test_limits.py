@@ -179,6 +179,14 @@ def test_a_limit_within_a_function_that_sql_calls():
         assert interpreter.eval("SELECT this FROM n WHERE this < 1 AS list;") == [0]
 
 
+def test_ssducks_own_statements_are_not_cut_off(client):
+    with ssduck.Interpreter(limits=ssduck.Limits(seconds=1e-9)) as ss:
+        ss.add_variable("w", ssduck.World.attach(client))
+        with pytest.raises(LimitError, match="took more than"):
+            ss.eval("SELECT id FROM w AS list;")
+        assert ss.call_variable("w") is not None
+
+
 @pytest.mark.parametrize("name", ["seconds", "rows", "memory", "depth"])
 @pytest.mark.parametrize("value", [0, -1, True])
 def test_limits_are_more_than_nothing(name, value):

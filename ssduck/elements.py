@@ -1,0 +1,132 @@
+"""The sources of a query as tables: their elements, and the order that these are in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlglot import exp
+
+from ssduck.sqlvalues import NotSqlError, SqlValue
+from ssduck.types import ANY, Tag
+
+
+@dataclass(frozen=True)
+class Element:
+    """A source in SQL.
+
+    Attributes:
+        value: its current element.
+        table: what stands in FROM.
+        position: the keys by which its elements are in their order.
+    """
+
+    value: SqlValue
+    table: exp.Expr
+    position: tuple[exp.Ordered, ...]
+
+
+def product_of(elements: Sequence[Element]) -> exp.Select:
+    """A SELECT of all combinations of sources, without columns yet."""
+    select = exp.Select()
+    for index, element in enumerate(elements):
+        table = element.table.copy()
+        if index:
+            select.append("joins", exp.Join(this=table, kind="CROSS"))
+        else:
+            select.from_(table, copy=False)
+    return select
+
+
+def world_table(schema: str, name: str) -> Element:
+    """The entities of a world."""
+    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name))
+    return Element(
+        entity_value(schema, name),
+        table,
+        (
+            ascending(
+                exp.NEQ(this=column_of(name, "kind"), expression=exp.Literal.string("sensor"))
+            ),
+            ascending(column_of(name, "id")),
+        ),
+    )
+
+
+def entity_value(schema: str | None, name: str) -> SqlValue:
+    """The current row of a table of entities."""
+    tag = Tag("entity", schema=schema)
+    return SqlValue(column_of(name, "id"), tag, lambda column: column_of(name, column))
+
+
+def unnested(name: str, values: SqlValue) -> Element:
+    """The elements of a list; of any other value itself."""
+    rows, tag = values.sql, values.tag.element
+    if values.tag.type != "list":
+        rows, tag = exp.Array(expressions=[values.sql]), values.tag
+    if tag is None or not tag.is_sql or tag.nullable:
+        raise NotSqlError
+    numbers = exp.func("generate_subscripts", rows.copy(), exp.Literal.number(1))
+    what = "id" if tag.type == "entity" else "value"
+    table: exp.Select = exp.select(
+        exp.alias_(exp.func("unnest", rows.copy()), what), exp.alias_(numbers, "n")
+    )
+    position = (ascending(column_of(name, "n")),)
+    alias = exp.to_identifier(name)
+    if tag.type != "entity":
+        value = SqlValue(column_of(name, "value"), tag, extent=values.extent)
+        return Element(value, table.subquery(alias), position)
+    entities = exp.table_("entities", db=tag.schema, alias="e")
+    joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
+    return Element(entity_value(tag.schema, name), joined.subquery(alias), position)
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """A table of pairs of ids."""
+
+    table: exp.Expr
+    columns: tuple[exp.Expr, exp.Expr]
+
+
+def colliding_pairs(schema: str, name: str) -> Pairs:
+    """All pairs of entities of a world that collide."""
+
+    def side(function: str, column: str) -> exp.Expr:
+        called = exp.to_identifier(function, quoted=True)
+        ids = exp.Anonymous(this=called, expressions=[exp.Literal.string(schema)])
+        return exp.alias_(exp.func("unnest", ids), column)
+
+    columns = (side("narrow first", "a"), side("narrow second", "b"))
+    table = exp.select(*columns).subquery(exp.to_identifier(name))
+    return Pairs(table, (column_of(name, "a"), column_of(name, "b")))
+
+
+def counted_rows(name: str, parameter: exp.Expr) -> Element:
+    """As many rows as there are values that SQL does not know."""
+    numbers = exp.func("generate_subscripts", parameter, exp.Literal.number(1))
+    table = exp.select(exp.alias_(numbers, "n")).subquery(exp.to_identifier(name))
+    value = SqlValue(column_of(name, "n"), ANY)
+    return Element(value, table, (ascending(column_of(name, "n")),))
+
+
+def record_table(name: str, table: str, tag: Tag) -> Element:
+    """Records as a table: `n`, and a column a key."""
+    fields = {
+        key: SqlValue(column_of(name, f"f{index}"), part)
+        for index, (key, part) in enumerate(tag.fields)
+        if part.is_sql and part.type not in ("record", "entity")
+    }
+    value = SqlValue(column_of(name, "n"), tag, fields=fields)
+    source = exp.table_(table, quoted=True, alias=exp.to_identifier(name))
+    return Element(value, source, (ascending(column_of(name, "n")),))
+
+
+def column_of(table: str, name: str) -> exp.Expr:
+    """A column of a table."""
+    return exp.column(exp.to_identifier(name, quoted=" " in name), table=exp.to_identifier(table))
+
+
+def ascending(key: exp.Expr) -> exp.Ordered:
+    """A key of ORDER BY, the least first."""
+    return exp.Ordered(this=key, desc=False, nulls_first=False)

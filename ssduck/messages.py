@@ -1,0 +1,66 @@
+"""Values and errors in the words of a message: one line each, and never long."""
+
+from __future__ import annotations
+
+import math
+from reprlib import Repr
+from typing import Any
+
+from ssduck.deferred import Deferred
+from ssduck.errors import EvaluationError, Span
+
+# So many keys and letters of what is wrong are told.
+MOST_KEYS = 20
+MOST_LETTERS = 200
+
+_SHORT = Repr()
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MOST_KEYS
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MOST_LETTERS
+
+
+def shown(value: Any) -> str:
+    """A value as it is written, if that is not too long."""
+    try:
+        return bounded(_SHORT.repr(value))
+    except ValueError:  # Python writes no number of thousands of digits
+        if not isinstance(value, int):
+            return kind_of(value)
+        sign = "negative " if value < 0 else ""
+        return f"a {sign}number of some {int(value.bit_length() * math.log10(2))} digits"
+
+
+def reason(error: BaseException) -> str:
+    """What an error of whatever kind says, if that is not too long."""
+    try:
+        return bounded(str(error))
+    except Exception:  # noqa: BLE001  # a user's class may do anything
+        return "it does not tell why"
+
+
+def bounded(text: str) -> str:
+    """The first line of a text, if that is not too long."""
+    line = text.strip().partition("\n")[0]
+    return line if len(line) <= MOST_LETTERS else f"{line[:MOST_LETTERS]}…"
+
+
+def kind_of(value: Any) -> str:
+    """What a value is, in words."""
+    if value is None:
+        return "nothing"
+    words = {
+        bool: "True or False",
+        int: "a number",
+        float: "a number",
+        str: "a text",
+        list: "a list",
+        Deferred: "a list for the query that uses it",
+    }
+    return words.get(type(value), type(value).__name__)
+
+
+def unusable(error: Exception, span: Span | None) -> EvaluationError:
+    """Of values that Python brought in: an array that is neither true nor false, say.
+
+    Their libraries have errors of their own, of whatever kind and length.
+    """
+    return EvaluationError(f"{type(error).__name__}: {reason(error)}", span=span)
