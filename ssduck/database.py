@@ -48,6 +48,8 @@ _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 # nothing ends.
 MOST_WORDS = 200_000
 MOST_BRACKETS = 100
+# Seconds after which a statement whose time is over is interrupted again.
+AGAIN = 0.02
 
 # What our prepared statements are called, in front of a number and of the tables that they read.
 _OURS = "ssduck statement "
@@ -368,7 +370,14 @@ class Database:
         remaining = self.meter.remaining
         if remaining is None:
             return None
-        timer = threading.Timer(remaining, self._connection.interrupt)
+
+        def interrupt() -> None:
+            # A statement that has not begun yet does not notice.
+            self._interrupt()
+            while not timer.finished.wait(AGAIN):
+                self._interrupt()
+
+        timer = threading.Timer(remaining, interrupt)
         timer.daemon = True
         return timer
 
@@ -600,6 +609,8 @@ def _end(listening: ctrl_c.Listening, timer: threading.Timer | None) -> None:
     listening.leave()
     if timer is not None:
         timer.cancel()
+        if timer.is_alive():
+            timer.join()  # so that it does not interrupt what comes next
 
 
 def _refuse(rows: exp.Select, why: str) -> None:
