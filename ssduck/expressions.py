@@ -20,6 +20,7 @@ from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formulas import expanded, looked_up
 from ssduck.messages import shown
 from ssduck.plan import Binding
+from ssduck.relations import Parameter, Relation
 from ssduck.sqlvalues import (
     Context,
     Extent,
@@ -48,7 +49,7 @@ from ssduck.tree import (
     Unary,
 )
 from ssduck.types import ANY, EXACT, FLAG, INTEGER, REAL, TEXT, Tag, merged
-from ssduck.udfs import RELATIONS, Parameter, Relation
+from ssduck.udfs import RELATIONS
 
 _COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 # Of these values none is equal to one of another kind.

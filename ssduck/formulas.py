@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from sqlglot import exp
 
+from ssduck.relations import Relation, in_schema
 from ssduck.sqlvalues import NotSqlError, SqlValue, wrapped
-from ssduck.udfs import Relation, in_schema
 
 
 def expanded(

@@ -39,12 +39,13 @@ from ssduck.language import is_reserved, parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
 from ssduck.planner import Planner
+from ssduck.relations import Relation
 from ssduck.result import Result
 from ssduck.rows import check_columns, formed
 from ssduck.scenes import find_scene
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
-from ssduck.udfs import RELATIONS, Relation
+from ssduck.udfs import RELATIONS
 from ssduck.world import Entity, World
 
 

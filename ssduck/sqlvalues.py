@@ -11,10 +11,10 @@ from typing import Any
 from sqlglot import exp
 
 from ssduck.plan import Binding, Names
+from ssduck.relations import ValueType
 from ssduck.tables import TABLES
 from ssduck.tree import Node
 from ssduck.types import Signature, Tag
-from ssduck.udfs import ValueType
 
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type

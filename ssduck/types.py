@@ -10,7 +10,7 @@ from itertools import chain
 from operator import itemgetter
 from typing import Any, TypeAlias
 
-from ssduck.udfs import ValueType
+from ssduck.relations import ValueType
 from ssduck.world import Entity, World
 
 # Larger integers are not all numbers that a DOUBLE can be.

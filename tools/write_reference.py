@@ -13,8 +13,9 @@ from pathlib import Path
 
 from ssduck.adapters import ADAPTERS
 from ssduck.functions import BUILTINS
+from ssduck.relations import Relation
 from ssduck.tables import TABLES, Column
-from ssduck.udfs import RELATIONS, Relation
+from ssduck.udfs import RELATIONS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 

@@ -1,0 +1,204 @@
+"""What a relation is: what it takes and yields, its formula, its help, its DuckDB macro."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Literal, TypeAlias
+
+import sqlglot
+from sqlglot import exp
+
+# What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
+# integer from case to case; `record` is a dict of the same keys each time; `any` is a value
+# that only Python knows.
+ValueType: TypeAlias = Literal[
+    "entity",
+    "place",
+    "real",
+    "integer",
+    "number",
+    "text",
+    "flag",
+    "list",
+    "record",
+    "nothing",
+    "any",
+]
+
+
+# Of an entity's numbers these may be infinite; the others are finite or unknown.
+BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a relation; optional ones come last and together or not at all."""
+
+    name: str
+    type: ValueType
+    meaning: str
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A function of entities that runs as SQL.
+
+    Attributes:
+        name: in SelectScript and in SQL.
+        parameters: what it takes.
+        result: what it yields.
+        formula: a DuckDB expression over the columns of its parameters.
+        sliced: the same with the optional parameters given.
+        about: what it means, in a sentence or two, with its boundary.
+        unit: of the result.
+        symmetric: whether the order of two entities does not matter.
+        element: of a list, what its elements are.
+        apart: of a formula that looks things up, what it is of entities of two worlds.
+        asked: of one that calls the narrow phase, on which pairs it does.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: ValueType
+    formula: str
+    about: str
+    sliced: str | None = None
+    unit: str = ""
+    symmetric: bool = False
+    element: ValueType = "real"
+    apart: str = ""
+    asked: str = ""
+
+    @property
+    def usage(self) -> str:
+        """`name(parameters) -> result`, as in its help."""
+        return f"{self.name}({_listed(self.parameters)}) -> {_RESULT_WORDS[self.result]}"
+
+    @property
+    def help(self) -> str:
+        """What `help('name')` tells after the name."""
+        return f"{self.about}\nUsage: {self.usage}"
+
+    @property
+    def required(self) -> int:
+        """How many arguments it takes at least."""
+        return sum(not parameter.optional for parameter in self.parameters)
+
+    @cached_property
+    def expressions(self) -> dict[int, exp.Expr]:
+        """The formula as a tree, by the number of arguments."""
+        found = {self.required: _parsed(self.formula)}
+        if self.sliced is not None:
+            found[len(self.parameters)] = _parsed(self.sliced)
+        return found
+
+    @cached_property
+    def is_unbounded(self) -> bool:
+        """Whether it may be infinite: it is of boxes, and that of a plane is."""
+        tree = self.expressions[self.required]
+        of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
+        of_shapes = tree.find(exp.Placeholder) is not None
+        return self.result in ("real", "list") and (of_box or of_shapes)
+
+    @cached_property
+    def when_apart(self) -> exp.Expr:
+        """What it is of entities of two worlds, if it looks things up in one."""
+        return _parsed(self.apart)
+
+    @cached_property
+    def tables(self) -> frozenset[str]:
+        """The tables that it looks things up in."""
+        tree = self.expressions[self.required]
+        tables = {table.name for table in tree.find_all(exp.Table)}
+        return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
+
+    def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
+        """The statement that makes the DuckDB macro of the same name.
+
+        Args:
+            schema: that of the world that it looks things up in; without one it fails.
+            inside: whether the macro is one of that schema, rather than one for all.
+        """
+        name = exp.to_identifier(self.name, quoted=True).sql("duckdb")
+        place = f"TEMP MACRO {name}"
+        if inside:
+            place = f"MACRO {exp.to_identifier(str(schema), quoted=True).sql('duckdb')}.{name}"
+        return f"CREATE OR REPLACE {place} {_overloads(self, schema)}"
+
+    def comment(self, schema: str | None = None) -> str:
+        """The statement that lets DuckDB's own list of functions say what the macro does.
+
+        Args:
+            schema: whose macro it is; without one, that for all.
+        """
+        place = ("temp", "main") if schema is None else (schema,)
+        parts = (exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, self.name))
+        return (
+            f"COMMENT ON MACRO {'.'.join(parts)} IS {exp.Literal.string(self.help).sql('duckdb')}"
+        )
+
+    def body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
+        """A formula as a macro has it, in the schema that it looks things up in."""
+        if not self.tables:
+            return tree
+        if schema is not None:
+            return in_schema(tree, schema)
+        reason = (
+            f"{self.name}: in SQL it is for one world, and there is none or several; write the "
+            f"name of the world that is meant before it, world.{self.name}(…)"
+        )
+        return exp.Anonymous(this="error", expressions=[exp.Literal.string(reason)])
+
+
+# DuckDB has functions of texts that are called so; they go on being there.
+_OF_TEXTS = ("contains", "position")
+
+
+@cache
+def _overloads(relation: Relation, schema: str | None) -> str:
+    """What a macro takes and is, by the number of arguments: written once, for it takes long."""
+    found = [
+        f"({', '.join(p.name for p in relation.parameters[:count])}) "
+        f"AS ({relation.body(tree, schema).sql('duckdb')})"
+        for count, tree in relation.expressions.items()
+    ]
+    if relation.name in _OF_TEXTS:
+        found.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
+    return ", ".join(found)
+
+
+_RESULT_WORDS: dict[ValueType, str] = {
+    "entity": "object",
+    "place": "object",
+    "real": "float",
+    "integer": "int",
+    "text": "str",
+    "flag": "bool",
+    "list": "list",
+    "nothing": "nothing",
+    "number": "number",
+    "record": "dict",
+    "any": "value",
+}
+
+
+def _parsed(formula: str) -> exp.Expr:
+    return sqlglot.parse_one(formula, dialect="duckdb")
+
+
+def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
+    """A formula with the tables of that schema, and the narrow phase of its world."""
+    found = formula.copy()
+    for table in list(found.find_all(exp.Table)):
+        table.set("db", exp.to_identifier(schema))
+    for world in list(found.find_all(exp.Placeholder)):
+        world.replace(exp.Literal.string(schema))
+    return found
+
+
+def _listed(parameters: tuple[Parameter, ...]) -> str:
+    required = ", ".join(p.name for p in parameters if not p.optional)
+    optional = "".join(f"[, {p.name}" for p in parameters if p.optional)
+    return required + optional + "]" * optional.count("[")
