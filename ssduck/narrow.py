@@ -9,14 +9,15 @@ and `ssduck.meshes` for those of meshes that are not convex.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Iterable, Sequence
+from functools import cached_property, partial
 from itertools import pairwise
 from threading import RLock
 
 import numpy as np
 
-from ssduck.colliding import Scene, Sorts, colliding
+from ssduck.broad import Flags
+from ssduck.colliding import Found, Scene, Sorts, all_within, colliding
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
 from ssduck.meshes import mesh_apart, mesh_depth
 from ssduck.overlap import covers, footprint, share_inside
@@ -73,6 +74,8 @@ class Narrow:
         self._shares: dict[tuple[int, int], float | None] = {}
         self._footprints: dict[int, Array] = {}
         self._all: list[tuple[int, int]] | None = None
+        self._all_within: dict[float, list[tuple[int, int]]] = {}
+        self._compared: set[int] = set()
         # DuckDB calls from its own threads. A pair would be compared twice, not wrongly.
         self._lock = RLock()
 
@@ -96,21 +99,52 @@ class Narrow:
         """
         with self._lock:
             if self._all is None:
-                shown = np.array([not solid.is_empty for solid in self._solids], dtype=bool)
-                scene = Scene(
-                    sorts,
-                    np.array(self._known, dtype=bool) & shown,
-                    self._boxes.T,
-                    self._positions,
-                    self._matrices,
-                    self._moved_array([solid.centre for solid in self._solids]),
-                    self._moved_array([solid.inner_centre for solid in self._solids]),
-                )
-                self._all = colliding(scene, COLLIDES, self._are_deep)
+                found = colliding(self._scene(sorts), COLLIDES, self._are_deep)
+                self.note(found.compared.tolist())
+                self._all = found.pairs
             return self._all
+
+    def all_within(self, sorts: Sorts, apart: float) -> list[tuple[int, int]]:
+        """The pairs of entities whose clearance is no more, the lesser first.
+
+        Args:
+            sorts: what the shapes are, and whose.
+            apart: metres.
+        """
+        with self._lock:
+            if apart not in self._all_within:
+                found = Found([], np.zeros(0, np.intp))
+                if apart >= 0.0:
+                    is_within = partial(self._are_within, apart=apart)
+                    found = all_within(self._scene(sorts), apart, is_within)
+                self.note(found.compared.tolist())
+                self._all_within[apart] = found.pairs
+            return self._all_within[apart]
+
+    def note(self, pairs: Iterable[int]) -> None:
+        """Count pairs of entities, by their numbers, as compared.
+
+        Each counts once a tick, however it is asked about and whatever decides it.
+        """
+        with self._lock:
+            before = len(self._compared)
+            self._compared.update(pairs)
+            self.calls.pairs += len(self._compared) - before
+
+    def _scene(self, sorts: Sorts) -> Scene:
+        known = self._finite & sorts.known
+        lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
+        known = lost[sorts.entities] == 0
+        return Scene(sorts, known, self._boxes.T, self._positions, self._matrices)
 
     def _are_deep(self, s: int, t: int) -> bool:
         return self._bound(s, t) <= 0.0 and self._separation(s, t).gap < -COLLIDES
+
+    def _are_within(self, s: int, t: int, apart: float) -> bool:
+        if self._bound(s, t) > apart:
+            return False
+        found = self._gap(s, t)
+        return found is None or max(0.0, found.gap) <= apart
 
     def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
         """The distance of the nearest points, 0 where they meet.
@@ -355,10 +389,16 @@ class Narrow:
         return unit
 
     @cached_property
+    def _finite(self) -> Flags:
+        """Of each shape whether its pose is."""
+        poses = np.concatenate((self._positions, self._unit), axis=1)
+        finite: Flags = np.isfinite(poses).all(axis=1)
+        return finite
+
+    @cached_property
     def _known(self) -> list[bool]:
-        finite = np.isfinite(self._positions).all(axis=1) & np.isfinite(self._unit).all(axis=1)
         known = np.array([solid.known for solid in self._solids], dtype=bool)
-        found: list[bool] = (finite & known).tolist()
+        found: list[bool] = (self._finite & known).tolist()
         return found
 
     @cached_property
@@ -376,14 +416,10 @@ class Narrow:
 
     def _moved(self, points: list[Point]) -> list[list[float]]:
         """A point of each shape in the world."""
-        found: list[list[float]] = self._moved_array(points).tolist()
-        return found
-
-    def _moved_array(self, points: list[Point]) -> Array:
         local = np.array(points, dtype=np.float64).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
-            moved: Array = self._positions + rotate(self._matrices, local)
-        return moved
+            found: list[list[float]] = (self._positions + rotate(self._matrices, local)).tolist()
+        return found
 
     @cached_property
     def _matrices(self) -> Array:
