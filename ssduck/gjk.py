@@ -42,6 +42,9 @@ TOGETHER = 4096
 # Numbers of points that are looked at together.
 MOST_POINTS = 1 << 20
 _NEXT = np.array([1, 2, 0])
+# Directions around that are across nothing; how far a direction is moved off a normal, in turn.
+_AROUND = np.array([[1.0, 0.9, 0.8], [-0.9, -0.8, 1.0], [-0.8, 1.0, -0.9], [0.9, -1.0, -0.8]])
+_OFF = np.array([[0, 0, 0], [0.27, 0.11, 0.4], [0, 0, 0], [-0.4, -0.27, -0.11]])
 # The faces of a tetrahedron of points 0..3, and the point across from each.
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
@@ -65,13 +68,13 @@ class Cores:
         reaches = [solid.reach if np.isfinite(solid.reach) else 0.0 for solid in solids]
         self.reach = np.array(reaches)[of]
         hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _is_pointed(solid)}
-        sizes = {n: max(2, (len(points) - 1).bit_length()) for n, points in hulls.items()}
+        sizes = {n: _room(len(points)) for n, points in hulls.items()}
         kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
         self.points: list[Array] = []
         for kind, size in enumerate(sorted(set(sizes.values()))):
             alike = [n for n in hulls if sizes[n] == size]
             kinds[alike], rows[alike] = kind, np.arange(len(alike))
-            self.points.append(np.array([_padded(hulls[n], 1 << size) for n in alike]))
+            self.points.append(np.array([_padded(hulls[n], size) for n in alike]))
         self.kind, self.row = kinds[of], rows[of]
 
 
@@ -146,10 +149,7 @@ def _farthest(hulls: Array, rows: Indices, ways: Array) -> Array:
     for start in range(0, len(rows), step):
         some = slice(start, start + step)
         points = hulls.take(rows[some], axis=0)
-        x, y, z = ways[:, some, None]
-        heights = points[:, 0] * x
-        heights += points[:, 1] * y
-        heights += points[:, 2] * z
+        heights = np.matmul(ways[:, some].T[:, None], points)[:, 0]
         found[:, some] = points[np.arange(len(points)), :, heights.argmax(axis=1)].T
     return found
 
@@ -262,6 +262,9 @@ def _decide(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> None:
         around += [shallow] if shallow else []
     for some, corners in around:
         _move_around(some, corners, bodies, verdicts)
+        left = some.only(np.flatnonzero(verdicts[some.number] == UNDECIDED))
+        if len(left.number):
+            _move_around(left, _tetrahedron(left, bodies), bodies, verdicts)
 
 
 def _first_step(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> _Pairs:
@@ -380,23 +383,31 @@ def _move_around(pairs: _Pairs, corners: Array, bodies: Bodies, verdicts: Verdic
     """Decide pairs whose tetrahedra have the origin in or on them, by the face nearest to it.
 
     Either the difference ends there, or its farthest point beyond the face takes the place of
-    the corner that leaves the origin deepest in the tetrahedron.
+    the corner that leaves the origin deepest in the tetrahedron. Every other time the direction
+    is off the face's normal: else what is symmetric goes round in circles.
     """
-    for _ in range(MOVES):
+    for move in range(MOVES):
         depths, normals = _depths(corners)
         every = np.arange(len(pairs.number))
-        ways = normals[_face(depths, normals), :, every].T
+        ways = _unit(normals[_face(depths, normals), :, every].T)
+        ways += _OFF[move % len(_OFF)][:, None]
         new = pairs.farthest(bodies, ways)
-        length = _length(ways)
-        above = (-_dots(ways, new) > pairs.high * length) & (length > 0.0)
+        above = -_dots(ways, new) > pairs.high * _length(ways)
         verdicts[pairs.number[above]] = ABOVE
         moved, depth = _deepest(corners, new)
         below = ~above & (-depth < pairs.low)
         verdicts[pairs.number[below]] = BELOW
-        left = np.flatnonzero(~(above | below) & (length > 0.0))
+        left = np.flatnonzero(~(above | below))
         if not len(left):
             return
         pairs, corners = pairs.only(left), moved[:, :, left]
+
+
+def _tetrahedron(pairs: _Pairs, bodies: Bodies) -> Array:
+    """Points of the differences in four directions around, of the frame of the first, (4, 3, n)."""
+    turns = bodies.turns.take(pairs.first, axis=1).reshape(3, 3, -1)
+    ways = np.einsum("ijn,dj->din", turns, _AROUND)
+    return np.array([pairs.farthest(bodies, way) for way in ways])
 
 
 def _face(depths: Array, normals: Array) -> Indices:
@@ -422,6 +433,11 @@ def _length(vectors: Array) -> Array:
     return length
 
 
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.maximum(_length(vectors), 1e-300)
+    return unit
+
+
 def _dots(first: Array, second: Array) -> Array:
     dots: Array = np.einsum("cn,cn->n", first, second)
     return dots
@@ -432,3 +448,9 @@ def _cross(first: Array, second: Array) -> Array:
     a, b, c = first[:, 0], first[:, 1], first[:, 2]
     x, y, z = second[:, 0], second[:, 1], second[:, 2]
     return np.stack((b * z - c * y, c * x - a * z, a * y - b * x), axis=1)
+
+
+def _room(count: int) -> int:
+    """How many points as many are padded to, so that there are few sizes: 4, 6, 8, 12, 16, …."""
+    power = 1 << max(2, (count - 1).bit_length())
+    return power * 3 // 4 if count <= power * 3 // 4 and power > 4 else power

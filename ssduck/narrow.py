@@ -392,8 +392,7 @@ class Narrow:
     def _finite(self) -> Flags:
         """Of each shape whether its pose is."""
         poses = np.concatenate((self._positions, self._unit), axis=1)
-        finite: Flags = np.isfinite(poses).all(axis=1)
-        return finite
+        return np.asarray(np.isfinite(poses).all(axis=1))
 
     @cached_property
     def _known(self) -> list[bool]:
