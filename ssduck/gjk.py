@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from ssduck.geometry import Array, Indices
 from ssduck.separation import ROUND, TOUCH
-from ssduck.solids import Solid, hull_of
+from ssduck.solids import Solid
 
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 
@@ -90,7 +90,7 @@ def _is_pointed(solid: Solid) -> bool:
 
 
 def _corners(solid: Solid) -> Array:
-    points = hull_of(solid.core).core if solid.type == "mesh" else solid.core
+    points = solid.rim if solid.type == "mesh" else solid.core
     around: Array = points - np.array(solid.centre)
     return around
 

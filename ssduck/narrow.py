@@ -19,7 +19,7 @@ import numpy as np
 from ssduck.broad import Flags
 from ssduck.colliding import Found, Scene, Sorts, all_within, colliding
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
-from ssduck.meshes import mesh_apart, mesh_depth
+from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
 from ssduck.overlap import covers, footprint, share_inside
 from ssduck.separation import Counter, Placed, Point, Separation, separation
 from ssduck.solids import Solid
@@ -28,6 +28,8 @@ from ssduck.solids import Solid
 COLLIDES = 1e-6
 # What is as near touches, for `on`.
 TOUCHES = 1e-3
+# What boxes and spheres tell of a distance, metres, may be off by as much.
+ROUNDING = 1e-9
 # The normal of what rests on something is at most 30 degrees off the vertical.
 UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
 
@@ -138,10 +140,16 @@ class Narrow:
         return Scene(sorts, known, self._boxes.T, self._positions, self._matrices)
 
     def _are_deep(self, s: int, t: int) -> bool:
-        return self._bound(s, t) <= 0.0 and self._separation(s, t).gap < -COLLIDES
+        if self._bound(s, t) > 0.0:
+            return False
+        # Most meshes that collide are found to without their depth.
+        is_new = self._is_of_mesh(s, t) and (min(s, t), max(s, t)) not in self._apart
+        if is_new and surely_deeper(self._place(s), self._place(t), COLLIDES, self.calls):
+            return True
+        return self._separation(s, t).gap < -COLLIDES
 
     def _are_within(self, s: int, t: int, apart: float) -> bool:
-        if self._bound(s, t) > apart:
+        if self._bound(s, t) > apart + ROUNDING:
             return False
         found = self._gap(s, t)
         return found is None or max(0.0, found.gap) <= apart
@@ -259,7 +267,7 @@ class Narrow:
         meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
         if any(self._surely_collide(s, t) for s, t in meeting):
             return True
-        return any(self._separation(s, t).gap < -COLLIDES for s, t in meeting)
+        return any(self._are_deep(s, t) for s, t in meeting)
 
     def _clear(self, i: int, j: int, upto: float) -> float | None:
         if not (self._are_known[i] and self._are_known[j]):
@@ -269,7 +277,7 @@ class Narrow:
         if not pairs:
             return None
         for bound, s, t in pairs:
-            if bound >= best or bound > upto:
+            if bound >= best or bound > upto + ROUNDING:
                 break
             if bound <= 0.0 and self._surely_collide(s, t):
                 return 0.0
@@ -337,7 +345,8 @@ class Narrow:
             return None if found is None else found.swapped()
         if (s, t) not in self._apart:
             a, b = self._place(s), self._place(t)
-            self._apart[s, t] = _compare(a, b, self.calls)
+            compare = mesh_apart if self._is_of_mesh(s, t) else separation
+            self._apart[s, t] = compare(a, b, self.calls)
         return self._apart[s, t]
 
     def _separation(self, s: int, t: int) -> Separation:
@@ -349,6 +358,11 @@ class Narrow:
         if (s, t) not in self._deep:
             self._deep[s, t] = mesh_depth(self._place(s), self._place(t), self.calls)
         return self._deep[s, t]
+
+    def _is_of_mesh(self, s: int, t: int) -> bool:
+        """Whether one of them is a mesh and neither a half-space."""
+        kinds = {self._solids[s].type, self._solids[t].type}
+        return "mesh" in kinds and "plane" not in kinds
 
     def _place(self, shape: int) -> Placed:
         if shape not in self._placed:
@@ -424,11 +438,3 @@ class Narrow:
     def _matrices(self) -> Array:
         with np.errstate(invalid="ignore"):
             return rotation_matrices(self._unit)
-
-
-def _compare(a: Placed, b: Placed, calls: Counter) -> Separation | None:
-    """The separation of two shapes; None for meshes that meet."""
-    kinds = {a.solid.type, b.solid.type}
-    if "mesh" not in kinds or "plane" in kinds:
-        return separation(a, b, calls)
-    return mesh_apart(a, b, calls)
