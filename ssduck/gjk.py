@@ -362,21 +362,15 @@ def _depths(corners: Array) -> tuple[Array, Array]:
     Returns:
         The depths, and the outward normals (4, 3, n), not of unit length.
     """
-    one, other = (
-        corners[_FACES[:, 1]] - corners[_FACES[:, 0]],
-        corners[_FACES[:, 2]] - corners[_FACES[:, 0]],
-    )
-    normals = _cross(one, other)
-    across = corners - corners[_FACES[:, 0]]
-    volume = np.einsum("fcn,fcn->fn", normals, across)
+    of_face, one, other = (corners[_FACES[:, k]] for k in range(3))
+    normals = _cross(one - of_face, other - of_face)
+    volume = np.einsum("fcn,fcn->fn", normals, corners - of_face)
     normals *= np.where(volume > 0.0, -1.0, 1.0)[:, None]
-    length = np.sqrt(np.einsum("fcn,fcn->fn", normals, normals))
-    size = np.abs(corners).max(axis=(0, 1))
-    length = np.maximum(length, 1e-300)
-    heights = np.einsum("fcn,fcn->fn", normals, corners[_FACES[:, 0]]) / length
-    error = 1e-14 * size * size * size / length
-    flat = np.abs(volume).min(axis=0) <= 1e-14 * size * size * size
-    return np.where(flat, -np.inf, heights - error), normals
+    length = np.maximum(np.sqrt(np.einsum("fcn,fcn->fn", normals, normals)), 1e-300)
+    heights = np.einsum("fcn,fcn->fn", normals, of_face) / length
+    cube = np.abs(corners).max(axis=(0, 1)) ** 3
+    flat = np.abs(volume).min(axis=0) <= 1e-12 * cube
+    return np.where(flat, -np.inf, heights - 1e-13 * cube / length), normals
 
 
 def _move_around(pairs: _Pairs, corners: Array, bodies: Bodies, verdicts: Verdicts) -> None:

@@ -3,7 +3,8 @@
 An entity is all its shapes: it is as near, as deep and as much in contact as the closest of
 them. Every pair of shapes is compared once a tick, and only if their boxes and the spheres
 around and in them do not tell: see `ssduck.separation` for what a gap, a depth and a normal are,
-and `ssduck.meshes` for those of meshes that are not convex.
+and `ssduck.meshes` for those of meshes that are not convex. Which of all pairs collide or are
+near each other is found at once, by `ssduck.colliding`, with the same answers.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from test_narrow import STRAIGHT, box, capsule, cylinder, mesh_of, narrow, plane
 from ssduck import gjk
 from ssduck.colliding import Sorts, box_depths
 from ssduck.geometry import Geometry
-from ssduck.gjk import ABOVE, BELOW, UNDECIDED, Bodies, Cores, compare
+from ssduck.gjk import ABOVE, BELOW, UNDECIDED, compare
 from ssduck.narrow import COLLIDES
 from ssduck.shapes import Shapes
 from ssduck.solids import solid_of
@@ -26,32 +26,13 @@ COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))
 BOUNDS = (-COLLIDES, 0.0, 1e-3, 0.05, 0.3)
 
 
-def bodies(shapes):
-    """Shapes for `compare`, by their numbers."""
-    solids = [solid_of(one.geometry) for one in shapes]
-    placed = [one.placed() for one in shapes]
-    turns = np.array([one.rows for one in placed]).reshape(-1, 9).T
-    centres = np.array([one.world(*s.centre) for one, s in zip(placed, solids, strict=True)]).T
-    every = np.arange(len(shapes))
-    return Bodies(Cores(solids, every), np.ascontiguousarray(turns), np.ascontiguousarray(centres))
-
-
-def verdicts(two, bound):
-    """Of pairs of shapes, as they are and swapped."""
-    all_ = bodies([one for pair in two for one in pair])
-    first = np.arange(0, 2 * len(two), 2)
-    return compare(all_, first, first + 1, bound), compare(all_, first + 1, first, bound)
-
-
 def undecided(two, bounds=BOUNDS):
     """The gaps less the bounds where nothing is decided; what is decided is right."""
     gaps = np.array([pairs.gap(*pair).gap for pair in two])
     left = []
     for bound in bounds:
-        for found in verdicts(two, bound):
-            assert not ((found == BELOW) & (gaps >= bound)).any()
-            assert not ((found == ABOVE) & (gaps <= bound)).any()
-            left.append((gaps - bound)[found == UNDECIDED])
+        assert pairs.wrong_verdicts(two, gaps, bound) == []
+        left += [(gaps - bound)[found == UNDECIDED] for found in pairs.verdicts(two, bound)]
     return np.concatenate(left)
 
 
@@ -72,7 +53,7 @@ def test_neither_order_nor_place_turns_a_verdict(kinds, seed, bound):
     random = np.random.default_rng(seed)
     shift, turn = random.uniform(-2, 2, 3), random.normal(size=4)
     moved = tuple(pairs.moved(one, shift, turn / np.linalg.norm(turn)) for one in two)
-    told = {int(one) for found in verdicts([two, moved], bound) for one in found}
+    told = {int(one) for found in pairs.verdicts([two, moved], bound) for one in found}
     assert not {BELOW, ABOVE} <= told
 
 
@@ -141,10 +122,10 @@ def test_sizes_from_a_millimetre_to_a_kilometre(seed):
 def test_parts_of_all_pairs_are_as_all(monkeypatch):
     random = np.random.default_rng(3)
     two = [pairs.pair(kinds, int(random.integers(1000))) for kinds in COMBINATIONS * 3]
-    together = verdicts(two, 0.01)
+    together = pairs.verdicts(two, 0.01)
     monkeypatch.setattr(gjk, "TOGETHER", 7)
     monkeypatch.setattr(gjk, "MOST_POINTS", 20)
-    for found, expected in zip(verdicts(two, 0.01), together, strict=True):
+    for found, expected in zip(pairs.verdicts(two, 0.01), together, strict=True):
         assert found.tolist() == expected.tolist()
 
 
@@ -158,13 +139,13 @@ def test_hulls_of_any_number_of_points(count):
 
 
 def test_no_pairs():
-    assert not len(compare(bodies([at(box(), (0, 0, 0))]), *np.zeros((2, 0), np.intp), 0.0))
+    assert not len(compare(pairs.bodies([at(box(), (0, 0, 0))]), *np.zeros((2, 0), np.intp), 0.0))
 
 
 @pytest.mark.parametrize("apart", [0.3, 1e-4, -1e-4, -0.3])
 def test_boxes_by_axes_and_by_cores(apart):
     two = [(at(box(), (0, 0, 0)), at(box(), (x, 0, 1 + apart))) for x in np.linspace(0, 0.6, 7)]
-    found = verdicts(two, -COLLIDES)[0]
+    found = pairs.verdicts(two, -COLLIDES)[0]
     assert (found == (BELOW if apart < 0 else ABOVE)).all()
 
 
