@@ -1,23 +1,32 @@
-"""Which entities of a tick collide, all of them at once.
+"""Which entities of a tick collide, or are near each other, all of them at once.
 
-The broad phase finds the pairs of shapes whose boxes meet. Spheres around the shapes that miss
-each other, and spheres in them that meet, decide most of these; of boxes the separating axes do
-(Gottschalk, Lin and Manocha, OBBTree, 1996); only what is left is compared one by one.
+The broad phase finds the pairs of shapes whose boxes meet. Spheres around the shapes that are far
+apart, and spheres in them that are near, decide many of these; half-spaces are decided by support
+functions, boxes that may collide by their separating axes (Gottschalk, Lin and Manocha, OBBTree,
+1996), what else is convex by `ssduck.gjk`. The convex hull of a mesh tells if it is far from
+something. Only what is left is compared one by one: what is as near to the bound as errors are,
+meshes that may meet.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
-from ssduck.broad import Flags, meeting
-from ssduck.geometry import Array, Indices
+from ssduck.broad import Flags, Pairs, meeting
+from ssduck.geometry import Array, Indices, rotate
+from ssduck.gjk import ABOVE, BELOW, UNDECIDED, Bodies, Cores, Verdicts, compare, slack
 from ssduck.solids import Solid
 
 # Two edges that are as parallel have no axis of their own.
 _PARALLEL = 1e-6
+# Boxes are looked at a little farther out, m, for what is exactly as far as is asked for.
+_MARGIN = 1e-8
+_MOST_ENTITIES = 1 << 32
 # The other two axes of each.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
@@ -33,14 +42,21 @@ class Sorts:
 
     def __init__(self, solids: Sequence[Solid], of: Indices, entities: Indices) -> None:
         self.entities = entities
+        self.count = int(entities.max(initial=-1)) + 1
         self.single = len(np.unique(entities)) == len(entities)
-        self.reach = np.array([solid.reach for solid in solids])[of]
-        self.radius = np.array([solid.inner_radius for solid in solids])[of]
+        self.known = np.array([solid.known for solid in solids], dtype=bool)[of]
+        self.is_shown = np.array([not solid.is_empty for solid in solids], dtype=bool)[of]
         self.is_endless = np.array([solid.type == "plane" for solid in solids], dtype=bool)[of]
         self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[of]
-        none = np.zeros(3)
-        halves = [s.core.max(axis=0) if s.type == "box" else none for s in solids]
-        self.half = np.array(halves).reshape(-1, 3)[of]
+        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[of]
+        self.reach = np.array([solid.reach for solid in solids])[of]
+        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[of]
+        self.inner_centre = np.array([solid.inner_centre for solid in solids]).reshape(-1, 3)[of]
+        self.inner_radius = np.array([solid.inner_radius for solid in solids])[of]
+        up = np.array([0.0, 0.0, 1.0])
+        normals = [s.normals[0] if s.type == "plane" and s.known else up for s in solids]
+        self.normal = np.array(normals).reshape(-1, 3)[of]
+        self.cores = Cores(solids, of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +65,10 @@ class Scene:
 
     Attributes:
         sorts: what they are, and whose.
-        known: (n,), whether its pose is known.
+        known: (n,), whether the poses and the shapes of its entity are known.
         boxes: (6, n), lower corners, upper corners.
         positions: (n, 3).
         matrices: (n, 3, 3).
-        centres: (n, 3), of the sphere around each shape.
-        inner: (n, 3), of the sphere in each shape.
     """
 
     sorts: Sorts
@@ -62,82 +76,200 @@ class Scene:
     boxes: Array
     positions: Array
     matrices: Array
-    centres: Array
-    inner: Array
+
+    def moved(self, points: Array) -> Array:
+        """A point (n, 3) of each shape, in the world."""
+        with np.errstate(invalid="ignore"):
+            moved: Array = self.positions + rotate(self.matrices, points)
+        return moved
+
+    @cached_property
+    def centres(self) -> Array:
+        """(n, 3), of the spheres around the shapes."""
+        return self.moved(self.sorts.centre)
+
+    @cached_property
+    def inner(self) -> Array:
+        """(n, 3), of the spheres in the shapes."""
+        return self.moved(self.sorts.inner_centre)
+
+    @cached_property
+    def bodies(self) -> Bodies:
+        """The shapes' cores."""
+        turns = np.ascontiguousarray(self.matrices.reshape(-1, 9).T)
+        return Bodies(self.sorts.cores, turns, np.ascontiguousarray(self.centres.T))
+
+    def owners(self, first: Indices, second: Indices) -> Indices:
+        """Whose shapes these are: a number for each pair of entities, as of `pair_number`."""
+        i, j = self.sorts.entities[first], self.sorts.entities[second]
+        return np.minimum(i, j) * _MOST_ENTITIES + np.maximum(i, j)
 
 
-def colliding(
-    scene: Scene, deeper: float, compare: Callable[[int, int], bool]
-) -> list[tuple[int, int]]:
-    """The pairs of entities with shapes that are deeper in each other, each once, the lesser first.
+def pair_number(i: int, j: int) -> int:
+    """A number for a pair of entities in either order."""
+    return min(i, j) * _MOST_ENTITIES + max(i, j)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was found of all pairs of entities.
+
+    Attributes:
+        pairs: those asked for, in order; of each the lesser entity is the first.
+        compared: those with shapes whose boxes meet, or are as near as is asked for, by their
+            numbers.
+    """
+
+    pairs: list[tuple[int, int]]
+    compared: Indices
+
+
+def colliding(scene: Scene, deeper: float, is_deeper: Callable[[int, int], bool]) -> Found:
+    """The pairs of entities with shapes that are deeper in each other.
 
     Args:
         scene: the shapes.
         deeper: metres.
-        compare: whether two shapes are, for those that nothing else decides.
+        is_deeper: whether two shapes are, for those that nothing else decides.
     """
+    rules = _by_spheres, _by_planes, _by_axes, _by_cores
+    return _found(scene, _candidates(scene, 0.0), rules, -deeper, is_deeper)
+
+
+def all_within(scene: Scene, apart: float, is_within: Callable[[int, int], bool]) -> Found:
+    """The pairs of entities with shapes that are at most so far apart; what meets is 0 apart.
+
+    Args:
+        scene: the shapes.
+        apart: metres, not below 0.
+        is_within: whether two shapes are, for those that nothing else decides.
+    """
+    rules = _by_spheres, _by_planes, _by_cores
+    return _found(scene, _candidates(scene, apart + _MARGIN), rules, apart, is_within)
+
+
+Rule: TypeAlias = Callable[[Scene, Indices, Indices, float], Verdicts]
+
+
+# Numbers that are too large for their squares decide nothing.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def _found(
+    scene: Scene,
+    candidates: Pairs,
+    rules: Sequence[Rule],
+    bound: float,
+    is_below: Callable[[int, int], bool],
+) -> Found:
+    """The pairs of entities with shapes whose gaps are below a bound, or of which it is said.
+
+    Args:
+        scene: the shapes.
+        candidates: the pairs of shapes that are compared.
+        rules: what is asked of them, one after another, until they are decided.
+        bound: metres.
+        is_below: asked of two shapes that no rule decides.
+    """
+    first, second = candidates
+    compared = np.unique(scene.owners(first, second))
+    found = np.zeros(0, np.intp)
+    for rule in rules:
+        verdicts = rule(scene, first, second, bound)
+        owners = scene.owners(first, second)
+        found = np.concatenate((found, owners[verdicts == BELOW]))
+        left = verdicts == UNDECIDED
+        if not scene.sorts.single:
+            left &= ~np.isin(owners, found)
+        first, second = first[left], second[left]
+    more: set[int] = set()
+    owners = scene.owners(first, second)
+    for owner, s, t in zip(owners.tolist(), first.tolist(), second.tolist(), strict=True):
+        if owner not in more and is_below(s, t):
+            more.add(owner)
+    found = np.unique(np.concatenate((found, np.array(sorted(more), np.intp))))
+    i, j = divmod(found, _MOST_ENTITIES)
+    return Found(list(zip(i.tolist(), j.tolist(), strict=True)), compared)
+
+
+def _candidates(scene: Scene, apart: float) -> Pairs:
+    """The pairs of known shapes, of two entities, whose boxes are no farther apart."""
     sorts = scene.sorts
-    first, second = meeting(scene.boxes)
-    apart = sorts.entities[first] != sorts.entities[second]
-    both = apart & scene.known[first] & scene.known[second]
-    first, second = first[both], second[both]
-    first, second = _within_reach(scene, first, second)
-    hit = _inside_each_other(scene, first, second, deeper)
-    found = _entities(scene, first[hit], second[hit])
-    first, second = _undecided(scene, first[~hit], second[~hit], found)
-    square = sorts.is_box[first] & sorts.is_box[second]
-    a, b = first[square], second[square]
-    deep = box_depths(scene, a, b) > deeper
-    found |= _entities(scene, a[deep], b[deep])
-    for s, t in zip(first[~square].tolist(), second[~square].tolist(), strict=True):
-        pair = _pair(scene, s, t)
-        if pair not in found and compare(s, t):
-            found.add(pair)
-    return sorted(found)
-
-
-def _pair(scene: Scene, s: int, t: int) -> tuple[int, int]:
-    i, j = int(scene.sorts.entities[s]), int(scene.sorts.entities[t])
-    return (i, j) if i < j else (j, i)
-
-
-def _entities(scene: Scene, first: Indices, second: Indices) -> set[tuple[int, int]]:
-    """Whose shapes these are."""
-    i, j = scene.sorts.entities[first], scene.sorts.entities[second]
-    return set(zip(np.minimum(i, j).tolist(), np.maximum(i, j).tolist(), strict=True))
-
-
-def _undecided(
-    scene: Scene, first: Indices, second: Indices, found: set[tuple[int, int]]
-) -> tuple[Indices, Indices]:
-    """Those of entities that are not known to collide."""
-    if not found or scene.sorts.single:
+    usable = np.flatnonzero(scene.known & sorts.is_shown)
+    if apart == np.inf:
+        first, second = np.triu_indices(len(usable), 1)
+    else:
+        first, second = meeting(scene.boxes[:, usable], apart)
+    first, second = usable[first], usable[second]
+    if sorts.single:
         return first, second
-    pairs = zip(first.tolist(), second.tolist(), strict=True)
-    open_ = np.array([_pair(scene, s, t) not in found for s, t in pairs], dtype=bool)
-    return first[open_], second[open_]
+    different = sorts.entities[first] != sorts.entities[second]
+    return first[different], second[different]
 
 
-def _within_reach(scene: Scene, first: Indices, second: Indices) -> tuple[Indices, Indices]:
-    """Those whose spheres around meet; a half-space has none."""
-    reach, endless = scene.sorts.reach, scene.sorts.is_endless
-    between = np.linalg.norm(scene.centres[first] - scene.centres[second], axis=1)
-    near = (between <= reach[first] + reach[second]) | endless[first] | endless[second]
-    return first[near], second[near]
+# -- rules -------------------------------------------------------------------------------------
 
 
-def _inside_each_other(scene: Scene, first: Indices, second: Indices, deeper: float) -> Flags:
-    """Whether the spheres in them are deeper in each other."""
-    radius = scene.sorts.radius
-    between = np.linalg.norm(scene.inner[first] - scene.inner[second], axis=1)
-    together = radius[first] + radius[second] - deeper
-    hit: Flags = (together > 0.0) & (between < together)
-    return hit
+def _by_spheres(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+    """The spheres around shapes, and those in them; a half-space has none."""
+    sorts, error = scene.sorts, slack(scene.bodies, first, second)
+    verdicts = np.zeros(len(first), np.int8)
+    around = sorts.reach[first] + sorts.reach[second]
+    verdicts[_distances(scene.centres, first, second) > around + bound + error] = ABOVE
+    within = sorts.inner_radius[first], sorts.inner_radius[second]
+    apart = _distances(scene.inner, first, second) - within[0] - within[1]
+    verdicts[(apart < bound - error) & (within[0] > 0.0) & (within[1] > 0.0)] = BELOW
+    return verdicts
+
+
+def _distances(points: Array, first: Indices, second: Indices) -> Array:
+    way = points[first] - points[second]
+    lengths: Array = np.sqrt(np.einsum("ni,ni->n", way, way))
+    return lengths
+
+
+def _by_planes(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+    """Half-spaces and any other shape, by the point of it that is farthest in."""
+    sorts = scene.sorts
+    verdicts = np.zeros(len(first), np.int8)
+    some = np.flatnonzero(sorts.is_endless[first] != sorts.is_endless[second])
+    if not len(some):
+        return verdicts
+    is_first = sorts.is_endless[first[some]]
+    plane = np.where(is_first, first[some], second[some])
+    other = np.where(is_first, second[some], first[some])
+    normals = rotate(scene.matrices[plane], sorts.normal[plane])
+    lowest = scene.centres[other] - scene.positions[plane]
+    lowest += scene.bodies.supports(other, -normals.T).T
+    gaps = np.einsum("ni,ni->n", normals, lowest) - sorts.cores.radius[other]
+    error = slack(scene.bodies, plane, other)
+    verdicts[some[gaps > bound + error]] = ABOVE
+    verdicts[some[gaps < bound - error]] = BELOW
+    return verdicts
+
+
+def _by_axes(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+    """Boxes that may be deep in each other: exactly."""
+    verdicts = np.zeros(len(first), np.int8)
+    some = np.flatnonzero(scene.sorts.is_box[first] & scene.sorts.is_box[second])
+    is_deep = box_depths(scene, first[some], second[some]) > -bound
+    verdicts[some] = np.where(is_deep, BELOW, ABOVE)
+    return verdicts
+
+
+def _by_cores(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+    """What is convex; the convex hull of a mesh only tells that it is far from something."""
+    sorts = scene.sorts
+    verdicts = np.zeros(len(first), np.int8)
+    some = np.flatnonzero(~(sorts.is_endless[first] | sorts.is_endless[second]))
+    found = compare(scene.bodies, first[some], second[some], bound)
+    hollow = ~(sorts.is_convex[first[some]] & sorts.is_convex[second[some]])
+    found[hollow & (found == BELOW)] = UNDECIDED
+    verdicts[some] = found
+    return verdicts
 
 
 def box_depths(scene: Scene, first: Indices, second: Indices) -> Array:
     """How deep boxes are in each other, m: the least overlap along their 15 axes; < 0 if apart."""
-    a, b = scene.sorts.half[first], scene.sorts.half[second]
+    a, b = scene.sorts.cores.half[:, first].T, scene.sorts.cores.half[:, second].T
     turn_a, turn_b = scene.matrices[first], scene.matrices[second]
     # The second box in the frame of the first.
     turn = np.einsum("nji,njk->nik", turn_a, turn_b)

@@ -79,9 +79,11 @@ class Statistics:
 
     Attributes:
         pairs: how many pairs of entities were compared; one that is asked for twice in a tick
-            counts once.
-        calls: how often the narrow phase was called for that: once or twice for two shapes
-            that are near each other, never for those that their boxes or spheres tell apart.
+            counts once. Where all pairs of a tick are compared at once, these are the pairs
+            whose boxes meet, or are as near as was asked for.
+        calls: how often FCL was called for that: once or twice for two shapes that are near each
+            other, more often for meshes that are deep in something; never for those that
+            formulas decide, as nearly all are where all of a tick is compared at once.
     """
 
     pairs: int

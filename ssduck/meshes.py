@@ -33,6 +33,8 @@ from ssduck.separation import (
 from ssduck.surfaces import Surface
 
 MOST_CONTACTS = 100_000
+# As many triangles that cross tell nearly always that some are deep in each other.
+SOME_CONTACTS = 16
 
 
 def mesh_apart(a: Placed, b: Placed, calls: Counter) -> Separation | None:
@@ -55,6 +57,19 @@ def mesh_depth(a: Placed, b: Placed, calls: Counter) -> Separation:
     if gap >= -TOUCH:
         normal = _normal_at(a, b, (p + q) / 2)
     return rounded(gap, p, q, normal, a, b)
+
+
+def surely_deeper(a: Placed, b: Placed, deeper: float, calls: Counter) -> bool:
+    """Whether a mesh and another solid are deeper in each other, by some triangles that cross.
+
+    Each bounds the depth from below. If these are not deeper, others may be.
+    """
+    numbers = _touched(a, b, SOME_CONTACTS, calls)
+    if not numbers:
+        return False
+    i, j = zip(*numbers, strict=True)
+    depths, _ = triangle_depths(_world_triangles(a, list(i)), _world_triangles(b, list(j)))
+    return float(depths.max()) > deeper + TOUCH
 
 
 def _pierced(segment: Placed, mesh: Placed) -> list[int]:
@@ -168,18 +183,12 @@ def _facing(placed: Placed, point: Array) -> Array:
 
 def _crossings(a: Placed, b: Placed, calls: Counter) -> list[Core]:
     """The deepest two triangles that cross."""
-    import fcl
-
-    calls.calls += 1
-    result = fcl.CollisionResult()
-    request = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=True)
-    fcl.collide(a.fine_object, b.fine_object, request, result)
-    both = {(contact.b1, contact.b2) for contact in result.contacts}
+    both = _touched(a, b, MOST_CONTACTS, calls)
     both |= {(0, face) for face in _pierced(a, b)} | {(face, 0) for face in _pierced(b, a)}
     if not both:
         return []
     numbers = np.array(sorted(both))
-    first, second = _world_triangles(a)[numbers[:, 0]], _world_triangles(b)[numbers[:, 1]]
+    first, second = _world_triangles(a, numbers[:, 0]), _world_triangles(b, numbers[:, 1])
     depths, normals = triangle_depths(first, second)
     deepest = int(depths.argmax())
     if depths[deepest] < -TOUCH:  # FCL counts some that lie in one plane side by side
@@ -187,6 +196,17 @@ def _crossings(a: Placed, b: Placed, calls: Counter) -> list[Core]:
     depth, normal = max(0.0, float(depths[deepest])), normals[deepest]
     middle = _crossing_point(first[deepest], second[deepest])
     return [(-depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal)]
+
+
+def _touched(a: Placed, b: Placed, most: int, calls: Counter) -> set[tuple[int, int]]:
+    """Which triangles of the one cross which of the other, as FCL has it."""
+    import fcl
+
+    calls.calls += 1
+    result = fcl.CollisionResult()
+    request = fcl.CollisionRequest(num_max_contacts=most, enable_contact=True)
+    fcl.collide(a.fine_object, b.fine_object, request, result)
+    return {(contact.b1, contact.b2) for contact in result.contacts}
 
 
 def _crossing_point(first: Array, second: Array) -> Array:
@@ -213,9 +233,9 @@ def _crossing_point(first: Array, second: Array) -> Array:
     return middle
 
 
-def _world_triangles(placed: Placed) -> Array:
+def _world_triangles(placed: Placed, numbers: list[int] | Array) -> Array:
     surface = placed.solid.fine_surface
-    return _world(placed, surface.vertices)[surface.faces]
+    return _world(placed, surface.vertices)[surface.faces[numbers]]
 
 
 def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:

@@ -3,22 +3,24 @@
 An entity is all its shapes: it is as near, as deep and as much in contact as the closest of
 them. Every pair of shapes is compared once a tick, and only if their boxes and the spheres
 around and in them do not tell: see `ssduck.separation` for what a gap, a depth and a normal are,
-and `ssduck.meshes` for those of meshes that are not convex.
+and `ssduck.meshes` for those of meshes that are not convex. Which of all pairs collide or are
+near each other is found at once, by `ssduck.colliding`, with the same answers.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Iterable, Sequence
+from functools import cached_property, partial
 from itertools import pairwise
 from threading import RLock
 
 import numpy as np
 
-from ssduck.colliding import Scene, Sorts, colliding
+from ssduck.broad import Flags
+from ssduck.colliding import Found, Scene, Sorts, all_within, colliding
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
-from ssduck.meshes import mesh_apart, mesh_depth
+from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
 from ssduck.overlap import covers, footprint, share_inside
 from ssduck.separation import Counter, Placed, Point, Separation, separation
 from ssduck.solids import Solid
@@ -27,6 +29,8 @@ from ssduck.solids import Solid
 COLLIDES = 1e-6
 # What is as near touches, for `on`.
 TOUCHES = 1e-3
+# What boxes and spheres tell of a distance, metres, may be off by as much.
+ROUNDING = 1e-9
 # The normal of what rests on something is at most 30 degrees off the vertical.
 UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
 
@@ -73,6 +77,8 @@ class Narrow:
         self._shares: dict[tuple[int, int], float | None] = {}
         self._footprints: dict[int, Array] = {}
         self._all: list[tuple[int, int]] | None = None
+        self._all_within: dict[float, list[tuple[int, int]]] = {}
+        self._compared: set[int] = set()
         # DuckDB calls from its own threads. A pair would be compared twice, not wrongly.
         self._lock = RLock()
 
@@ -96,21 +102,58 @@ class Narrow:
         """
         with self._lock:
             if self._all is None:
-                shown = np.array([not solid.is_empty for solid in self._solids], dtype=bool)
-                scene = Scene(
-                    sorts,
-                    np.array(self._known, dtype=bool) & shown,
-                    self._boxes.T,
-                    self._positions,
-                    self._matrices,
-                    self._moved_array([solid.centre for solid in self._solids]),
-                    self._moved_array([solid.inner_centre for solid in self._solids]),
-                )
-                self._all = colliding(scene, COLLIDES, self._are_deep)
+                found = colliding(self._scene(sorts), COLLIDES, self._are_deep)
+                self.note(found.compared.tolist())
+                self._all = found.pairs
             return self._all
 
+    def all_within(self, sorts: Sorts, apart: float) -> list[tuple[int, int]]:
+        """The pairs of entities whose clearance is no more, the lesser first.
+
+        Args:
+            sorts: what the shapes are, and whose.
+            apart: metres.
+        """
+        with self._lock:
+            if apart not in self._all_within:
+                found = Found([], np.zeros(0, np.intp))
+                if apart >= 0.0:
+                    is_within = partial(self._are_within, apart=apart)
+                    found = all_within(self._scene(sorts), apart, is_within)
+                self.note(found.compared.tolist())
+                self._all_within[apart] = found.pairs
+            return self._all_within[apart]
+
+    def note(self, pairs: Iterable[int]) -> None:
+        """Count pairs of entities, by their numbers, as compared.
+
+        Each counts once a tick, however it is asked about and whatever decides it.
+        """
+        with self._lock:
+            before = len(self._compared)
+            self._compared.update(pairs)
+            self.calls.pairs += len(self._compared) - before
+
+    def _scene(self, sorts: Sorts) -> Scene:
+        known = self._finite & sorts.known
+        lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
+        known = lost[sorts.entities] == 0
+        return Scene(sorts, known, self._boxes.T, self._positions, self._matrices)
+
     def _are_deep(self, s: int, t: int) -> bool:
-        return self._bound(s, t) <= 0.0 and self._separation(s, t).gap < -COLLIDES
+        if self._bound(s, t) > 0.0:
+            return False
+        # Most meshes that collide are found to without their depth.
+        is_new = self._is_of_mesh(s, t) and (min(s, t), max(s, t)) not in self._apart
+        if is_new and surely_deeper(self._place(s), self._place(t), COLLIDES, self.calls):
+            return True
+        return self._separation(s, t).gap < -COLLIDES
+
+    def _are_within(self, s: int, t: int, apart: float) -> bool:
+        if self._bound(s, t) > apart + ROUNDING:
+            return False
+        found = self._gap(s, t)
+        return found is None or max(0.0, found.gap) <= apart
 
     def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
         """The distance of the nearest points, 0 where they meet.
@@ -225,7 +268,7 @@ class Narrow:
         meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
         if any(self._surely_collide(s, t) for s, t in meeting):
             return True
-        return any(self._separation(s, t).gap < -COLLIDES for s, t in meeting)
+        return any(self._are_deep(s, t) for s, t in meeting)
 
     def _clear(self, i: int, j: int, upto: float) -> float | None:
         if not (self._are_known[i] and self._are_known[j]):
@@ -235,7 +278,7 @@ class Narrow:
         if not pairs:
             return None
         for bound, s, t in pairs:
-            if bound >= best or bound > upto:
+            if bound >= best or bound > upto + ROUNDING:
                 break
             if bound <= 0.0 and self._surely_collide(s, t):
                 return 0.0
@@ -303,7 +346,8 @@ class Narrow:
             return None if found is None else found.swapped()
         if (s, t) not in self._apart:
             a, b = self._place(s), self._place(t)
-            self._apart[s, t] = _compare(a, b, self.calls)
+            compare = mesh_apart if self._is_of_mesh(s, t) else separation
+            self._apart[s, t] = compare(a, b, self.calls)
         return self._apart[s, t]
 
     def _separation(self, s: int, t: int) -> Separation:
@@ -315,6 +359,11 @@ class Narrow:
         if (s, t) not in self._deep:
             self._deep[s, t] = mesh_depth(self._place(s), self._place(t), self.calls)
         return self._deep[s, t]
+
+    def _is_of_mesh(self, s: int, t: int) -> bool:
+        """Whether one of them is a mesh and neither a half-space."""
+        kinds = {self._solids[s].type, self._solids[t].type}
+        return "mesh" in kinds and "plane" not in kinds
 
     def _place(self, shape: int) -> Placed:
         if shape not in self._placed:
@@ -355,10 +404,15 @@ class Narrow:
         return unit
 
     @cached_property
+    def _finite(self) -> Flags:
+        """Of each shape whether its pose is."""
+        poses = np.concatenate((self._positions, self._unit), axis=1)
+        return np.asarray(np.isfinite(poses).all(axis=1))
+
+    @cached_property
     def _known(self) -> list[bool]:
-        finite = np.isfinite(self._positions).all(axis=1) & np.isfinite(self._unit).all(axis=1)
         known = np.array([solid.known for solid in self._solids], dtype=bool)
-        found: list[bool] = (finite & known).tolist()
+        found: list[bool] = (self._finite & known).tolist()
         return found
 
     @cached_property
@@ -376,24 +430,12 @@ class Narrow:
 
     def _moved(self, points: list[Point]) -> list[list[float]]:
         """A point of each shape in the world."""
-        found: list[list[float]] = self._moved_array(points).tolist()
-        return found
-
-    def _moved_array(self, points: list[Point]) -> Array:
         local = np.array(points, dtype=np.float64).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
-            moved: Array = self._positions + rotate(self._matrices, local)
-        return moved
+            found: list[list[float]] = (self._positions + rotate(self._matrices, local)).tolist()
+        return found
 
     @cached_property
     def _matrices(self) -> Array:
         with np.errstate(invalid="ignore"):
             return rotation_matrices(self._unit)
-
-
-def _compare(a: Placed, b: Placed, calls: Counter) -> Separation | None:
-    """The separation of two shapes; None for meshes that meet."""
-    kinds = {a.solid.type, b.solid.type}
-    if "mesh" not in kinds or "plane" in kinds:
-        return separation(a, b, calls)
-    return mesh_apart(a, b, calls)

@@ -9,8 +9,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.colliding import Sorts
+from ssduck.colliding import Sorts, pair_number
 from ssduck.narrow import Narrow
+
+Both: TypeAlias = tuple[list[int], list[int]]
 
 
 class Shapes:
@@ -29,12 +31,19 @@ class Shapes:
         self._narrow = narrow
         self._numbers = numbers
         self._sorts = sorts
-        self._compared: set[tuple[int, int]] = set()
+        self._near: dict[float, Both] = {}
 
     @cached_property
-    def _colliding(self) -> tuple[list[int], list[int]]:
-        """The ids of all that collide, the first ones and the second ones, each pair both ways."""
-        pairs = self._narrow.all_that_collide(self._sorts)
+    def _colliding(self) -> Both:
+        return self._both_ways(self._narrow.all_that_collide(self._sorts))
+
+    def _within(self, apart: float) -> Both:
+        if apart not in self._near:
+            self._near[apart] = self._both_ways(self._narrow.all_within(self._sorts, apart))
+        return self._near[apart]
+
+    def _both_ways(self, pairs: list[tuple[int, int]]) -> Both:
+        """The ids of pairs of entities, the first ones and the second ones, each pair both ways."""
         ids = np.array(list(self._numbers), dtype=np.int64)
         a, b = ids[np.array(pairs, dtype=np.intp).reshape(-1, 2).T]
         return np.concatenate((a, b)).tolist(), np.concatenate((b, a)).tolist()
@@ -47,13 +56,18 @@ class Shapes:
         """Of the pairs that collide, the second ones."""
         return self._colliding[1]
 
+    def first_within(self, apart: float) -> list[int]:
+        """Of the pairs whose clearance is at most that, m, the first ones; no entity and itself."""
+        return self._within(apart)[0]
+
+    def second_within(self, apart: float) -> list[int]:
+        """Of the pairs whose clearance is at most that, m, the second ones."""
+        return self._within(apart)[1]
+
     def _pair(self, a: int, b: int) -> tuple[int, int]:
         """Which entities two ids are; a pair counts once a tick."""
         i, j = self._numbers[a], self._numbers[b]
-        pair = (i, j) if i < j else (j, i)
-        if pair not in self._compared:
-            self._compared.add(pair)
-            self._narrow.calls.pairs += 1
+        self._narrow.note((pair_number(i, j),))
         return i, j
 
     def collides(self, a: int, b: int) -> bool | None:
@@ -104,6 +118,8 @@ ANSWERS: dict[str, Answer] = {
     for answer in (
         Shapes.first,
         Shapes.second,
+        Shapes.first_within,
+        Shapes.second_within,
         Shapes.collides,
         Shapes.penetration,
         Shapes.clearance,

@@ -49,6 +49,7 @@ class Solid:
         volume: m³; 0 of open meshes and flat hulls, infinite of planes.
         centre, reach: of a sphere around the shape.
         inner_centre, inner_radius: of a sphere in it; radius 0 where none is known.
+        rim: (k, 3) of a mesh, the core points that are corners of its convex hull.
     """
 
     type: SolidType
@@ -65,6 +66,7 @@ class Solid:
     reach: float = 0.0
     inner_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inner_radius: float = 0.0
+    rim: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def is_convex(self) -> bool:
@@ -303,6 +305,7 @@ def _mesh(geometry: Geometry) -> Solid:
         volume=volume,
         centre=hull.centre,
         reach=hull.reach,
+        rim=hull.core,
     )
 
 

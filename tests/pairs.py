@@ -15,6 +15,7 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
 from ssduck.geometry import Geometry
+from ssduck.gjk import ABOVE, BELOW, Bodies, Cores, compare
 from ssduck.meshes import mesh_apart, mesh_depth
 from ssduck.separation import Counter, Placed, Separation, separation
 from ssduck.solids import solid_of
@@ -142,6 +143,34 @@ def gap(a, b, calls=None):
     if "mesh" in kinds and "plane" not in kinds:
         return mesh_apart(one, other, calls) or mesh_depth(one, other, calls)
     return separation(one, other, calls)
+
+
+# -- many at once --------------------------------------------------------------------------
+
+
+def bodies(shapes):
+    """Shapes for `compare`, by their numbers."""
+    solids = [solid_of(one.geometry) for one in shapes]
+    placed = [one.placed() for one in shapes]
+    turns = np.array([one.rows for one in placed]).reshape(-1, 9).T
+    centres = np.array([one.world(*s.centre) for one, s in zip(placed, solids, strict=True)]).T
+    every = np.arange(len(shapes))
+    return Bodies(Cores(solids, every), np.ascontiguousarray(turns), np.ascontiguousarray(centres))
+
+
+def verdicts(two, bound):
+    """Of pairs of shapes, as they are and swapped."""
+    all_ = bodies([one for pair in two for one in pair])
+    first = np.arange(0, 2 * len(two), 2)
+    return compare(all_, first, first + 1, bound), compare(all_, first + 1, first, bound)
+
+
+def wrong_verdicts(two, gaps, bound):
+    """The numbers of pairs of shapes of which something is decided that their gaps are not."""
+    wrong = np.zeros(len(two), bool)
+    for found in verdicts(two, bound):
+        wrong |= ((found == BELOW) & (gaps >= bound)) | ((found == ABOVE) & (gaps <= bound))
+    return np.flatnonzero(wrong).tolist()
 
 
 # -- oracles -------------------------------------------------------------------------------
