@@ -451,7 +451,7 @@ class Database:
             types,
             result,
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
-            side_effects=not taken,  # what is of a tick is not to be worked out for good
+            side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
 
     # -- worlds ---------------------------------------------------------------------------

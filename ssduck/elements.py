@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from sqlglot import exp
 
+from ssduck.relations import Candidates
 from ssduck.sqlvalues import NotSqlError, SqlValue
 from ssduck.types import ANY, Tag
 
@@ -89,15 +90,18 @@ class Pairs:
     columns: tuple[exp.Expr, exp.Expr]
 
 
-def colliding_pairs(schema: str, name: str) -> Pairs:
-    """All pairs of entities of a world that collide."""
+def pairs_of(candidates: Candidates, apart: exp.Expr, schema: str, name: str) -> Pairs:
+    """All pairs of entities of a world of which a relation may hold."""
 
-    def side(function: str, column: str) -> exp.Expr:
-        called = exp.to_identifier(function, quoted=True)
-        ids = exp.Anonymous(this=called, expressions=[exp.Literal.string(schema)])
+    def side(which: str, column: str) -> exp.Expr:
+        called = exp.to_identifier(f"narrow {which}_{candidates.of}", quoted=True)
+        arguments: list[exp.Expr] = [exp.Literal.string(schema)]
+        if candidates.of != "colliding":
+            arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+        ids = exp.Anonymous(this=called, expressions=arguments)
         return exp.alias_(exp.func("unnest", ids), column)
 
-    columns = (side("narrow first", "a"), side("narrow second", "b"))
+    columns = (side("first", "a"), side("second", "b"))
     table = exp.select(*columns).subquery(exp.to_identifier(name))
     return Pairs(table, (column_of(name, "a"), column_of(name, "b")))
 

@@ -42,6 +42,27 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Candidates:
+    """Where the pairs of a tick are found of which a relation of two entities may hold.
+
+    Attributes:
+        of: those that collide; whose clearance is at most `apart`; or whose boxes are no farther
+            apart along any axis, in which case the relation is still to be asked about each.
+        apart: metres, a DuckDB expression over parameters that are values.
+        sliced: the same with the optional parameters given.
+    """
+
+    of: Literal["colliding", "within", "meeting"]
+    apart: str = "0"
+    sliced: str = "0"
+
+    @property
+    def are_exact(self) -> bool:
+        """Whether the relation holds of all of them."""
+        return self.of != "meeting"
+
+
+@dataclass(frozen=True)
 class Relation:
     """A function of entities that runs as SQL.
 
@@ -57,6 +78,7 @@ class Relation:
         element: of a list, what its elements are.
         apart: of a formula that looks things up, what it is of entities of two worlds.
         asked: of one that calls the narrow phase, on which pairs it does.
+        candidates: where all pairs of a tick are found of which it may hold.
     """
 
     name: str
@@ -70,6 +92,7 @@ class Relation:
     element: ValueType = "real"
     apart: str = ""
     asked: str = ""
+    candidates: Candidates | None = None
 
     @property
     def usage(self) -> str:
@@ -93,6 +116,12 @@ class Relation:
         if self.sliced is not None:
             found[len(self.parameters)] = _parsed(self.sliced)
         return found
+
+    def apart_of(self, count: int) -> exp.Expr:
+        """How far apart its candidates are, by the number of arguments."""
+        assert self.candidates is not None
+        far = self.candidates.apart if count == self.required else self.candidates.sliced
+        return _parsed(far)
 
     @cached_property
     def is_unbounded(self) -> bool:

@@ -8,10 +8,17 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
+from ssduck.broad import meeting
 from ssduck.colliding import Sorts, pair_number
+from ssduck.geometry import Array
 from ssduck.narrow import Narrow
 
+# Boxes that are apart by less may be so by rounding, m.
+ROUNDED = 1e-9
+
+Ids: TypeAlias = npt.NDArray[np.int64]
 Both: TypeAlias = tuple[list[int], list[int]]
 
 
@@ -25,12 +32,24 @@ class Shapes:
         narrow: the shapes.
         numbers: which entity of `narrow` an id is.
         sorts: what the shapes are, and whose.
+        boxes: (6, n), of the entities in the order of `ids`: the lower corners, then the upper.
+        ids: (n,)
     """
 
-    def __init__(self, narrow: Narrow, numbers: Mapping[int, int], sorts: Sorts) -> None:
+    def __init__(
+        self,
+        narrow: Narrow,
+        numbers: Mapping[int, int],
+        sorts: Sorts,
+        boxes: Array,
+        ids: Ids,
+    ) -> None:
         self._narrow = narrow
         self._numbers = numbers
         self._sorts = sorts
+        self._boxes = boxes
+        self._ids = ids
+        self._overlapping: dict[float, Both] = {}
         self._near: dict[float, Both] = {}
 
     @cached_property
@@ -42,17 +61,22 @@ class Shapes:
             self._near[apart] = self._both_ways(self._narrow.all_within(self._sorts, apart))
         return self._near[apart]
 
-    def _both_ways(self, pairs: list[tuple[int, int]]) -> Both:
-        """The ids of pairs of entities, the first ones and the second ones, each pair both ways."""
-        ids = np.array(list(self._numbers), dtype=np.int64)
-        a, b = ids[np.array(pairs, dtype=np.intp).reshape(-1, 2).T]
-        return np.concatenate((a, b)).tolist(), np.concatenate((b, a)).tolist()
+    def _meeting(self, apart: float) -> Both:
+        if apart not in self._overlapping:
+            first, second = meeting(self._boxes, apart + ROUNDED)
+            self._overlapping[apart] = _both_ways(self._ids[first], self._ids[second])
+        return self._overlapping[apart]
 
-    def first(self) -> list[int]:
+    def _both_ways(self, pairs: list[tuple[int, int]]) -> Both:
+        """The ids of pairs of entities of `narrow`."""
+        ids = np.array(list(self._numbers), dtype=np.int64)
+        return _both_ways(*ids[np.array(pairs, dtype=np.intp).reshape(-1, 2).T])
+
+    def first_colliding(self) -> list[int]:
         """Of the pairs that collide, the first ones."""
         return self._colliding[0]
 
-    def second(self) -> list[int]:
+    def second_colliding(self) -> list[int]:
         """Of the pairs that collide, the second ones."""
         return self._colliding[1]
 
@@ -63,6 +87,14 @@ class Shapes:
     def second_within(self, apart: float) -> list[int]:
         """Of the pairs whose clearance is at most that, m, the second ones."""
         return self._within(apart)[1]
+
+    def first_meeting(self, apart: float) -> list[int]:
+        """Of the pairs whose boxes are no farther apart along any axis, m, the first ones."""
+        return self._meeting(apart)[0]
+
+    def second_meeting(self, apart: float) -> list[int]:
+        """Of the pairs whose boxes are no farther apart along any axis, m, the second ones."""
+        return self._meeting(apart)[1]
 
     def _pair(self, a: int, b: int) -> tuple[int, int]:
         """Which entities two ids are; a pair counts once a tick."""
@@ -112,14 +144,21 @@ class Shapes:
         return self._narrow.solid_volume(self._numbers[entity])
 
 
+def _both_ways(a: Ids, b: Ids) -> Both:
+    """The first ones and the second ones of pairs, each pair both ways."""
+    return np.concatenate((a, b)).tolist(), np.concatenate((b, a)).tolist()
+
+
 Answer: TypeAlias = Callable[..., Any]
 ANSWERS: dict[str, Answer] = {
     f"narrow {answer.__name__}": answer
     for answer in (
-        Shapes.first,
-        Shapes.second,
+        Shapes.first_colliding,
+        Shapes.second_colliding,
         Shapes.first_within,
         Shapes.second_within,
+        Shapes.first_meeting,
+        Shapes.second_meeting,
         Shapes.collides,
         Shapes.penetration,
         Shapes.clearance,

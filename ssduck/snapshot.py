@@ -228,7 +228,9 @@ class Snapshot:
                 starts,
                 self.calls,
             )
-            self._shapes = Shapes(narrow, numbers, sorts)
+            entities = self.tables["entities"]
+            boxes = entities.reals("xmin", "zmax").copy()
+            self._shapes = Shapes(narrow, numbers, sorts, boxes, entities["id"].copy())
         return self._shapes
 
     @property

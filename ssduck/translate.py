@@ -17,8 +17,8 @@ from ssduck import subqueries, tree
 from ssduck.dependencies import changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
-    colliding_pairs,
     counted_rows,
+    pairs_of,
     product_of,
     record_table,
     unnested,
@@ -26,6 +26,7 @@ from ssduck.elements import (
 )
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.expressions import Expressions
+from ssduck.formulas import expanded
 from ssduck.messages import shown
 from ssduck.plan import Binding, Names, Output, Plan, Shape
 from ssduck.recursion import searched
@@ -166,26 +167,40 @@ class _Translator:
     # -- clauses ----------------------------------------------------------------------------
 
     def _pairs(self, node: Node) -> exp.Expr | None:
-        """`collides(a.this, b.this)` of two sources that are one world: all of its pairs at once.
+        """`near(a.this, b.this, 0.1)` of two sources that are one world: all its pairs at once.
 
         Where another condition is about one of the two alone, pairs are asked about one by one.
         """
         match node:
-            case Call(name="collides" | "collision", arguments=(This() as a, This() as b)):
-                pass
+            case Call(name=name, arguments=(This() as a, This() as b, *others)):
+                relation = RELATIONS.get(name)
             case _:
                 return None
+        if relation is None or relation.candidates is None:
+            return None
         worlds = {s.alias: s.schema for s in self.result.shapes if s.given and s.tag is None}
         schemas = {worlds.get(str(side.alias)) for side in (a, b)}
         if a.alias == b.alias or len(schemas) > 1 or None in schemas:
             return None
-        others = [part for part in _conjuncts(self.query.where) if part is not node]
-        if any(len(free_aliases(part) & {a.alias, b.alias}) == 1 for part in others):
+        beside = [part for part in _conjuncts(self.query.where) if part is not node]
+        if any(len(free_aliases(part) & {a.alias, b.alias}) == 1 for part in beside):
             return None
-        pairs = colliding_pairs(str(schemas.pop()), self.context.alias("pairs"))
+        if not all(map(self.sql.is_constant, others)):
+            return None
+        try:
+            holds = self.sql.truth(self.sql.value(node))
+            names = [parameter.name for parameter in relation.parameters[2 : len(node.arguments)]]
+            known = dict(zip(names, map(self.sql.value, others), strict=True))
+        except NotSqlError:
+            return None
+        apart = expanded(relation.apart_of(len(node.arguments)), known)
+        pairs = pairs_of(
+            relation.candidates, apart, str(schemas.pop()), self.context.alias("pairs")
+        )
         self.pairs.append(pairs.table)
         sides = zip((a, b), pairs.columns, strict=True)
-        return exp.and_(*(exp.EQ(this=self.sql.value(s).sql, expression=c) for s, c in sides))
+        found = [exp.EQ(this=self.sql.value(s).sql, expression=column) for s, column in sides]
+        return exp.and_(*found, *(() if relation.candidates.are_exact else (holds,)))
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:

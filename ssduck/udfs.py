@@ -18,7 +18,7 @@ rows could be taken for a column of that table.
 
 from __future__ import annotations
 
-from ssduck.relations import Parameter, Relation, ValueType
+from ssduck.relations import Candidates, Parameter, Relation, ValueType
 
 _ENTITY = (Parameter("object", "entity", "an entity"),)
 _A_B = (Parameter("a", "entity", "an entity"), Parameter("b", "entity", "another entity"))
@@ -82,6 +82,7 @@ def _on_shapes(
     unit: str = "",
     symmetric: bool = False,
     element: ValueType = "real",
+    candidates: Candidates | None = None,
 ) -> Relation:
     """A relation of the shapes of two entities."""
     return Relation(
@@ -96,6 +97,7 @@ def _on_shapes(
         element=element,
         apart="error('of entities of two worlds')",
         asked=asked,
+        candidates=candidates,
     )
 
 
@@ -262,6 +264,7 @@ _LISTED = (
         _COLLIDES,
         "Checks if shapes of a and b are deeper in each other than 1e-6 m.",
         symmetric=True,
+        candidates=Candidates("colliding"),
     ),
     _on_shapes(
         "penetration",
@@ -293,6 +296,7 @@ _LISTED = (
         more=(Parameter("eps", "real", "a distance, m", optional=True),),
         sliced=_narrow('"narrow near"($world, a.id, b.id, eps)', "eps"),
         symmetric=True,
+        candidates=Candidates("within", "0.001", "eps"),
     ),
     _on_shapes(
         "near",
@@ -302,6 +306,7 @@ _LISTED = (
         asked="on pairs whose boxes are at most d apart",
         more=(Parameter("d", "real", "a distance, m"),),
         symmetric=True,
+        candidates=Candidates("within", "d"),
     ),
     _on_shapes(
         "nearestPoints",
@@ -324,6 +329,7 @@ _LISTED = (
             "within 30 degrees of up, and the centre of the box of b is over the convex hull of "
             "the footprint of a.",
             asked="on pairs whose boxes are at most 1 mm apart",
+            candidates=Candidates("meeting", "0.001"),
         )
         for name in ("on", "supports")
     ),
@@ -339,6 +345,7 @@ _LISTED = (
         "flag",
         _narrow('"narrow inside"($world, a.id, b.id) >= 0.95'),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a.",
+        candidates=Candidates("meeting"),
     ),
     _on_shapes(
         "nextTo",
@@ -491,6 +498,7 @@ _LISTED = (
         _COLLIDES,
         "Checks if a and b collide: collides(a, b).",
         symmetric=True,
+        candidates=Candidates("colliding"),
     ),
     *(
         _of_entity(
@@ -545,8 +553,12 @@ _LISTED = (
 # The functions of the narrow phase, as SQL calls them: what they take besides a world and
 # entities, and what they yield.
 NARROW: dict[str, tuple[tuple[str, ...], str]] = {
-    "narrow first": ((), "BIGINT[]"),
-    "narrow second": ((), "BIGINT[]"),
+    "narrow first_colliding": ((), "BIGINT[]"),
+    "narrow second_colliding": ((), "BIGINT[]"),
+    "narrow first_within": (("DOUBLE",), "BIGINT[]"),
+    "narrow second_within": (("DOUBLE",), "BIGINT[]"),
+    "narrow first_meeting": (("DOUBLE",), "BIGINT[]"),
+    "narrow second_meeting": (("DOUBLE",), "BIGINT[]"),
     "narrow collides": (("BIGINT", "BIGINT"), "BOOLEAN"),
     "narrow penetration": (("BIGINT", "BIGINT"), "DOUBLE"),
     "narrow clearance": (("BIGINT", "BIGINT"), "DOUBLE"),
