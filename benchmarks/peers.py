@@ -1,7 +1,8 @@
 """Other ways to find all pairs of a crowd that collide: FCL, PyBullet, and coal.
 
 Each is made of the crowd beforehand, and is then timed as it would be used at every tick: it is
-given the bodies' poses anew, and tells the pairs. A pair is (i, j), i < j.
+given the bodies' poses anew, which are made beforehand, too, and tells the pairs. A pair is
+(i, j), i < j.
 """
 
 from __future__ import annotations
@@ -62,13 +63,13 @@ class Fcl:
         self._manager.registerObjects(self._objects)
         self._manager.setup()
 
-    def _place(self) -> None:
+    def place(self) -> None:
+        """Give all objects their poses."""
         for one, pose in zip(self._objects, self._poses, strict=True):
             one.setTransform(pose)
 
     def loop(self, pairs: Iterable[tuple[int, int]]) -> Pairs:
         """Those of some pairs that collide, each asked about by itself."""
-        self._place()
         objects, collide, request = self._objects, fcl.collide, fcl.CollisionRequest()
         return [
             (i, j)
@@ -78,7 +79,7 @@ class Fcl:
 
     def managed(self) -> Pairs:
         """All pairs that collide, of those whose boxes the tree finds to meet."""
-        self._place()
+        self.place()
         self._manager.update()
         data = fcl.CollisionData(request=fcl.CollisionRequest())
         self._manager.collide(data, _collide)
