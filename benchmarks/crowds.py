@@ -43,6 +43,7 @@ class Piece:
         points: (n, 3).
         ball: radius.
         disc: radius.
+        given: of a hull, what PyBullet makes the points of.
     """
 
     kind: str
@@ -50,6 +51,7 @@ class Piece:
     points: Array
     ball: float = 0.0
     disc: float = 0.0
+    given: Array | None = None
 
     def reached(self, ways: Array) -> Array:
         """The points of it that are farthest in some unit directions, both (n, 3)."""
@@ -70,14 +72,14 @@ class Crowd:
         of: (n,), which shape each body has.
         positions: (n, 3), metres.
         orientations: (n, 4), unit quaternions x, y, z, w.
-        met: pairs of bodies whose boxes meet.
+        met: (m, 2), pairs of bodies whose boxes meet.
     """
 
     pieces: Sequence[Piece]
     of: Indices
     positions: Array
     orientations: Array
-    met: Array
+    met: Indices
 
     def __len__(self) -> int:
         return len(self.of)
@@ -89,7 +91,7 @@ class Crowd:
 
     def piece(self, body: int) -> Piece:
         """The shape of a body."""
-        return self.pieces[self.of[body]]
+        return self.pieces[int(self.of[body])]
 
     def matrix(self, body: int) -> Array:
         """The rotation of a body."""
@@ -110,7 +112,7 @@ def _pieces(kinds: Sequence[str], rng: np.random.Generator) -> list[Piece]:
 
 def _piece(kind: str, rng: np.random.Generator, client: int) -> Piece:
     """A shape of random size, 6 to 24 cm across."""
-    a, b, c = rng.uniform(0.03, 0.12, 3).tolist()
+    a, b, c = map(float, rng.uniform(0.03, 0.12, 3))
     axis = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]])
     match kind:
         case "box":
@@ -121,7 +123,8 @@ def _piece(kind: str, rng: np.random.Generator, client: int) -> Piece:
             return Piece(kind, (a / 2, b), axis * b, ball=a / 2)
         case "cylinder":
             return Piece(kind, (a, 2 * b), axis * 2 * b, disc=a)
-    return Piece("hull", (), _as_pybullet_has(_scattered(rng) * (a, b, c), client))
+    given = _scattered(rng) * (a, b, c)
+    return Piece("hull", (), _as_pybullet_has(given, client), given=given)
 
 
 def _scattered(rng: np.random.Generator) -> Array:
@@ -132,7 +135,10 @@ def _scattered(rng: np.random.Generator) -> Array:
 
 
 def _as_pybullet_has(points: Array, client: int) -> Array:
-    """The corners that PyBullet's hull of points has: it rounds them to a 10,000th of its size."""
+    """The corners that PyBullet's hull of points has: it rounds them to a 10,000th of its size.
+
+    Given these it would round them again.
+    """
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_MESH, vertices=points.tolist(), physicsClientId=client
     )
@@ -153,7 +159,8 @@ def _shape(piece: Piece, client: int) -> int:
         case "cylinder":
             given = {"shapeType": pybullet.GEOM_CYLINDER, "radius": size[0], "height": size[1]}
         case _:
-            given = {"shapeType": pybullet.GEOM_MESH, "vertices": piece.points.tolist()}
+            assert piece.given is not None
+            given = {"shapeType": pybullet.GEOM_MESH, "vertices": piece.given.tolist()}
     number: int = pybullet.createCollisionShape(**given, physicsClientId=client)
     return number
 
@@ -206,8 +213,9 @@ def crowd(form: str, kind: str, count: int, seed: int = 0) -> Crowd:
 
 def _flat_turns(count: int, rng: np.random.Generator) -> Rotation:
     """On one of four sides, and turned about z: half of them by quarter turns."""
-    upright = Rotation.from_rotvec(_along(0, rng.integers(4, size=count) * 0.5 * np.pi))
-    quarters = rng.uniform(0.0, 4.0, count)
+    sides: Array = rng.integers(4, size=count).astype(np.float64)
+    upright = Rotation.from_rotvec(_along(0, sides * 0.5 * np.pi))
+    quarters: Array = rng.uniform(0.0, 4.0, count)
     aligned = rng.random(count) < 0.5
     quarters[aligned] = np.round(quarters[aligned])
     return Rotation.from_rotvec(_along(2, quarters * 0.5 * np.pi)) * upright

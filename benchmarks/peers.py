@@ -30,7 +30,8 @@ def coal_or_none() -> ModuleType | None:
         import coal
     except ImportError:
         return None
-    return coal  # type: ignore[no-any-return, unused-ignore]
+    found: ModuleType = coal
+    return found
 
 
 def _sorted(i: int, j: int) -> tuple[int, int]:
@@ -158,7 +159,9 @@ def _of_coal(coal: ModuleType, piece: Piece) -> Any:
     return coal.Convex(points, triangles)
 
 
-def pybullet_loop(client: int, bodies: Sequence[int]) -> Callable[[Iterable[tuple[int, int]]], Pairs]:
+def pybullet_loop(
+    client: int, bodies: Sequence[int]
+) -> Callable[[Iterable[tuple[int, int]]], Pairs]:
     """Asks PyBullet about the nearest points of some pairs, one by one.
 
     The bodies are where they are: it is given no poses. Of what is deeper than `COLLIDES` it has
