@@ -315,7 +315,8 @@ has the room, found by bisection, in which a body's box meets {NEIGHBOURS:g} oth
 MEANINGS = f"""\
 `boxes met`: others that a body's box meets, mean. `compared`: pairs of shapes that were compared
 one by one in SelectScript, and in SQL. `other`: pairs that a way finds and ssduck does not, or the
-other way round: those within {TOUCHING:g} m of touching + the rest, in which ssduck is right.
+other way round: those within {TOUCHING:g} m of touching + the rest, in which ssduck is right if
+nothing else is said below.
 """
 
 
@@ -326,11 +327,15 @@ def _cells(one: Measured, before: Measured | None) -> tuple[str, ...]:
         one.name,
         f"{len(one.crowd):,}",
         *map(one.shown, WAYS),
-        f"1/{1 / one.ratio('ours', 'loop'):.1f}",
+        _share(one.ratio("ours", "loop")),
         f"{one.ratio('ours', 'manager'):.2f}",
         f"{one.ratio('again', 'manager'):.2f}",
         "" if math.isnan(growth) else f"{growth:.2f}",
     )
+
+
+def _share(ratio: float) -> str:
+    return f"1/{1 / ratio:.0f}" if ratio < 0.1 else f"{ratio:.2f}"
 
 
 def _counts(one: Measured) -> tuple[str, ...]:
@@ -380,9 +385,8 @@ def _line(what: str, figures: dict[str, float], most: float) -> str:
     if not figures:
         return f"not measured: {what}"
     worst = max(figures, key=lambda of: figures[of])
-    figure = figures[worst]
-    told = f"{figure:.3g}" if figure >= 0.1 or most >= 0.1 else f"1/{1 / figure:.0f}"
-    return f"{'met' if figure <= most else 'NOT MET'}: {what}: {told} ({worst})"
+    answer = "met" if figures[worst] <= most else "not met"
+    return f"{answer}: {what}: {_share(figures[worst])} ({worst})"
 
 
 # -- the run ------------------------------------------------------------------------------------
@@ -425,8 +429,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--forms", nargs="+", choices=FORMS, default=FORMS)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
-    parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
-    parser.add_argument("--seconds", type=float, default=1.0, help="that a way is timed, at most")
+    parser.add_argument("--rounds", type=int, default=25, help="how often each way is timed")
+    parser.add_argument("--seconds", type=float, default=0.8, help="a way is not timed again after")
     given = parser.parse_args(arguments)
     print(NOTES)
     results = run(given.forms, given.kinds, given.sizes, given.rounds, given.seconds)
