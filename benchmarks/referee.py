@@ -75,3 +75,9 @@ def verdict(crowd: Crowd, i: int, j: int, deeper: float) -> bool | None:
     if least > deeper:
         return True
     return False if most < deeper else None
+
+
+def may_touch(crowd: Crowd, i: int, j: int, within: float) -> bool:
+    """Whether nothing proves that two bodies are deeper, or farther apart."""
+    least, most = bounds(crowd, i, j, within)
+    return least <= within and most >= -within

@@ -45,17 +45,15 @@ def minima(ways: Mapping[str, Way], rounds: int, most: float) -> dict[str, float
     Args:
         ways: what is called, by name.
         rounds: how often each is called.
-        most: seconds; a way that has taken more, with what is done before, is not called again.
+        most: seconds; a way whose calls have taken more is not called again.
     """
     times: dict[str, list[float]] = {name: [] for name in ways}
-    spent = dict.fromkeys(ways, 0.0)
     with _uncollected():
         for _ in range(rounds):
             for name, way in ways.items():
-                if spent[name] <= most:
-                    before = _timed(way.before)
+                if sum(times[name]) <= most:
+                    way.before()
                     times[name].append(_timed(way.call))
-                    spent[name] += before + times[name][-1]
     return {name: min(values) for name, values in times.items()}
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import pairs
 from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, Crowd, Piece, crowd
-from benchmarks.referee import bounds, verdict
+from benchmarks.referee import bounds, may_touch, verdict
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2.0
 BOX = Piece("box", (0.5, 0.5, 0.5), CORNERS)
@@ -74,3 +74,6 @@ def test_the_referee(one, other, apart, depth):
     assert verdict(three, 0, 1, 0.9 * depth)
     assert verdict(three, 0, 1, 1.1 * depth) is False
     assert verdict(three, 0, 2, 1e-6) is False
+    assert may_touch(three, 0, 1, 1.1 * depth)
+    assert not may_touch(three, 0, 1, 0.9 * depth)
+    assert not may_touch(three, 0, 2, 0.1)
