@@ -38,6 +38,14 @@ def test_the_tables(capsys):
     assert "DISAGREEMENT" not in printed
 
 
+def test_without_coal(monkeypatch, capsys):
+    monkeypatch.setattr(pairs, "coal_or_none", lambda: None)
+    assert (
+        pairs.main(["--sizes", "20", "--forms", "cube", "--kinds", "boxes", "--rounds", "1"]) == 0
+    )
+    assert capsys.readouterr().out.count("| not installed |") == 2
+
+
 def test_a_wrong_answer_is_a_failure(monkeypatch, capsys):
     right = pairs.Ours.pairs
     monkeypatch.setattr(pairs.Ours, "pairs", lambda self, names: right(self, names)[1:])
