@@ -1,32 +1,28 @@
-"""`python -m benchmarks [NAME ...]`: print tables of times and ratios, in Markdown."""
+"""`python -m benchmarks [NAME ...]`: print tables of times and ratios, in Markdown.
+
+`python -m benchmarks pairs [OPTION ...]` is one of its own: it takes minutes, and options.
+"""
 
 from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Iterable
 
-from benchmarks import language, queries, ticks
+from benchmarks import language, pairs, queries, ticks
+from benchmarks.timing import printed
 
 TABLES = {"ticks": ticks, "queries": queries, "language": language}
 
 
-def printed(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
-    """Print a Markdown table, a row as soon as it is measured."""
-    print("| " + " | ".join(header) + " |")
-    print("|" + "---|" * len(header))
-    for row in rows:
-        print("| " + " | ".join(row) + " |", flush=True)
-    print()
-
-
 def main() -> None:
     """Run the benchmarks that are named, or all."""
+    print(f"Python {platform.python_version()}, {platform.machine()}\n")
+    if sys.argv[1:2] == ["pairs"]:
+        sys.exit(pairs.main(sys.argv[2:]))
     names = sys.argv[1:] or list(TABLES)
     unknown = [name for name in names if name not in TABLES]
     if unknown:
-        sys.exit(f"no benchmark {', '.join(unknown)}; there are {', '.join(TABLES)}")
-    print(f"Python {platform.python_version()}, {platform.machine()}\n")
+        sys.exit(f"no benchmark {', '.join(unknown)}; there are {', '.join(TABLES)}, pairs")
     for name in names:
         printed(TABLES[name].HEADER, TABLES[name].rows())
 

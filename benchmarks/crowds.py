@@ -1,0 +1,268 @@
+"""Crowds of bodies: how `benchmarks.pairs` makes its scenes, and what they are made of.
+
+A crowd has as much room as makes its bodies' axis-aligned boxes meet `NEIGHBOURS` others each on
+average. The room is found by bisection of its side, for the crowd itself: a small one has more of
+its bodies at the border, and is denser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import pybullet
+from scipy.spatial.transform import Rotation
+
+from ssduck.broad import meeting
+from ssduck.geometry import Array, Indices
+
+NEIGHBOURS = 7.0
+# So many different shapes of each kind are shared by the bodies.
+PIECES = 32
+KINDS = {
+    "boxes": ("box",),
+    "hulls": ("hull",),
+    "mixed": ("sphere", "capsule", "box", "cylinder", "hull"),
+}
+FORMS = ("cube", "table-top")
+# This share of a table-top stands on others, one on one at most.
+STACKED = 0.25
+_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_AXES = np.concatenate((np.eye(3), -np.eye(3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A convex shape: the hull of points, grown by a ball or by a disc across z.
+
+    Attributes:
+        kind: box, sphere, capsule, cylinder or hull.
+        size: half-extents of a box, radius (and length) of what is round.
+        points: (n, 3).
+        ball: radius.
+        disc: radius.
+        given: of a hull, what PyBullet makes the points of.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    points: Array
+    ball: float = 0.0
+    disc: float = 0.0
+    given: Array | None = None
+
+    def reached(self, ways: Array) -> Array:
+        """The points of it that are farthest in some unit directions, both (n, 3)."""
+        found: Array = self.points[np.argmax(ways @ self.points.T, axis=1)] + self.ball * ways
+        if self.disc:
+            across = ways * (1.0, 1.0, 0.0)
+            length = np.linalg.norm(across, axis=1, keepdims=True)
+            found = found + self.disc * across / np.where(length > 0.0, length, 1.0)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Crowd:
+    """Bodies of one shape each.
+
+    Attributes:
+        pieces: the different shapes.
+        of: (n,), which shape each body has.
+        positions: (n, 3), metres.
+        orientations: (n, 4), unit quaternions x, y, z, w.
+        met: (m, 2), pairs of bodies whose boxes meet.
+    """
+
+    pieces: Sequence[Piece]
+    of: Indices
+    positions: Array
+    orientations: Array
+    met: Indices
+
+    def __len__(self) -> int:
+        return len(self.of)
+
+    @property
+    def neighbours(self) -> float:
+        """With how many others a body's box meets, on average."""
+        return 2.0 * len(self.met) / len(self)
+
+    def piece(self, body: int) -> Piece:
+        """The shape of a body."""
+        return self.pieces[int(self.of[body])]
+
+    def matrix(self, body: int) -> Array:
+        """The rotation of a body."""
+        found: Array = Rotation.from_quat(self.orientations[body]).as_matrix()
+        return found
+
+
+# -- shapes -------------------------------------------------------------------------------------
+
+
+def _pieces(kinds: Sequence[str], rng: np.random.Generator) -> list[Piece]:
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        return [_piece(kind, rng, client) for kind in kinds for _ in range(PIECES)]
+    finally:
+        pybullet.disconnect(client)
+
+
+def _piece(kind: str, rng: np.random.Generator, client: int) -> Piece:
+    """A shape of random size, 6 to 24 cm across."""
+    a, b, c = map(float, rng.uniform(0.03, 0.12, 3))
+    axis = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]])
+    match kind:
+        case "box":
+            return Piece(kind, (a, b, c), _CORNERS * (a, b, c))
+        case "sphere":
+            return Piece(kind, (a,), np.zeros((1, 3)), ball=a)
+        case "capsule":
+            return Piece(kind, (a / 2, b), axis * b, ball=a / 2)
+        case "cylinder":
+            return Piece(kind, (a, 2 * b), axis * 2 * b, disc=a)
+    given = _scattered(rng) * (a, b, c)
+    return Piece("hull", (), _as_pybullet_has(given, client), given=given)
+
+
+def _scattered(rng: np.random.Generator) -> Array:
+    """8 to 40 points on a sphere."""
+    points = rng.normal(size=(int(rng.integers(8, 41)), 3))
+    found: Array = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return found
+
+
+def _as_pybullet_has(points: Array, client: int) -> Array:
+    """The corners that PyBullet's hull of points has: it rounds them to a 10,000th of its size.
+
+    Given these it would round them again.
+    """
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH, vertices=points.tolist(), physicsClientId=client
+    )
+    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    return np.array(pybullet.getMeshData(body, -1, physicsClientId=client)[1])
+
+
+def _shape(piece: Piece, client: int) -> int:
+    """The piece as a shape of PyBullet's."""
+    size = piece.size
+    match piece.kind:
+        case "box":
+            given = {"shapeType": pybullet.GEOM_BOX, "halfExtents": size}
+        case "sphere":
+            given = {"shapeType": pybullet.GEOM_SPHERE, "radius": size[0]}
+        case "capsule":
+            given = {"shapeType": pybullet.GEOM_CAPSULE, "radius": size[0], "height": size[1]}
+        case "cylinder":
+            given = {"shapeType": pybullet.GEOM_CYLINDER, "radius": size[0], "height": size[1]}
+        case _:
+            assert piece.given is not None
+            given = {"shapeType": pybullet.GEOM_MESH, "vertices": piece.given.tolist()}
+    number: int = pybullet.createCollisionShape(**given, physicsClientId=client)
+    return number
+
+
+@contextmanager
+def bodies_of(crowd: Crowd) -> Iterator[tuple[int, list[int]]]:
+    """A client with a body for each of a crowd, and the bodies' numbers."""
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        shapes = [_shape(piece, client) for piece in crowd.pieces]
+        places = zip(
+            crowd.of.tolist(), crowd.positions.tolist(), crowd.orientations.tolist(), strict=True
+        )
+        yield (
+            client,
+            [
+                pybullet.createMultiBody(
+                    1.0,
+                    shapes[piece],
+                    basePosition=position,
+                    baseOrientation=orientation,
+                    physicsClientId=client,
+                )
+                for piece, position, orientation in places
+            ],
+        )
+    finally:
+        pybullet.disconnect(client)
+
+
+# -- scenes -------------------------------------------------------------------------------------
+
+
+def crowd(form: str, kind: str, count: int, seed: int = 0) -> Crowd:
+    """A crowd in one of `FORMS`, of one of `KINDS`."""
+    rng = np.random.default_rng([seed, count, FORMS.index(form), list(KINDS).index(kind)])
+    pieces = _pieces(KINDS[kind], rng)
+    of = rng.integers(len(pieces), size=count)
+    turns = Rotation.random(count, rng) if form == "cube" else _flat_turns(count, rng)
+    boxes = _boxes(pieces, of, turns)
+    places = rng.uniform(-0.5, 0.5, (count, 3))
+    if form == "cube":
+        positions = _spread(boxes, places, np.zeros((count, 3)))
+    else:
+        places, offsets = _stacked(boxes, places, rng)
+        positions = _spread(boxes, places, offsets)
+    met = np.sort(np.column_stack(meeting(boxes + np.tile(positions.T, (2, 1)))), axis=1)
+    return Crowd(pieces, of, positions, turns.as_quat(), met)
+
+
+def _flat_turns(count: int, rng: np.random.Generator) -> Rotation:
+    """On one of four sides, and turned about z: half of them by quarter turns."""
+    sides: Array = rng.integers(4, size=count).astype(np.float64)
+    upright = Rotation.from_rotvec(_along(0, sides * 0.5 * np.pi))
+    quarters: Array = rng.uniform(0.0, 4.0, count)
+    aligned = rng.random(count) < 0.5
+    quarters[aligned] = np.round(quarters[aligned])
+    return Rotation.from_rotvec(_along(2, quarters * 0.5 * np.pi)) * upright
+
+
+def _along(axis: int, angles: Array) -> Array:
+    """Rotation vectors along an axis."""
+    vectors = np.zeros((len(angles), 3))
+    vectors[:, axis] = angles
+    return vectors
+
+
+def _boxes(pieces: Sequence[Piece], of: Indices, turns: Rotation) -> Array:
+    """(6, n): the boxes around the bodies at the origin."""
+    corners = [
+        np.einsum("ij,ij->i", _AXES, pieces[piece].reached(_AXES @ turn) @ turn.T)
+        for piece, turn in zip(of.tolist(), turns.as_matrix(), strict=True)
+    ]
+    extents = np.array(corners).T
+    return np.concatenate((-extents[3:], extents[:3]))
+
+
+def _stacked(boxes: Array, places: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Places on the ground, and offsets from them: all stand on it, but some each on another."""
+    count = len(places)
+    upper = int(count * STACKED)
+    lower = rng.permutation(np.arange(upper, count))[:upper]
+    places = places * (1.0, 1.0, 0.0)
+    places[:upper] = places[lower]
+    offsets = np.zeros((count, 3))
+    offsets[:, 2] = -boxes[2]
+    offsets[:upper, 2] += boxes[5, lower] - boxes[2, lower]
+    offsets[:upper, :2] = rng.uniform(-0.02, 0.02, (upper, 2))
+    return places, offsets
+
+
+def _spread(boxes: Array, places: Array, offsets: Array) -> Array:
+    """Positions `places * side + offsets` with as many neighbours as wanted."""
+    low, high = 0.0, 2.0 * float((boxes[3:] - boxes[:3]).max()) * len(places)
+    for _ in range(40):
+        side = (low + high) / 2
+        found = meeting(boxes + np.tile((places * side + offsets).T, (2, 1)))[0]
+        if 2 * len(found) > NEIGHBOURS * len(places):
+            low = side
+        else:
+            high = side
+        if high - low < 1e-4 * high:
+            break
+    positions: Array = places * high + offsets
+    return positions
