@@ -3,65 +3,96 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.geometry import Array, Indices
+from ssduck.geometry import Array, Geometry, Indices
 from ssduck.separation import Placed
-from ssduck.solids import Solid, hull_of
-from ssduck.surfaces import without_copies
+from ssduck.solids import hull_of, solid_of
+from ssduck.surfaces import TOGETHER, without_copies
 
-# What sticks out of a hull by less, metres, is in it.
+# What sticks out of a hull by less, metres, is in it; what sticks into it by less is not.
 ROUNDING = 1e-9
+# A triangle whose shadow is smaller, as a share of its longest edge squared, casts none.
+UPRIGHT = 1e-13
+# Pairs of triangles that are cut together: 10 MB an array.
+CUT_TOGETHER = 30_000
 
 
-def share_inside(a: Sequence[Placed], b: Sequence[Placed]) -> float | None:
-    """The share of b's volume that is inside the convex hull of a, 0..1.
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """The convex hull of shapes, in the world; it has a volume.
 
-    Exact for boxes, hulls and closed meshes. A sphere or a capsule is a polyhedron of the same
-    volume with about 1000 corners, a cylinder a prism with 64 sides, which puts the share off by
-    at most 0.005. An open mesh has the volume of its convex hull. Shapes of b count one by one.
+    Attributes:
+        normals: (m, 3) outward unit normals of the faces; none of what is all of space.
+        offsets: (m,): x is inside if `normals @ x <= offsets`.
+        triangles: (k, 3, 3) the surface, facing outward; none of what has no end.
+    """
+
+    normals: Array
+    offsets: Array
+    triangles: Array
+
+    @property
+    def is_everything(self) -> bool:
+        """Whether no point is outside."""
+        return not len(self.normals)
+
+
+def hull_around(a: Sequence[Placed]) -> Hull | None:
+    """The convex hull of shapes; None if it has no volume.
+
+    Round shapes are polyhedra: see `share_inside`.
+    """
+    planes = [one for one in a if one.solid.type == "plane"]
+    points = _points(a)
+    if not planes:
+        solid = hull_of(points)
+        if solid.offsets is None:
+            return None
+        return Hull(solid.normals, solid.offsets, solid.core[solid.faces])
+    endless = np.zeros((0, 3, 3))
+    normal = planes[0].normals[0]
+    if any(float(np.linalg.norm(normal - one.normals[0])) > ROUNDING for one in planes):
+        return Hull(np.zeros((0, 3)), np.zeros(0), endless)  # they differ in direction
+    heights = [float(normal @ one.position) for one in planes]
+    heights += (points @ normal).tolist()
+    return Hull(normal[None], np.array([max(heights)]), endless)
+
+
+def share_inside(hull: Hull | None, b: Sequence[Placed]) -> float | None:
+    """The share of b's volume that is inside a convex hull, 0..1.
+
+    Exact for boxes, hulls and closed meshes. A ball, or the end of a capsule, that the hull cuts
+    is a polyhedron of the same volume with about 1000 corners, a cylinder a prism with 64 sides,
+    and so they are in the hull: this puts the share off by at most 0.005. An open mesh has the
+    volume of its convex hull. Shapes of b count one by one.
 
     Returns:
         None if b has no volume.
     """
     if any(one.solid.type == "plane" for one in b):
-        return 1.0 if _is_everything(a) else 0.0
-    pieces = [(one, _filled(one.solid)) for one in b]
-    whole = sum(solid.volume for _, solid in pieces)
-    if not whole > 0.0:
+        return 1.0 if hull is not None and hull.is_everything else 0.0
+    solid = [one for one in b if one.solid.bulk > 0.0]
+    whole = sum(one.solid.bulk for one in solid)
+    if not solid:
         return None
-    hull = _half_spaces(a)
     if hull is None:
         return 0.0
-    inside = sum(_volume_inside(one, solid, *hull) for one, solid in pieces if solid.volume)
+    spans = [_span(hull, one) for one in solid]
+    inside = sum(
+        one.solid.bulk for one, (_, top) in zip(solid, spans, strict=True) if top <= ROUNDING
+    )
+    cut = [
+        one
+        for one, (bottom, top) in zip(solid, spans, strict=True)
+        if bottom < -ROUNDING and top > ROUNDING
+    ]
+    if cut:
+        inside += _volume_inside(hull, cut)
     return min(1.0, max(0.0, inside / whole))
-
-
-def _filled(solid: Solid) -> Solid:
-    return solid if solid.closed or solid.is_convex else hull_of(solid.points)
-
-
-def _is_everything(a: Sequence[Placed]) -> bool:
-    """Whether the hull is all of space: that of half-spaces which differ in direction."""
-    normals = [one.normals[0] for one in a if one.solid.type == "plane"]
-    return any(float(np.linalg.norm(normals[0] - normal)) > ROUNDING for normal in normals)
-
-
-def _half_spaces(a: Sequence[Placed]) -> tuple[Array, Array] | None:
-    """The hull as normals and offsets; None if it has no volume."""
-    if _is_everything(a):
-        return np.zeros((0, 3)), np.zeros(0)
-    planes = [one for one in a if one.solid.type == "plane"]
-    points = _points(a)
-    if planes:
-        normal = planes[0].normals[0]
-        heights = [float(normal @ one.position) for one in planes]
-        heights += (points @ normal).tolist()
-        return normal[None], np.array([max(heights)])
-    hull = hull_of(points)
-    return None if hull.offsets is None else (hull.normals, hull.offsets)
 
 
 def _points(a: Sequence[Placed]) -> Array:
@@ -71,83 +102,182 @@ def _points(a: Sequence[Placed]) -> Array:
     return np.concatenate(placed) if placed else np.zeros((0, 3))
 
 
-def _volume_inside(one: Placed, solid: Solid, normals: Array, offsets: Array) -> float:
-    """How much of one shape's volume is within planes."""
-    points = solid.points @ one.matrix.T + one.position
-    outside = points @ normals.T - offsets > ROUNDING
-    if outside.all(axis=0).any():
-        return 0.0
-    cutting = outside.any(axis=0)
-    if not cutting.any():
-        return solid.volume
-    if solid.is_convex:
-        hull = hull_of(points)
-        assert hull.offsets is not None  # for it has a volume
-        common = _common_volume(
-            np.concatenate((normals[cutting], hull.normals)),
-            np.concatenate((offsets[cutting], hull.offsets)),
-        )
-        return min(1.0, common / hull.volume) * solid.volume
-    corners = points[solid.faces]
-    apex = np.broadcast_to(corners.reshape(-1, 3).mean(axis=0), (len(corners), 1, 3))
-    tetrahedra = np.concatenate((apex, corners), axis=1)
-    signs = np.sign(_signed_volumes(tetrahedra))
-    whole = float(signs @ np.abs(_signed_volumes(tetrahedra)))
-    for normal, offset in zip(normals[cutting], offsets[cutting], strict=True):
-        tetrahedra, signs = _clipped(tetrahedra, signs, normal, float(offset))
-    share = float(signs @ np.abs(_signed_volumes(tetrahedra))) / whole
-    return share * solid.volume
+# -- in a hull ---------------------------------------------------------------------------------
 
 
-def _common_volume(normals: Array, offsets: Array) -> float:
-    """The volume of what is below all planes, around the middle of the largest ball in it."""
-    from scipy.optimize import linprog
-    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+def _span(hull: Hull, one: Placed) -> tuple[float, float]:
+    """Heights over the faces of a hull: the most of a shape's lowest points, and of its highest.
 
-    rows = np.column_stack((normals, np.ones(len(normals))))
-    ball = linprog((0, 0, 0, -1), A_ub=rows, b_ub=offsets, bounds=(None, None), method="highs")
-    if ball.status != 0 or ball.x[3] <= ROUNDING:
-        return 0.0
-    try:
-        corners = HalfspaceIntersection(np.column_stack((normals, -offsets)), ball.x[:3])
-        return float(ConvexHull(corners.intersections).volume)
-    except QhullError:  # too thin for it
-        return 0.0
+    A shape whose highest are all below the faces is inside; one whose lowest are above a face is
+    not. That is all that counts, so one that a sphere around it shows to be so is not looked at.
+    """
+    middle, reach = one.world(*one.solid.centre), one.solid.reach
+    heights = hull.normals @ middle - hull.offsets
+    farthest = float(heights.max(initial=-math.inf))
+    if abs(farthest) >= reach:
+        return farthest - reach, farthest + reach
+    near = np.flatnonzero(heights > -reach)
+    bottom = top = -math.inf
+    step = max(1, TOGETHER // len(one.points))
+    for start in range(0, len(near), step):
+        some = near[start : start + step]
+        normals, offsets = hull.normals[some], hull.offsets[some]
+        radius = one.solid.radius
+        top = max(top, float((one.reaches(normals) + radius - offsets).max()))
+        bottom = max(bottom, float((-one.reaches(-normals) - radius - offsets).max()))
+    return bottom, top
 
 
-def _signed_volumes(tetrahedra: Array) -> Array:
-    edges = tetrahedra[:, 1:] - tetrahedra[:, :1]
-    volumes: Array = np.linalg.det(edges) / 6.0
-    return volumes
+def _volume_inside(hull: Hull, cut: Sequence[Placed]) -> float:
+    """How much of shapes' volumes is within a hull."""
+    surfaces = [one.solid.filled for one in cut]
+    corners = [
+        (surface.vertices @ one.matrix.T + one.position)[surface.faces]
+        for one, surface in zip(cut, surfaces, strict=True)
+    ]
+    # What is round has the volume of its polyhedron only nearly.
+    weights = [
+        one.solid.bulk / surface.volume for one, surface in zip(cut, surfaces, strict=True)
+    ]
+    weight = np.repeat(weights, [len(surface.faces) for surface in surfaces])
+    triangles = np.concatenate(corners)
+    around = hull.triangles
+    if not len(around):
+        around = _below(hull, triangles.reshape(-1, 3))
+    return common_volume(triangles, weight, around)
 
 
-def _clipped(tetra: Array, signs: Array, normal: Array, offset: float) -> tuple[Array, Array]:
-    """Tetrahedra (k, 4, 3) cut off at a plane, as tetrahedra that add up to what is below it."""
-    below = offset - tetra @ normal
-    order = np.argsort(-below, axis=1)
-    tetra = np.take_along_axis(tetra, order[:, :, None], axis=1)
-    below = np.take_along_axis(below, order, axis=1)
-    count = (below > 0.0).sum(axis=1)
-    kept, weights = [tetra[count == 4]], [signs[count == 4]]
+def _below(hull: Hull, points: Array) -> Array:
+    """The surface (12, 3, 3) of a cube in a half-space that has what it has of the points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    normal, middle = hull.normals[0], (low + high) / 2
+    side = 2.0 * math.dist(low, high)
+    along = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    along /= np.linalg.norm(along)
+    frame = np.stack((along, np.cross(normal, along), normal))
+    centre = middle - (middle @ normal - hull.offsets[0] + side / 2) * normal
+    cube = solid_of(Geometry.primitive("box", (side, side, side)))
+    triangles: Array = (cube.core @ frame + centre)[cube.faces]
+    return triangles
 
-    def cut(rows: Indices, inner: int, outer: int) -> Array:
-        h, g = below[rows, inner, None], below[rows, outer, None]
-        point: Array = tetra[rows, inner] + h / (h - g) * (tetra[rows, outer] - tetra[rows, inner])
-        return point
 
-    one, two, three = (np.flatnonzero(count == number) for number in (1, 2, 3))
-    # A corner; or a wedge, or a corner less: both prisms, with a triangle at either end.
-    parts: list[tuple[Indices, tuple[Array, ...]]]
-    parts = [(one, (tetra[one, 0], cut(one, 0, 1), cut(one, 0, 2), cut(one, 0, 3)))]
-    first = tetra[two, 0], cut(two, 0, 2), cut(two, 0, 3)
-    wedge = (*first, tetra[two, 1], cut(two, 1, 2), cut(two, 1, 3))
-    stump = (*(tetra[three, k] for k in range(3)), *(cut(three, k, 3) for k in range(3)))
-    parts += [(two, wedge[k : k + 4]) for k in range(3)]
-    parts += [(three, stump[k : k + 4]) for k in range(3)]
-    for rows, corners in parts:
-        kept.append(np.stack(corners, axis=1))
-        weights.append(signs[rows])
-    return np.concatenate(kept), np.concatenate(weights)
+def common_volume(surface: Array, weights: Array, other: Array) -> float:
+    """The volume that two closed surfaces have in common.
+
+    With s = 1 of a triangle that faces up and -1 of one that faces down, a point is inside as
+    often as the sum of s over the triangles above it says. So the volume is the sum over pairs
+    of triangles, one of either surface, of the product of their s and the integral, over the
+    common part of their shadows on the ground, of the lesser of their heights. As the s of all
+    triangles over a place of the ground add up to 0, it may be lowered by the height of the
+    second, which leaves but pairs with something of the first below the second. Nothing is
+    decided by rounding: faces that lie in each other are like all others.
+
+    Args:
+        surface: triangles (n, 3, 3) that face outward.
+        weights: (n,) how often what a triangle encloses counts.
+        other: triangles (m, 3, 3) that face outward.
+    """
+    middle = surface.reshape(-1, 3).mean(axis=0)
+    surface, other = surface - middle, other - middle
+    areas, other_areas = _shadows(surface), _shadows(other)
+    surface, weights = surface[areas != 0.0], weights[areas != 0.0]
+    other, other_areas = other[other_areas != 0.0], other_areas[other_areas != 0.0]
+    volume = 0.0
+    for first, second in _over_each_other(surface, other):
+        for start in range(0, len(first), CUT_TOGETHER):
+            i, j = first[start : start + CUT_TOGETHER], second[start : start + CUT_TOGETHER]
+            sums = _lowered(surface[i], other[j], other_areas[j])
+            volume += float(weights[i] @ sums)
+    return volume
+
+
+def _shadows(triangles: Array) -> Array:
+    """Twice the areas of triangles' shadows, (n,), negative of those that face down."""
+    one, two = (triangles[:, k, :2] - triangles[:, 0, :2] for k in (1, 2))
+    areas: Array = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
+    edges = triangles - np.roll(triangles, 1, axis=1)
+    longest = np.einsum("nki,nki->nk", edges, edges).max(axis=1, initial=0.0)
+    return np.where(np.abs(areas) > UPRIGHT * longest, areas, 0.0)
+
+
+def _over_each_other(surface: Array, other: Array) -> Iterator[tuple[Indices, Indices]]:
+    """Pairs of triangles: shadows whose boxes meet, and not all of the first above the second."""
+    low, high = surface.min(axis=1), surface.max(axis=1)
+    other_low, other_high = other.min(axis=1), other.max(axis=1)
+    step = max(1, TOGETHER // max(1, len(surface)))
+    for start in range(0, len(other), step):
+        lows, highs = other_low[start : start + step], other_high[start : start + step]
+        i, j = np.nonzero(low[:, None, 2] < highs[None, :, 2])
+        for axis in (0, 1):
+            meets = (low[i, axis] < highs[j, axis]) & (lows[j, axis] < high[i, axis])
+            i, j = i[meets], j[meets]
+        yield i, j + start
+
+
+def _lowered(first: Array, second: Array, areas: Array) -> Array:
+    """Of pairs of triangles (n, 3, 3) the integrals of how far the first is below the second.
+
+    Negative, and with the sign of the product of their s: see `common_volume`.
+
+    Args:
+        first: ones of any shadow.
+        second: others.
+        areas: (n,) what `_shadows` says of those.
+    """
+    origin, edges = second[:, :1], second[:, 1:] - second[:, :1]
+    # In the frame in which the shadow of the second has the corners (0, 0), (1, 0), (0, 1).
+    x, y = np.moveaxis((first - origin)[:, :, :2], 2, 0)
+    (px, py), (qx, qy) = np.moveaxis(edges[:, :, :2], 0, 2)[:, :, :, None]
+    u, v = x * qy - y * qx, y * px - x * py
+    polygons = np.stack((u, v, first[:, :, 2]), axis=2)
+    polygons[:, :, :2] /= areas[:, None, None]
+    rows = np.arange(len(first))
+    for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, -1.0)):
+        heights = polygons[:, :, :2] @ np.array(side) + (sum(side) < 0.0)
+        polygons, some = _cut(polygons, heights)
+        rows = rows[some]
+    over = np.einsum("nki,ni->nk", polygons[:, :, :2], edges[rows, :, 2]) + origin[rows, :, 2]
+    polygons[:, :, 2] -= over
+    polygons, some = _cut(polygons, -polygons[:, :, 2])
+    rows = rows[some]
+    found = np.zeros(len(first))
+    found[rows] = _integrals(polygons) * np.abs(areas[rows])
+    return found
+
+
+def _cut(polygons: Array, heights: Array) -> tuple[Array, Indices]:
+    """The parts of convex polygons (n, k, d) where heights (n, k), linear over each, are not < 0.
+
+    Returns:
+        Those that have such a part, their last corner repeated so that all have as many; which
+        ones they are.
+    """
+    held = heights >= 0.0
+    crossed = held != np.roll(held, -1, axis=1)
+    share = heights / np.where(crossed, heights - np.roll(heights, -1, axis=1), 1.0)
+    met = polygons + share[:, :, None] * (np.roll(polygons, -1, axis=1) - polygons)
+    count, k, d = polygons.shape
+    corners = np.stack((polygons, met), axis=2).reshape(count, 2 * k, d)
+    used = np.stack((held, crossed), axis=2).reshape(count, 2 * k)
+    left = used.sum(axis=1)
+    rows = np.flatnonzero(left)
+    order = np.argsort(~used[rows], axis=1, kind="stable")
+    last = np.minimum(np.arange(left.max(initial=0)), left[rows, None] - 1)
+    order = np.take_along_axis(order, last, axis=1)
+    return np.take_along_axis(corners[rows], order[:, :, None], axis=1), rows
+
+
+def _integrals(polygons: Array) -> Array:
+    """Of polygons (n, k, 3) the integrals of their third coordinate over the plane of the others.
+
+    Negated where they run clockwise.
+    """
+    start, one, two = polygons[:, :1], polygons[:, 1:-1], polygons[:, 2:]
+    u, v = one - start, two - start
+    areas = u[:, :, 0] * v[:, :, 1] - u[:, :, 1] * v[:, :, 0]
+    heights = start[:, :, 2] + one[:, :, 2] + two[:, :, 2]
+    found: Array = np.einsum("nk,nk->n", areas, heights) / 6.0
+    return found
 
 
 # -- on the ground -----------------------------------------------------------------------------

@@ -114,6 +114,19 @@ class Solid:
         found: Array = np.concatenate((ball[upper] + self.core[1], ball[lower] + self.core[0]))
         return found
 
+    @cached_property
+    def filled(self) -> Surface:
+        """A closed surface around its volume: of what is round, and of an open mesh, the hull's."""
+        if self.radius or not self.closed:
+            hull = hull_of(self.points)
+            return Surface(hull.core, hull.faces)
+        return self.fine_surface
+
+    @cached_property
+    def bulk(self) -> float:
+        """The volume, m³, of an open mesh that of its convex hull."""
+        return self.volume if self.closed else self.filled.volume
+
 
 def solid_of(geometry: Geometry) -> Solid:
     """The solid of a geometry; equal geometries share one."""

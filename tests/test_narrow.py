@@ -17,7 +17,7 @@ from pairs import Shape, ell
 
 from ssduck.geometry import Boxer, Geometry, PlacedGeometry, rotation_matrices
 from ssduck.narrow import Narrow
-from ssduck.overlap import share_inside
+from ssduck.overlap import hull_around, share_inside
 from ssduck.separation import Counter, Placed
 from ssduck.solids import solid_of
 
@@ -720,7 +720,7 @@ def test_shares_as_by_counting_points(seed):
     points = (grid * b.geometry.size) @ b.matrix.T + b.position
     hull = a.placed()
     held = (points @ hull.normals.T <= hull.offsets).all(axis=1).mean()
-    assert share_inside([hull], [b.placed()]) == pytest.approx(held, abs=0.02)
+    assert share_inside(hull_around([hull]), [b.placed()]) == pytest.approx(held, abs=0.02)
 
 
 def test_hulls_of_half_spaces():
@@ -728,9 +728,9 @@ def test_hulls_of_half_spaces():
     wall = Placed(solid_of(plane((1, 0, 0))), ORIGIN, STRAIGHT)
     block = Placed(solid_of(box()), (0.0, 0.0, 0.5), STRAIGHT)
     high = Placed(solid_of(box()), (9.0, 9.0, 1.0), STRAIGHT)
-    assert share_inside([ground, block], [high]) == pytest.approx(0.5)
-    assert share_inside([ground, wall], [high]) == 1.0
-    assert share_inside([ground, wall], [ground]) == 1.0
+    assert share_inside(hull_around([ground, block]), [high]) == pytest.approx(0.5)
+    assert share_inside(hull_around([ground, wall]), [high]) == 1.0
+    assert share_inside(hull_around([ground, wall]), [ground]) == 1.0
 
 
 # (shape, its volume)
