@@ -116,7 +116,7 @@ class Solid:
 
     @cached_property
     def filled(self) -> Surface:
-        """A closed surface around its volume: of what is round, and of an open mesh, the hull's."""
+        """A closed surface around it: of what is round, and of an open mesh, that of a hull."""
         if self.radius or not self.closed:
             hull = hull_of(self.points)
             return Surface(hull.core, hull.faces)
