@@ -46,9 +46,8 @@ def hull_around(a: Sequence[Placed]) -> Hull | None:
     Round shapes are polyhedra: see `share_inside`.
     """
     planes = [one for one in a if one.solid.type == "plane"]
-    points = _points(a)
     if not planes:
-        solid = hull_of(points)
+        solid = hull_of(_points(a))
         if solid.offsets is None:
             return None
         return Hull(solid.normals, solid.offsets, solid.core[solid.faces])
@@ -57,7 +56,8 @@ def hull_around(a: Sequence[Placed]) -> Hull | None:
     if any(float(np.linalg.norm(normal - one.normals[0])) > ROUNDING for one in planes):
         return Hull(np.zeros((0, 3)), np.zeros(0), endless)  # they differ in direction
     heights = [float(normal @ one.position) for one in planes]
-    heights += (points @ normal).tolist()
+    bodies = (one for one in a if one.solid.type != "plane")
+    heights += [float(one.reaches(normal[None])[0]) + one.solid.radius for one in bodies]
     return Hull(normal[None], np.array([max(heights)]), endless)
 
 

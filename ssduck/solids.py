@@ -118,8 +118,9 @@ class Solid:
     def filled(self) -> Surface:
         """A closed surface around it: of what is round, and of an open mesh, that of a hull."""
         if self.radius or not self.closed:
-            hull = hull_of(self.points)
-            return Surface(hull.core, hull.faces)
+            size = self.reach or 1.0  # qhull takes what is very large or small for flat
+            hull = hull_of(self.points / size)
+            return Surface(hull.core * size, hull.faces)
         return self.fine_surface
 
     @cached_property

@@ -746,17 +746,18 @@ def test_inside_at_the_edges(along, share, b):
     assert found == (share if share in (0.0, 1.0) else pytest.approx(share, abs=1e-12))
 
 
-@pytest.mark.parametrize("b", [sphere(), cylinder(), capsule(0.5, 1e-9)])
-@pytest.mark.parametrize(("gap", "share"), [(0.0, 1.0), (1e-6, 1.0), (-9e-10, 1.0), (1.0, 0.0)])
-def test_round_shapes_that_touch_a_wall_are_exact(b, gap, share):
-    """From within if the gap is 0, from without if it is 1."""
-    for x, y in ((1.0, 0.0), (0.6, 0.8)):
-        at = np.array([x, y, 0]) * (-gap if share else 0.5)
-        wall = plane((x, y, 0))
-        assert (
-            narrow([(wall, (0.5 * x, 0.5 * y, 0) if share else ORIGIN)], [(b, at)]).inside(0, 1)
-            == share
-        )
+# (how high a wall is over the middle of something of radius 0.5, the share below the wall)
+WALLS = [(0.5 + 1e-6, 1.0), (0.5, 1.0), (0.5 - 9e-10, 1.0), (9e-10 - 0.5, 0.0), (-0.5, 0.0)]
+
+
+@pytest.mark.parametrize("b", [sphere(), cylinder(), capsule()])
+@pytest.mark.parametrize(("height", "share"), WALLS)
+def test_round_shapes_that_touch_a_wall_are_exact(height, share, b):
+    for way in (np.array([1.0, 0.0, 0.0]), np.array([0.6, 0.8, 0.0])):
+        assert narrow([(plane(way), height * way)], [(b, ORIGIN)]).inside(0, 1) == share
+        # The hull of a half-space and of a ball on the other side of the wall.
+        raised = [(plane(way), -9 * way), (sphere(2.0), (height - 2) * way)]
+        assert narrow(raised, [(b, ORIGIN)]).inside(0, 1) == share
 
 
 def test_inside_of_several_shapes():
@@ -793,6 +794,17 @@ ROUND_INSIDE = [
 @pytest.mark.parametrize(("a", "b", "at", "expected"), ROUND_INSIDE)
 def test_inside_of_round_shapes(a, b, at, expected):
     assert two(a, b, at).inside(0, 1) == pytest.approx(expected, abs=0.005)
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("overlap", [0.05, 0.3, 0.7])
+def test_the_share_of_a_ball_in_a_ball(radius, overlap):
+    """The volume of a lens: Weisstein, Sphere-Sphere Intersection."""
+    d = 1 + radius - 2 * min(1, radius) * overlap
+    around = d * d + 2 * d * (1 + radius) - 3 * (1 - radius) ** 2
+    lens = math.pi * (1 + radius - d) ** 2 * around / (12 * d)
+    found = two(sphere(1.0), sphere(radius), (0.6 * d, 0, 0.8 * d)).inside(0, 1)
+    assert found == pytest.approx(lens / (4 / 3 * math.pi * radius**3), abs=3e-4)
 
 
 def share(a, b):
@@ -900,6 +912,24 @@ def test_half_spaces_share_all(b, seed):
     ground, b = pairs.pair(("plane", b), seed)
     sky = Shape("plane", plane(-np.array(ground.geometry.size)), ground.position, ground.quaternion)
     assert share(ground, b) + share(sky, b) == pytest.approx(1.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("size", [1e-7, 1e6, 1e9])
+@pytest.mark.parametrize("kind", ["box", "sphere", "capsule", "cylinder", "mesh"])
+def test_shares_do_not_depend_on_the_unit_of_length(kind, size):
+    def found(unit):
+        a = {
+            "box": box(unit, unit, unit),
+            "sphere": sphere(unit),
+            "capsule": capsule(unit, unit),
+            "cylinder": cylinder(unit, unit),
+            "mesh": ell(unit, unit, unit),
+        }[kind]
+        at, turn = np.array([0.3, 0.1, 0.2]) * unit, np.array([1, 0.2, 0.3, 0.4])
+        b = shape(ell(unit, unit, unit), at, turn)
+        return share(shape(a), b), share(b, shape(a)), share(shape(plane()), shape(a, at, turn))
+
+    assert found(size) == pytest.approx(found(1.0), abs=1e-6)
 
 
 def test_large_meshes_are_compared_where_they_meet(monkeypatch):
