@@ -21,7 +21,7 @@ from ssduck.broad import Flags
 from ssduck.colliding import Found, Scene, Sorts, all_within, colliding
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
-from ssduck.overlap import covers, footprint, share_inside
+from ssduck.overlap import Hull, covers, footprint, hull_around, share_inside
 from ssduck.separation import Counter, Placed, Point, Separation, separation
 from ssduck.solids import Solid
 
@@ -75,6 +75,7 @@ class Narrow:
         self._collisions: dict[tuple[int, int], bool | None] = {}
         self._closest: dict[tuple[int, int], Separation | None] = {}
         self._shares: dict[tuple[int, int], float | None] = {}
+        self._hulls: dict[int, Hull | None] = {}
         self._footprints: dict[int, Array] = {}
         self._all: list[tuple[int, int]] | None = None
         self._all_within: dict[float, list[tuple[int, int]]] = {}
@@ -244,7 +245,9 @@ class Narrow:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             if (a, b) not in self._shares:
-                self._shares[a, b] = share_inside(self._of(a), self._of(b))
+                if a not in self._hulls:
+                    self._hulls[a] = hull_around(self._of(a))
+                self._shares[a, b] = share_inside(self._hulls[a], self._of(b))
             return self._shares[a, b]
 
     def solid_volume(self, e: int) -> float | None:

@@ -4,64 +4,93 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.geometry import Array, Indices
+from ssduck.geometry import Array, Geometry
 from ssduck.separation import Placed
-from ssduck.solids import Solid, hull_of
+from ssduck.solids import hull_of, solid_of
 from ssduck.surfaces import without_copies
+from ssduck.volumes import common_volume
 
-# What sticks out of a hull by less, metres, is in it.
+# What sticks out of a hull by less, metres, is in it; what sticks into it by less is not.
 ROUNDING = 1e-9
+# Points times directions that are looked at together: 8 MB an array.
+REACHES = 1_000_000
 
 
-def share_inside(a: Sequence[Placed], b: Sequence[Placed]) -> float | None:
-    """The share of b's volume that is inside the convex hull of a, 0..1.
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """The convex hull of shapes, in the world; it has a volume.
 
-    Exact for boxes, hulls and closed meshes. A sphere or a capsule is a polyhedron of the same
-    volume with about 1000 corners, a cylinder a prism with 64 sides, which puts the share off by
-    at most 0.005. An open mesh has the volume of its convex hull. Shapes of b count one by one.
+    Attributes:
+        normals: (m, 3) outward unit normals of the faces; none of what is all of space.
+        offsets: (m,): x is inside if `normals @ x <= offsets`.
+        triangles: (k, 3, 3) the surface, facing outward; none of what has no end.
+    """
+
+    normals: Array
+    offsets: Array
+    triangles: Array
+
+    @property
+    def is_everything(self) -> bool:
+        """Whether no point is outside."""
+        return not len(self.normals)
+
+
+def hull_around(a: Sequence[Placed]) -> Hull | None:
+    """The convex hull of shapes; None if it has no volume.
+
+    Round shapes are polyhedra: see `share_inside`.
+    """
+    planes = [one for one in a if one.solid.type == "plane"]
+    if not planes:
+        solid = hull_of(_points(a))
+        if solid.offsets is None:
+            return None
+        return Hull(solid.normals, solid.offsets, solid.core[solid.faces])
+    endless = np.zeros((0, 3, 3))
+    normal = planes[0].normals[0]
+    if any(float(np.linalg.norm(normal - one.normals[0])) > ROUNDING for one in planes):
+        return Hull(np.zeros((0, 3)), np.zeros(0), endless)  # they differ in direction
+    heights = [float(normal @ one.position) for one in planes]
+    bodies = (one for one in a if one.solid.type != "plane")
+    heights += [float(one.reaches(normal[None])[0]) + one.solid.radius for one in bodies]
+    return Hull(normal[None], np.array([max(heights)]), endless)
+
+
+def share_inside(hull: Hull | None, b: Sequence[Placed]) -> float | None:
+    """The share of b's volume that is inside a convex hull, 0..1.
+
+    Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, balls and
+    the ends of capsules are polyhedra of about 1000 corners, cylinders prisms with 64 sides, of
+    the same volume. Their surfaces are off by at most 0.002 of the radius, shares by at most
+    0.005 if b is no thinner than half the radius of what is round in the hull. An open mesh has
+    the volume of its convex hull. Shapes of b count one by one.
 
     Returns:
         None if b has no volume.
     """
     if any(one.solid.type == "plane" for one in b):
-        return 1.0 if _is_everything(a) else 0.0
-    pieces = [(one, _filled(one.solid)) for one in b]
-    whole = sum(solid.volume for _, solid in pieces)
-    if not whole > 0.0:
+        return 1.0 if hull is not None and hull.is_everything else 0.0
+    solid = [one for one in b if one.solid.bulk > 0.0]
+    whole = sum(one.solid.bulk for one in solid)
+    if not solid:
         return None
-    hull = _half_spaces(a)
     if hull is None:
         return 0.0
-    inside = sum(_volume_inside(one, solid, *hull) for one, solid in pieces if solid.volume)
+    inside, cut = 0.0, []
+    for one in solid:
+        bottom, top = _span(hull, one)
+        if top <= ROUNDING:
+            inside += one.solid.bulk
+        elif bottom < -ROUNDING:
+            cut.append(one)
+    if cut:
+        inside += _volume_inside(hull, cut)
     return min(1.0, max(0.0, inside / whole))
-
-
-def _filled(solid: Solid) -> Solid:
-    return solid if solid.closed or solid.is_convex else hull_of(solid.points)
-
-
-def _is_everything(a: Sequence[Placed]) -> bool:
-    """Whether the hull is all of space: that of half-spaces which differ in direction."""
-    normals = [one.normals[0] for one in a if one.solid.type == "plane"]
-    return any(float(np.linalg.norm(normals[0] - normal)) > ROUNDING for normal in normals)
-
-
-def _half_spaces(a: Sequence[Placed]) -> tuple[Array, Array] | None:
-    """The hull as normals and offsets; None if it has no volume."""
-    if _is_everything(a):
-        return np.zeros((0, 3)), np.zeros(0)
-    planes = [one for one in a if one.solid.type == "plane"]
-    points = _points(a)
-    if planes:
-        normal = planes[0].normals[0]
-        heights = [float(normal @ one.position) for one in planes]
-        heights += (points @ normal).tolist()
-        return normal[None], np.array([max(heights)])
-    hull = hull_of(points)
-    return None if hull.offsets is None else (hull.normals, hull.offsets)
 
 
 def _points(a: Sequence[Placed]) -> Array:
@@ -71,83 +100,59 @@ def _points(a: Sequence[Placed]) -> Array:
     return np.concatenate(placed) if placed else np.zeros((0, 3))
 
 
-def _volume_inside(one: Placed, solid: Solid, normals: Array, offsets: Array) -> float:
-    """How much of one shape's volume is within planes."""
-    points = solid.points @ one.matrix.T + one.position
-    outside = points @ normals.T - offsets > ROUNDING
-    if outside.all(axis=0).any():
-        return 0.0
-    cutting = outside.any(axis=0)
-    if not cutting.any():
-        return solid.volume
-    if solid.is_convex:
-        hull = hull_of(points)
-        assert hull.offsets is not None  # for it has a volume
-        common = _common_volume(
-            np.concatenate((normals[cutting], hull.normals)),
-            np.concatenate((offsets[cutting], hull.offsets)),
-        )
-        return min(1.0, common / hull.volume) * solid.volume
-    corners = points[solid.faces]
-    apex = np.broadcast_to(corners.reshape(-1, 3).mean(axis=0), (len(corners), 1, 3))
-    tetrahedra = np.concatenate((apex, corners), axis=1)
-    signs = np.sign(_signed_volumes(tetrahedra))
-    whole = float(signs @ np.abs(_signed_volumes(tetrahedra)))
-    for normal, offset in zip(normals[cutting], offsets[cutting], strict=True):
-        tetrahedra, signs = _clipped(tetrahedra, signs, normal, float(offset))
-    share = float(signs @ np.abs(_signed_volumes(tetrahedra))) / whole
-    return share * solid.volume
+# -- in a hull ---------------------------------------------------------------------------------
 
 
-def _common_volume(normals: Array, offsets: Array) -> float:
-    """The volume of what is below all planes, around the middle of the largest ball in it."""
-    from scipy.optimize import linprog
-    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+def _span(hull: Hull, one: Placed) -> tuple[float, float]:
+    """Heights over the faces of a hull: the most of a shape's lowest points, and of its highest.
 
-    rows = np.column_stack((normals, np.ones(len(normals))))
-    ball = linprog((0, 0, 0, -1), A_ub=rows, b_ub=offsets, bounds=(None, None), method="highs")
-    if ball.status != 0 or ball.x[3] <= ROUNDING:
-        return 0.0
-    try:
-        corners = HalfspaceIntersection(np.column_stack((normals, -offsets)), ball.x[:3])
-        return float(ConvexHull(corners.intersections).volume)
-    except QhullError:  # too thin for it
-        return 0.0
+    A shape whose highest are all below the faces is inside; one whose lowest are above a face is
+    not. That is all that counts, so one that a sphere around it shows to be so is not looked at.
+    """
+    middle, reach = one.world(*one.solid.centre), one.solid.reach
+    heights = hull.normals @ middle - hull.offsets
+    farthest = float(heights.max(initial=-math.inf))
+    if abs(farthest) >= reach:
+        return farthest - reach, farthest + reach
+    near = np.flatnonzero(heights > -reach)
+    bottom = top = -math.inf
+    step = max(1, REACHES // len(one.points))
+    for start in range(0, len(near), step):
+        some = near[start : start + step]
+        normals, offsets = hull.normals[some], hull.offsets[some]
+        radius = one.solid.radius
+        top = max(top, float((one.reaches(normals) + radius - offsets).max()))
+        bottom = max(bottom, float((-one.reaches(-normals) - radius - offsets).max()))
+    return bottom, top
 
 
-def _signed_volumes(tetrahedra: Array) -> Array:
-    edges = tetrahedra[:, 1:] - tetrahedra[:, :1]
-    volumes: Array = np.linalg.det(edges) / 6.0
-    return volumes
+def _volume_inside(hull: Hull, cut: Sequence[Placed]) -> float:
+    """How much of shapes' volumes is within a hull."""
+    parts, weights = [], []
+    for one in cut:
+        surface = one.solid.filled
+        parts.append((surface.vertices @ one.matrix.T + one.position)[surface.faces])
+        # A capsule has the volume of its polyhedron only nearly.
+        weights.append(np.full(len(surface.faces), one.solid.bulk / surface.volume))
+    triangles = np.concatenate(parts)
+    around = hull.triangles
+    if not len(around):
+        around = _below(hull, triangles.reshape(-1, 3))
+    return common_volume(triangles, np.concatenate(weights), around)
 
 
-def _clipped(tetra: Array, signs: Array, normal: Array, offset: float) -> tuple[Array, Array]:
-    """Tetrahedra (k, 4, 3) cut off at a plane, as tetrahedra that add up to what is below it."""
-    below = offset - tetra @ normal
-    order = np.argsort(-below, axis=1)
-    tetra = np.take_along_axis(tetra, order[:, :, None], axis=1)
-    below = np.take_along_axis(below, order, axis=1)
-    count = (below > 0.0).sum(axis=1)
-    kept, weights = [tetra[count == 4]], [signs[count == 4]]
-
-    def cut(rows: Indices, inner: int, outer: int) -> Array:
-        h, g = below[rows, inner, None], below[rows, outer, None]
-        point: Array = tetra[rows, inner] + h / (h - g) * (tetra[rows, outer] - tetra[rows, inner])
-        return point
-
-    one, two, three = (np.flatnonzero(count == number) for number in (1, 2, 3))
-    # A corner; or a wedge, or a corner less: both prisms, with a triangle at either end.
-    parts: list[tuple[Indices, tuple[Array, ...]]]
-    parts = [(one, (tetra[one, 0], cut(one, 0, 1), cut(one, 0, 2), cut(one, 0, 3)))]
-    first = tetra[two, 0], cut(two, 0, 2), cut(two, 0, 3)
-    wedge = (*first, tetra[two, 1], cut(two, 1, 2), cut(two, 1, 3))
-    stump = (*(tetra[three, k] for k in range(3)), *(cut(three, k, 3) for k in range(3)))
-    parts += [(two, wedge[k : k + 4]) for k in range(3)]
-    parts += [(three, stump[k : k + 4]) for k in range(3)]
-    for rows, corners in parts:
-        kept.append(np.stack(corners, axis=1))
-        weights.append(signs[rows])
-    return np.concatenate(kept), np.concatenate(weights)
+def _below(hull: Hull, points: Array) -> Array:
+    """The surface (12, 3, 3) of a cube in a half-space, with all that it has of points it cuts."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    normal, middle = hull.normals[0], (low + high) / 2
+    side = 2.0 * math.dist(low, high)
+    along = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    along /= np.linalg.norm(along)
+    frame = np.stack((along, np.cross(normal, along), normal))
+    centre = middle - (middle @ normal - hull.offsets[0] + side / 2) * normal
+    cube = solid_of(Geometry.primitive("box", (1, 1, 1)))
+    triangles: Array = (side * cube.core @ frame + centre)[cube.faces]
+    return triangles
 
 
 # -- on the ground -----------------------------------------------------------------------------

@@ -46,6 +46,11 @@ class Surface:
         ways = Multiset((a, b) for a, b in edges)
         return bool(edges) and all(ways[b, a] == count for (a, b), count in ways.items())
 
+    @cached_property
+    def volume(self) -> float:
+        """What it encloses, m³, if it is closed; negative if it faces inward."""
+        return enclosed_volume(self.triangles)
+
     @property
     def _edges(self) -> Triangles:
         edges: Triangles = self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
