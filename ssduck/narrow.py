@@ -259,6 +259,10 @@ class Narrow:
             return None
         return sum(self._solids[shape].volume for shape in self._shapes[e])
 
+    def is_known(self, e: int) -> bool:
+        """Whether an entity's poses are numbers and its shapes are known."""
+        return self._are_known[e]
+
     def is_without_shapes(self, e: int) -> bool:
         """Whether an entity has no shape with a point."""
         return not self._shapes[e]

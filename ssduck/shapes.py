@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cached_property
+from itertools import starmap
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,6 +18,8 @@ from ssduck.colliding import Sorts, pair_number
 from ssduck.geometry import Array
 from ssduck.narrow import Narrow
 
+# After more pairs, or one for every four entities, all pairs of the tick are compared at once.
+FEW = 64
 # Boxes that are apart by less may be so by rounding, m.
 ROUNDED = 1e-9
 
@@ -50,6 +55,9 @@ class Shapes:
         self._boxes = boxes
         self._ids = ids
         self._overlapping: dict[float, Both] = {}
+        # How many pairs were asked about one by one, by how near they are to be; None: collide.
+        self._asked: Counter[float | None] = Counter()
+        self._found: dict[float | None, frozenset[int]] = {}
         self._near: dict[float, Both] = {}
 
     @cached_property
@@ -102,9 +110,31 @@ class Shapes:
         self._narrow.note((pair_number(i, j),))
         return i, j
 
+    def _holds(self, i: int, j: int, apart: float | None) -> bool | None:
+        """What is known of a pair once all pairs of the tick were compared at once.
+
+        Raises:
+            KeyError: they were not, and few were asked about.
+        """
+        if apart not in self._found:
+            self._asked[apart] += 1
+            if self._asked[apart] <= max(FEW, len(self._numbers) // 4):
+                raise KeyError
+            narrow, sorts = self._narrow, self._sorts
+            pairs = (
+                narrow.all_that_collide(sorts) if apart is None else narrow.all_within(sorts, apart)
+            )
+            self._found[apart] = frozenset(starmap(pair_number, pairs))
+        if pair_number(i, j) in self._found[apart]:
+            return True
+        return False if self._narrow.is_known(i) and self._narrow.is_known(j) else None
+
     def collides(self, a: int, b: int) -> bool | None:
         """Whether they are deeper in each other than counts."""
-        return self._narrow.collides(*self._pair(a, b))
+        i, j = self._pair(a, b)
+        with suppress(KeyError):
+            return self._holds(i, j, None)
+        return self._narrow.collides(i, j)
 
     def penetration(self, a: int, b: int) -> float | None:
         """The depth of the deepest two shapes, m; 0 if all are apart."""
@@ -122,6 +152,8 @@ class Shapes:
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return False
+        with suppress(KeyError):
+            return self._holds(i, j, apart)
         found = self._narrow.clearance(i, j, apart)
         return None if found is None else found <= apart
 

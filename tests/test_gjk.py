@@ -18,7 +18,7 @@ from ssduck.colliding import Sorts, box_depths
 from ssduck.geometry import Geometry
 from ssduck.gjk import ABOVE, BELOW, UNDECIDED, compare
 from ssduck.narrow import COLLIDES
-from ssduck.shapes import Shapes
+from ssduck.shapes import FEW, Shapes
 from ssduck.solids import solid_of
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
@@ -293,7 +293,9 @@ def test_pairs_count_once_a_tick():
         tick.all_within(sorts, 0.05)
         tick.all_that_collide(sorts)
         assert tick.calls.pairs == len(near) > len(meeting)
-    shapes = Shapes(tick, {10 * n: n for n in range(60)}, sorts)
+    shapes = Shapes(
+        tick, {10 * n: n for n in range(60)}, sorts, np.zeros((6, 0)), np.zeros(0, np.int64)
+    )
     for i, j in sorted(near)[:5]:
         shapes.collides(10 * i, 10 * j)
         shapes.near(10 * j, 10 * i, 0.1)
@@ -302,14 +304,32 @@ def test_pairs_count_once_a_tick():
     assert tick.calls.pairs == len(near) + 1
 
 
+def test_many_questions_are_answered_together():
+    entities = [*convex_crowd(150), [(box(), (math.nan, 0, 0))], [(box(), (0, 0, 0))]]
+    tick, alone = narrow(*entities), narrow(*entities)
+    numbers = {n: n for n in range(len(entities))}
+    shapes = Shapes(tick, numbers, sorts_of(tick), np.zeros((6, 0)), np.zeros(0, np.int64))
+    every = list(itertools.combinations(numbers, 2))
+    meeting = [pair for pair in every if boxes_apart(tick, *pair) <= 0.05]
+    unknown = [(149, 150), (151, 150)]
+    assert len(meeting) > 2 * FEW
+    for i, j in [*meeting, *unknown, *every[:200]]:
+        assert shapes.collides(j, i) is alone.collides(i, j)
+        near = alone.clearance(i, j)
+        assert shapes.near(j, i, 0.05) is (None if near is None else near <= 0.05)
+    assert len(tick._placed) < len(alone._placed)
+
+
 def test_ids_of_all_that_are_near():
     tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
-    shapes = Shapes(tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick))
+    shapes = Shapes(
+        tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), np.zeros((6, 0)), np.zeros(0, np.int64)
+    )
     assert shapes.first_within(0.4) == shapes.second_within(0.4) == []
     assert list(zip(shapes.first_within(0.5), shapes.second_within(0.5), strict=True)) == [
         (7, 3), (3, 5), (3, 7), (5, 3),
     ]  # fmt: skip
-    assert shapes.first() == shapes.second() == []
+    assert shapes.first_colliding() == shapes.second_colliding() == []
 
 
 def test_shapes_of_two_entities_that_collide_are_left_out():

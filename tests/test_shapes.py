@@ -382,6 +382,8 @@ def row():
         made.box(f"b{n}", (x, 0, 0))
     world = made.open()
     ss, slow = made.interpreters(sim=world)
+    for interpreter in (ss, slow):
+        interpreter.add_variable("half", 0.5)
     yield ss, slow, world
     made.close()
 
@@ -403,7 +405,23 @@ FORMS = [
     ("SELECT id FROM sim WHERE near(b2, this, 2.0) AND NOT touching(b2, this) AS list;", ["b0"]),
     ("SELECT id FROM sim WHERE collides(this, b0) == True AS list;", ["b1"]),
     ("SELECT id FROM sim ORDER BY clearance(b3, this), id LIMIT 3 AS list;", ["b3", "floor", "b2"]),
-
+    *(
+        (f"SELECT [id(p.this), id(q.this)] FROM p=sim, q=sim WHERE {condition} ORDER BY id(p.this), id(q.this) AS list;", expected)
+        for condition, expected in (
+            ("near(p.this, q.this, 1.0) AND id(p.this) < id(q.this) AND NOT 'floor' IN [id(p.this), id(q.this)]", None),
+            ("near(p.this, q.this, half + 0.5)", None),
+            ("near(p.this, q.this, -1)", []),
+            ("near(p.this, q.this, 1e300)", None),
+            ("touching(p.this, q.this)", None),
+            ("touching(q.this, p.this, half)", None),
+            ("on(p.this, q.this)", [["floor", "b0"], ["floor", "b1"], ["floor", "b2"], ["floor", "b3"]]),
+            ("supports(q.this, p.this) AND collides(p.this, q.this)", None),
+            ("contains(p.this, q.this)", None),
+            ("near(p.this, q.this, 0.1) AND near(q.this, p.this, 0.1)", None),
+            ("near(p.this, q.this, mass(p.this))", None),
+            ("near(p.this, p.this, 0.1)", []),
+        )
+    ),
 ]  # fmt: skip
 
 
