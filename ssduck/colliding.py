@@ -151,7 +151,7 @@ def all_within(scene: Scene, apart: float, is_within: Callable[[int, int], bool]
 Rule: TypeAlias = Callable[[Scene, Indices, Indices, float], Verdicts]
 
 
-# Numbers that are too large for their squares decide nothing.
+# What is too large for its squares is not decided by them.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _found(
     scene: Scene,

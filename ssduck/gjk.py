@@ -39,6 +39,8 @@ STEPS = 40
 MOVES = 12
 # Pairs that are looked at together, so that their arrays stay in the cache.
 TOGETHER = 4096
+# Of what is larger or farther away, metres, there are no cubes: nothing is decided.
+LARGE = 1e100
 # Numbers of points that are looked at together.
 MOST_POINTS = 1 << 20
 _NEXT = np.array([1, 2, 0])
@@ -223,9 +225,10 @@ def slack(bodies: Bodies, first: Indices, second: Indices) -> Array:
     cores, centres = bodies.cores, bodies.centres
     is_round = (cores.disc[first] > 0.0) | (cores.disc[second] > 0.0)
     far = np.abs(centres).max(axis=0, initial=0.0)
-    error: Array = np.where(is_round, 2.5 * ROUND, 2.5 * TOUCH)
-    error += 4e-12 * (cores.reach[first] + cores.reach[second])
-    error += 4e-15 * np.maximum(far[first], far[second])
+    farther = np.maximum(far[first], far[second])
+    reach = cores.reach[first] + cores.reach[second]
+    error: Array = np.where(is_round, 2.5 * ROUND, 2.5 * TOUCH) + 4e-12 * reach + 4e-15 * farther
+    error[np.maximum(farther, reach) > LARGE] = np.inf
     return error
 
 

@@ -88,9 +88,8 @@ def test_stacked(depth):
         for a, b in itertools.combinations_with_replacement(STACKED.values(), 2)
         for off, turn, far in itertools.product(OFF, TURNS, FAR)
     ]
-    for bound in (-COLLIDES, 0.0, 2e-3):
-        left = undecided(two, (bound,))
-        assert (np.abs(left) > 1e-6).sum() <= 0.02 * 2 * len(two)
+    left = undecided(two, (-COLLIDES, 0.0, 2e-3))
+    assert (np.abs(left) > 1e-6).sum() <= 0.02 * 6 * len(two)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -250,6 +249,18 @@ def test_at_the_depth_that_collides(name, depth, expected):
     tick = narrow([(a, (0, 0, 0))], [(b, (touching - depth, 0, 0))])
     assert (tick.all_that_collide(sorts_of(tick)) == [(0, 1)]) is expected
     assert tick.collides(0, 1) is expected
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-200, 1e-150, 1e100, 1e150])
+@pytest.mark.parametrize("solid", [box, lambda size, *_: sphere(size)])
+def test_sizes_beyond_any_scene(solid, size):
+    """What is too large to be squared is not decided by squares."""
+    large = solid(size, size, size)
+    tick = narrow([(large, (0, 0, 0))], [(large, (size / 4, 0, 0))], [(sphere(1.0), (0, 0, 0))])
+    sorts = sorts_of(tick)
+    expected = [(0, 1), (0, 2), (1, 2)] if size > 1 else [(0, 2), (1, 2)]
+    assert tick.all_that_collide(sorts) == expected
+    assert tick.all_within(sorts, 0.1) == [(0, 1), (0, 2), (1, 2)]
 
 
 # -- what it costs -----------------------------------------------------------------------------
