@@ -81,7 +81,8 @@ def is_impure(node: Node) -> bool:
 def tables_of(node: Node) -> frozenset[str]:
     """The tables that relations in a part look things up in."""
     own: frozenset[str] = frozenset()
-    if isinstance(node, Call | Bare) and node.name in RELATIONS:
+    # A name may be a relation of the only source.
+    if isinstance(node, Call | Bare | Name) and node.name in RELATIONS:
         own = RELATIONS[node.name].tables
     return own.union(*map(tables_of, node.children()))
 

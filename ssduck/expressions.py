@@ -347,8 +347,8 @@ class Expressions:
             elements = tuple(SqlValue(part, REAL, extent=extent) for part in sql.expressions)
             length = 3 if len(elements) == 3 else None
             return SqlValue(sql, Tag("list", REAL, length), elements=elements, extent=extent)
-        tag = Tag(relation.result)
-        if relation.result == "list":
+        tag = Tag(relation.yields(count))
+        if tag.type == "list":
             element = Tag(relation.element)
             tag = Tag("list", Tag("list", REAL) if relation.element == "list" else element)
         return SqlValue(sql, tag, extent=extent)

@@ -72,6 +72,7 @@ class Relation:
         result: what it yields.
         formula: a DuckDB expression over the columns of its parameters.
         sliced: the same with the optional parameters given.
+        sliced_result: what that yields, where it is another type.
         about: what it means, in a sentence or two, with its boundary.
         unit: of the result.
         symmetric: whether the order of two entities does not matter.
@@ -87,6 +88,7 @@ class Relation:
     formula: str
     about: str
     sliced: str | None = None
+    sliced_result: ValueType | None = None
     unit: str = ""
     symmetric: bool = False
     element: ValueType = "real"
@@ -108,6 +110,11 @@ class Relation:
     def required(self) -> int:
         """How many arguments it takes at least."""
         return sum(not parameter.optional for parameter in self.parameters)
+
+    def yields(self, count: int) -> ValueType:
+        """What it yields, by the number of arguments."""
+        given = count > self.required and self.sliced_result is not None
+        return self.sliced_result if given and self.sliced_result else self.result
 
     @cached_property
     def expressions(self) -> dict[int, exp.Expr]:

@@ -396,10 +396,10 @@ class Snapshot:
         rows = sorted(_contact_row(contact, ids) for contact in contacts)
         if len(rows) != table.count:
             table.fill(len(rows), {})
-        numbers = np.array(rows, dtype=np.float64).reshape(-1, 15)
+        numbers = np.array(rows, dtype=np.float64).reshape(-1, 18)
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
             table[name][:] = numbers[:, column]
-        table.reals("ax", "force")[:] = numbers[:, 4:].T
+        table.reals("ax", "fz")[:] = numbers[:, 4:].T
 
     def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
         table = self.tables["sensings"]
@@ -417,13 +417,14 @@ class Snapshot:
 
 
 def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:
-    """A contact with a < b; its normal points from b to a."""
+    """A contact with a < b; its normal points from b to a, its force is that on a."""
     a = (ids[contact.body_a], contact.link_a)
     b = (ids[contact.body_b], contact.link_b)
-    if a <= b:
-        points, normal = (*contact.point_a, *contact.point_b), contact.normal
-    else:
-        x, y, z = contact.normal
+    points, way = (*contact.point_a, *contact.point_b), 1.0
+    if a > b:
         a, b = b, a
-        points, normal = (*contact.point_b, *contact.point_a), (-x, -y, -z)
-    return (*a, *b, *points, *normal, contact.depth, contact.force)
+        points, way = (*contact.point_b, *contact.point_a), -1.0
+    normal = [way * part for part in contact.normal]
+    sides = zip(normal, contact.friction, strict=True)
+    force = [contact.force * along + way * across for along, across in sides]
+    return (*a, *b, *points, *normal, contact.depth, contact.force, *force)

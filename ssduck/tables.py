@@ -125,6 +125,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         *_reals("nx ny nz", "unit normal, from b to a"),
         Column("depth", "real", "penetration, m"),
         Column("force", "real", "normal force, N"),
+        *_reals("fx fy fz", "force on a, friction included, N"),
     ),
     "sensings": (
         *_TICK,

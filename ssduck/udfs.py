@@ -18,6 +18,8 @@ rows could be taken for a column of that table.
 
 from __future__ import annotations
 
+import re
+
 from ssduck.relations import Candidates, Parameter, Relation, ValueType
 
 _ENTITY = (Parameter("object", "entity", "an entity"),)
@@ -28,8 +30,15 @@ _SLICE = (
 )
 
 
-def _of_entity(name: str, result: ValueType, formula: str, about: str, unit: str = "") -> Relation:
-    return Relation(name, _ENTITY, result, formula, about, unit=unit)
+def _of_entity(
+    name: str,
+    result: ValueType,
+    formula: str,
+    about: str,
+    unit: str = "",
+    element: ValueType = "real",
+) -> Relation:
+    return Relation(name, _ENTITY, result, formula, about, unit=unit, element=element)
 
 
 def _sliced(name: str, formula: str, about: str, unit: str) -> Relation:
@@ -131,6 +140,33 @@ _CORNERS = (
 # A sixth of the mean of the six sides of two boxes.
 _BESIDE = "(" + " + ".join(f"{o}.{s}max - {o}.{s}min" for o in "ab" for s in "xyz") + ") / 36"
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
+
+# Of a unit quaternion w, x, y, z.
+_ROTATION = re.sub(
+    r"\b([wxyz])\b",
+    r"object.q\1",
+    "[[1 - 2 * (y ** 2 + z ** 2), 2 * (x * y - w * z), 2 * (x * z + w * y)], "
+    "[2 * (x * y + w * z), 1 - 2 * (x ** 2 + z ** 2), 2 * (y * z - w * x)], "
+    "[2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x ** 2 + y ** 2)]]",
+)
+
+
+def _summed(*terms: str) -> str:
+    """Sums over the contacts of an object: of the forces on it, and of where it is touched."""
+    sides = " UNION ALL ".join(
+        f"SELECT contacts.{side} AS entity, contacts.{side}x - entities.x AS x, "  # noqa: S608
+        f"contacts.{side}y - entities.y AS y, contacts.{side}z - entities.z AS z, "
+        f"{sign}fx AS fx, {sign}fy AS fy, {sign}fz AS fz "
+        f"FROM contacts JOIN entities ON entities.id = contacts.{side}"
+        for side, sign in (("a", ""), ("b", "-"))
+    )
+    sums = ", ".join(f"sum({term})" for term in terms)
+    return (
+        "COALESCE(map_extract_value((SELECT map(list(entity), list(total)) "  # noqa: S608
+        f"FROM (SELECT entity, [{sums}] AS total FROM ({sides}) AS sides GROUP BY entity) "
+        "AS summed), object.id), [0.0, 0.0, 0.0]::DOUBLE[])"
+    )
+
 
 _COLLIDES = _narrow('"narrow collides"($world, a.id, b.id)')
 
@@ -452,11 +488,24 @@ _LISTED = (
         "Returns orientation(object), [w, x, y, z].",
     ),
     _of_entity(
+        "rot",
+        "list",
+        _ROTATION,
+        "Returns the rotation matrix of the object's link frame in the world, row by row: "
+        "[[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]].",
+        element="list",
+    ),
+    Relation(
         "linearVelocity",
+        (*_ENTITY, Parameter("axis", "integer", "0, 1 or 2, for x, y or z", optional=True)),
         "list",
         "[object.vx, object.vy, object.vz]",
-        "Returns the velocity [x, y, z] of the origin of the object's link frame.",
-        "m/s",
+        "Returns the velocity [x, y, z] of the origin of the object's link frame, or one of the "
+        "three.",
+        sliced="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy WHEN 2 THEN object.vz "
+        "ELSE error('linearVelocity: axis is to be 0, 1 or 2') END",
+        sliced_result="real",
+        unit="m/s",
     ),
     _of_entity(
         "velocity",
@@ -485,6 +534,29 @@ _LISTED = (
         "[object.xmin, object.xmax, object.ymin, object.ymax, object.zmin, object.zmax]",
         "Returns the axis-aligned box, [xmin, xmax, ymin, ymax, zmin, zmax].",
         "m",
+    ),
+    _of_entity(
+        "force",
+        "list",
+        _summed("fx", "fy", "fz"),
+        "Returns the sum [x, y, z] of the forces on the object by contacts that the physics "
+        "solver found in the last step, friction included. What a program applies, PyBullet does "
+        "not tell.",
+        "N",
+    ),
+    _of_entity(
+        "torque",
+        "list",
+        _summed("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx"),
+        "Returns the sum [x, y, z] of the moments of those forces (see force) about the object's "
+        "position.",
+        "N m",
+    ),
+    _of_entity(
+        "gravityMode",
+        "flag",
+        "object.mass > 0",
+        "Checks if gravity acts on the object: in PyBullet, on all that have a mass.",
     ),
     _of_entity(
         "hasBody",

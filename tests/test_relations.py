@@ -99,7 +99,8 @@ def test_values_of_an_entity(pair):
     b.move([0.3, -0.2, 4.0], turn)
     program = (
         "SELECT id, type, obj, position, x, y, z, orientation, pose, volume, aabbVolume, "
-        "isEnabled, isVisible, environmentID, isRobot, isSensor, isKinbody, robot, kinbody "
+        "isEnabled, isVisible, environmentID, isRobot, isSensor, isKinbody, robot, kinbody, "
+        "gravityMode, rot "
         "FROM sim WHERE id(this) == 'b';"
     )
     (found,) = ss.eval(program)
@@ -109,6 +110,7 @@ def test_values_of_an_entity(pair):
         "pose": [0.5, -0.5, 0.5, 0.5, 0.3, -0.2, 4.0], "volume": 0.001, "aabbVolume": 0.008,
         "isEnabled": True, "isVisible": True, "environmentID": b.id, "isRobot": False,
         "isSensor": False, "isKinbody": True, "robot": None, "kinbody": b,
+        "gravityMode": False, "rot": [[0, -1, 0], [0, 0, 1], [-1, 0, 0]],
     }  # fmt: skip
     assert list(found) == list(expected)
     if found["orientation"][0] < 0:  # q and -q are the same orientation
@@ -116,7 +118,7 @@ def test_values_of_an_entity(pair):
         found["pose"][:4] = found["orientation"]
     for name, value in expected.items():
         if isinstance(value, float | list):
-            assert found[name] == pytest.approx(value, abs=1e-6), name
+            assert np.array(found[name]) == pytest.approx(np.array(value), abs=1e-6), name
         else:
             assert found[name] == value, name
 

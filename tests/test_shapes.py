@@ -548,6 +548,29 @@ def test_forces_of_the_last_step(stage):
     assert ss.eval("contactForce(ground, ground);") == 0.0
 
 
+@pytest.mark.parametrize("first", ["selectscript", "sql"])
+def test_a_crate_at_rest_on_a_ramp_is_held_by_its_contacts(stage, first):
+    pybullet.setGravity(0, 0, -10, physicsClientId=stage.client)
+    turn = (math.sin(0.15), 0, 0, math.cos(0.15))  # by 0.3 about x
+    up = np.array([0, -math.sin(0.3), math.cos(0.3)])
+    ramp = stage.box("ramp", half=[5.0, 5.0, 0.1], turn=turn)
+    crate = stage.box("crate", tuple(up * 0.6), mass=3.0, turn=turn)
+    for body in (ramp, crate):
+        pybullet.changeDynamics(body, -1, lateralFriction=1.5, physicsClientId=stage.client)
+    world = stage.open()
+    for ss in stage.interpreters(sim=world):
+        world.step(240)
+        programs = ("SELECT force FROM sim AS list;", "SELECT torque FROM sim AS list;")
+        found = [] if first == "sql" else list(map(ss.eval, programs))
+        on_ramp, on_crate = ss.sql("SELECT force(e), torque(e) FROM entities e").fetchall()
+        assert found in ([], [[on_ramp[0], on_crate[0]], [on_ramp[1], on_crate[1]]])
+        assert on_crate[0] == pytest.approx([0, 0, 30], abs=1e-3)
+        assert on_ramp[0] == pytest.approx([0, 0, -30], abs=1e-3)
+        assert on_crate[1] == pytest.approx([0, 0, 0], abs=1e-3)
+        x, y, _ = world["crate"].position  # where its 30 N push down
+        assert on_ramp[1] == pytest.approx([-30 * y, 30 * x, 0], abs=0.01)
+
+
 # -- kinds of shapes ---------------------------------------------------------------------------
 
 KINDS = ("isBox", "isSphere", "isCylinder", "isCapsule", "isPlane", "isTriMesh")

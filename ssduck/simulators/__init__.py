@@ -102,7 +102,12 @@ class Frames:
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact point of the solver, in the world frame; the normal points from b to a."""
+    """A contact point of the solver, in the world frame; the normal points from b to a.
+
+    Attributes:
+        force: along the normal, N.
+        friction: across it, on a, N.
+    """
 
     body_a: int
     link_a: int
@@ -113,6 +118,7 @@ class Contact:
     normal: tuple[float, float, float]
     depth: float
     force: float
+    friction: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)

@@ -174,6 +174,7 @@ class PyBulletSimulator:
                     normal=entry[7],
                     depth=-entry[8],
                     force=entry[9],
+                    friction=_friction(entry),
                 )
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> Hits:
@@ -464,3 +465,10 @@ def attach(
         if kind not in ("robot", "kinbody"):
             raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
     return PyBulletSimulator(number, owned=False, names=names, kinds=kinds)
+
+
+def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:
+    """The force of friction on body A, along two directions across the normal."""
+    (first, along), (second, beside) = (entry[10], entry[11]), (entry[12], entry[13])
+    x, y, z = (first * a + second * b for a, b in zip(along, beside, strict=True))
+    return x, y, z
