@@ -200,6 +200,11 @@ class _Pairs:
 _FIELDS = tuple(_Pairs.__dataclass_fields__)
 
 
+def _joined(parts: Sequence[_Pairs]) -> _Pairs:
+    fields = (np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in _FIELDS)
+    return _Pairs(*fields)
+
+
 def compare(bodies: Bodies, first: Indices, second: Indices, bound: float) -> Verdicts:
     """Whether the gaps of pairs of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
 
@@ -263,7 +268,9 @@ def _decide(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> None:
             break
         pairs, shallow = _step(pairs, bodies, verdicts, step)
         around += [shallow] if shallow else []
-    for some, corners in around:
+    if around:
+        some = _joined([pairs for pairs, _ in around])
+        corners = np.concatenate([corners for _, corners in around], axis=-1)
         _move_around(some, corners, bodies, verdicts)
         left = some.only(np.flatnonzero(verdicts[some.number] == UNDECIDED))
         if len(left.number):
@@ -448,6 +455,5 @@ def _cross(first: Array, second: Array) -> Array:
 
 
 def _room(count: int) -> int:
-    """How many points as many are padded to, so that there are few sizes: 4, 6, 8, 12, 16, …."""
-    power = 1 << max(2, (count - 1).bit_length())
-    return power * 3 // 4 if count <= power * 3 // 4 and power > 4 else power
+    """How many points as many are padded to, so that there are few sizes: 8, 16, 32, …."""
+    return 1 << max(3, (count - 1).bit_length())
