@@ -18,13 +18,21 @@ from duckdb.func import FunctionNullHandling
 from sqlglot import exp
 
 from ssduck import ctrl_c
-from ssduck.errors import ArgumentError, LimitError, SelectScriptError, Span, SqlError
+from ssduck.catalog import described, dropped, looking_up
+from ssduck.errors import (
+    ArgumentError,
+    LimitError,
+    SelectScriptError,
+    Span,
+    SqlError,
+    UnknownNameError,
+)
 from ssduck.functions import Function
 from ssduck.limits import Limits, Meter
 from ssduck.shapes import ANSWERS
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import NARROW, RELATIONS
+from ssduck.udfs import NARROW
 from ssduck.world import UNNAMED, World
 
 T = TypeVar("T")
@@ -38,7 +46,7 @@ _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"
 # looks things up in some.
 _TABLES_OF = {
     **{name.lower(): frozenset((name,)) for name in TABLES},
-    **{r.name.lower(): r.tables for r in RELATIONS.values() if r.tables},
+    **{relation.name.lower(): relation.tables for relation in looking_up()},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
@@ -244,9 +252,8 @@ class Database:
         self.run("SET python_enable_replacements = false")
         for name in NARROW:
             self._add_narrow(name)
-        for relation in RELATIONS.values():
-            self.run(relation.macro())
-            self.run(relation.comment())
+        # The worlds whose relations and tables users' SQL was told of; None: not even the others.
+        self._told_of: set[str] | None = None
         self._confine(self.meter.limits)
 
     def _confine(self, limits: Limits) -> None:
@@ -260,15 +267,15 @@ class Database:
             self.run("SET lock_configuration = true")
 
     def close(self) -> None:
-        """Close the connection; a file keeps no views on worlds that are gone."""
+        """Close the connection; a file keeps no views or macros on worlds that are gone."""
         with self._lock:
             if not self._finalizer.alive:
                 return
             for bound in self._bound:
                 for schema in bound.schemas:
-                    for table in TABLES:
-                        view = exp.table_(table, db=schema, quoted=True)
-                        self.run(exp.Drop(tables=[view], kind="VIEW", exists=True).sql("duckdb"))
+                    has_macros = schema in (self._told_of or ())
+                    for statement in dropped(schema, described=has_macros):
+                        self.run(statement)
             self._finalizer()
 
     # -- statements -----------------------------------------------------------------------
@@ -299,6 +306,7 @@ class Database:
         if _KEEPS_A_QUERY.search(sql):
             self._asked_for_good |= asked
         with self.held(asked | self._asked_for_good):
+            self._tell_sql()
             return self._arrow(sql, parameters)
 
     @contextmanager
@@ -438,6 +446,8 @@ class Database:
             if None in arguments:
                 return None
             try:
+                if world not in worlds:
+                    raise UnknownNameError(f"there is no world {world!r} here any more")
                 return answer(worlds[world].snapshot.shapes(), *arguments)
             except BaseException as error:
                 raised[:] = [error]
@@ -473,7 +483,8 @@ class Database:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
             self._set_search_path()
-            self._set_lookups()
+            self._narrow_worlds.clear()
+            self._narrow_worlds.update(self.worlds)
 
     def _unbind(self, name: str, world: World) -> None:
         """Take a name from another world; one without a name is not held any more."""
@@ -519,6 +530,8 @@ class Database:
             view = exp.table_(table, db=name, quoted=True)
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
+        if self._told_of is not None:
+            self._told_of.discard(name)
         self._forget_plans()
 
     def schema_of(self, world: World) -> str:
@@ -542,22 +555,13 @@ class Database:
             path = exp.Literal.string(f"main,{name}").sql("duckdb")
             self.run(f"SET search_path = {path}")
 
-    def _set_lookups(self) -> None:
-        """Let relations look things up in the only world: a row does not tell which it is of.
-
-        Each world has them under its own name, too.
-        """
-        self._narrow_worlds.clear()
-        self._narrow_worlds.update(self.worlds)
+    def _tell_sql(self) -> None:
+        """Make the relations functions of SQL, and let it say what the tables hold."""
         schemas = list(self.worlds)
-        only = schemas[0] if len(schemas) == 1 else None
-        for relation in RELATIONS.values():
-            if relation.tables:
-                self.run(relation.macro(only))
-                self.run(relation.comment())
-                for schema in schemas:
-                    self.run(relation.macro(schema, inside=True))
-                    self.run(relation.comment(schema))
+        if self._told_of != set(schemas):
+            for statement in described(schemas, self._told_of):
+                self.run(statement)
+            self._told_of = set(schemas)
 
     def generation(self, tables: Iterable[str]) -> int:
         """Counts up when prepared statements that read one of these tables lose their validity."""

@@ -59,6 +59,18 @@ _TWIST = (
 )
 _BOX = _reals("xmin ymin zmin xmax ymax zmax", "axis-aligned box of the shapes, exact, m")
 
+# What a row of each table is.
+ROWS: dict[str, str] = {
+    "entities": "a robot, kinbody or sensor of the world",
+    "links": "a link of an entity",
+    "joints": "a joint of an entity",
+    "shapes": "a shape by which an entity collides",
+    "geometries": "a geometry that shapes have, in its own frame",
+    "contacts": "a contact point that the physics solver found in the last step",
+    "sensings": "an entity that a sensor perceives",
+    "ticks": "the tick",
+}
+
 TABLES: dict[str, tuple[Column, ...]] = {
     "entities": (
         *_TICK,

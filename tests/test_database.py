@@ -15,7 +15,8 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.tables import TABLES
+from ssduck.tables import ROWS, TABLES
+from ssduck.udfs import RELATIONS
 
 NINE_PAIRS = (
     "SELECT a.name, b.name FROM entities a, entities b "
@@ -458,6 +459,45 @@ def test_a_database_file_can_be_used_again(tmp_path):
                 ss.sql("CREATE TABLE notes AS SELECT name FROM entities WHERE kind = 'robot'")
             assert len(ss.sql("FROM notes")) == 4
             assert len(ss.sql(NINE_PAIRS)) == 9
+
+
+def test_a_file_keeps_nothing_of_worlds_that_are_gone(tmp_path, sim):
+    path = tmp_path / "own.duckdb"
+    world = sim[0].call_variable("sim")
+    with ssduck.Interpreter(path) as ss:
+        ss.add_variable("sim", world)
+        assert ss.sql("SELECT sim.collides(e, e) FROM sim.entities e").fetchall() == [(False,)] * 3
+        ss.sql("CREATE TABLE sim.own AS SELECT name FROM sim.entities")
+    with ssduck.Interpreter(path) as ss:
+        kept = "SELECT function_name FROM duckdb_functions() WHERE schema_name = 'sim'"
+        assert ss.sql(kept).fetchall() == []
+        assert ss.sql("SELECT table_name FROM duckdb_tables()").fetchall() == [("own",)]
+        ss.add_variable("sim", world)
+        assert ss.sql("SELECT sim.collides(e, e) FROM sim.entities e").fetchall() == [(False,)] * 3
+
+
+def test_tables_columns_and_functions_are_commented(sim):
+    sim, *_ = sim
+    assert sim.sql(
+        "SELECT count(*) FROM duckdb_columns() WHERE schema_name = 'sim' AND comment IS NULL"
+    ).fetchall() == [(0,)]
+    columns = (
+        "SELECT comment FROM duckdb_columns() WHERE schema_name = 'sim' AND column_name = 'mass'"
+    )
+    assert ("kg; 0 for what cannot move",) in sim.sql(columns).fetchall()
+    views = sim.sql("SELECT view_name, comment FROM duckdb_views() WHERE schema_name = 'sim'")
+    assert {name: f"A row is {row}." for name, row in ROWS.items()} == dict(views.fetchall())
+    for place in ("temp", "sim"):
+        said = sim.sql(
+            "SELECT comment FROM duckdb_functions() WHERE function_name = 'collides' AND "
+            "$place IN (database_name, schema_name)",
+            {"place": place},
+        )
+        assert said.fetchall() == [(RELATIONS["collides"].help,)]
+    # A name that is given to another world keeps them.
+    sim.add_variable("sim", sim.call_variable("sim").what_if({}))
+    views = sim.sql("SELECT comment FROM duckdb_views() WHERE schema_name = 'sim'")
+    assert (None,) not in views.fetchall()
 
 
 def test_a_file_that_is_no_database(tmp_path):

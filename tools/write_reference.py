@@ -14,7 +14,7 @@ from pathlib import Path
 from ssduck.adapters import ADAPTERS
 from ssduck.functions import BUILTINS
 from ssduck.relations import Relation
-from ssduck.tables import TABLES, Column
+from ssduck.tables import ROWS, TABLES, Column
 from ssduck.udfs import RELATIONS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -124,7 +124,12 @@ def tables_page() -> str:
     """The page of the tables."""
     lines = [TABLES_HEAD.rstrip()]
     for name, columns in TABLES.items():
-        lines += [f"\n## `{name}`\n", "| columns | type | meaning |", "|---|---|---|"]
+        lines += [
+            f"\n## `{name}`\n",
+            f"A row is {ROWS[name]}.\n",
+            "| columns | type | meaning |",
+            "|---|---|---|",
+        ]
         lines += [f"| {names} | {kind} | {comment} |" for names, kind, comment in merged(columns)]
     return "\n".join(lines) + "\n"
 
