@@ -10,7 +10,7 @@ from typing import Any
 from ssduck.errors import ArgumentError, LimitError
 
 # So many rows, calls or paths are counted before the clock is looked at.
-_STRIDE = 256
+_STRIDE = 8
 
 
 @dataclass(frozen=True)

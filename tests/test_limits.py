@@ -180,6 +180,24 @@ def test_a_limit_within_a_function_that_sql_calls():
         assert interpreter.eval("SELECT this FROM n WHERE this < 1 AS list;") == [0]
 
 
+@pytest.mark.parametrize("row_by_row", [False, True])
+def test_the_clock_is_looked_at_between_slow_functions(row_by_row):
+    calls = []
+
+    def slow(number):
+        calls.append(number)
+        time.sleep(0.05)
+        return number
+
+    limits = ssduck.Limits(seconds=0.2)
+    with ssduck.Interpreter(limits=limits, row_by_row=row_by_row) as ss:
+        ss.add_variable("n", list(range(200)))
+        ss.add_function("slow", slow, "Takes its time.")
+        with pytest.raises(LimitError, match="took more than"):
+            ss.eval("SELECT this FROM n WHERE slow(this) < 0 AS list;")
+    assert len(calls) < 30
+
+
 def test_ssducks_own_statements_are_not_cut_off(client):
     with ssduck.Interpreter(limits=ssduck.Limits(seconds=1e-9)) as ss:
         ss.add_variable("w", ssduck.World.attach(client))
