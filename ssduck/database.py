@@ -48,7 +48,7 @@ _TABLES_OF = {
     **{name.lower(): frozenset((name,)) for name in TABLES},
     **{relation.name.lower(): relation.tables for relation in looking_up()},
 }
-_TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE)
+_TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 
 

@@ -80,6 +80,7 @@ class Relation:
         apart: of a formula that looks things up, what it is of entities of two worlds.
         asked: of one that calls the narrow phase, on which pairs it does.
         candidates: where all pairs of a tick are found of which it may hold.
+        far: what it yields of entities whose boxes are apart: at least as much, or 0.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Relation:
     apart: str = ""
     asked: str = ""
     candidates: Candidates | None = None
+    far: Literal["", "more", "nothing"] = ""
 
     @property
     def usage(self) -> str:

@@ -18,7 +18,6 @@ from ssduck.dependencies import changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
     counted_rows,
-    pairs_of,
     product_of,
     record_table,
     unnested,
@@ -26,14 +25,14 @@ from ssduck.elements import (
 )
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.expressions import Expressions
-from ssduck.formulas import expanded
 from ssduck.messages import shown
+from ssduck.pairing import implied, joined, sides_of
 from ssduck.plan import Binding, Names, Output, Plan, Shape
 from ssduck.recursion import searched
 from ssduck.resolve import resolve
 from ssduck.rows import Rest, aggregates
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
-from ssduck.tree import Binary, Call, Key, Node, Query, This
+from ssduck.tree import Binary, Call, Key, Node, Query
 from ssduck.types import Tag
 from ssduck.udfs import RELATIONS
 
@@ -167,47 +166,39 @@ class _Translator:
     # -- clauses ----------------------------------------------------------------------------
 
     def _pairs(self, node: Node) -> exp.Expr | None:
-        """`near(a.this, b.this, 0.1)` of two sources that are one world: all its pairs at once.
+        """A condition on two sources that are one world, with all of its pairs joined.
 
         Where another condition is about one of the two alone, pairs are asked about one by one.
         """
-        match node:
-            case Call(name=name, arguments=(This() as a, This() as b, *others)):
-                relation = RELATIONS.get(name)
-            case _:
-                return None
-        if relation is None or relation.candidates is None:
+        sides = sides_of(node)
+        if sides is None:
             return None
         worlds = {s.alias: s.schema for s in self.result.shapes if s.given and s.tag is None}
-        schemas = {worlds.get(str(side.alias)) for side in (a, b)}
-        if a.alias == b.alias or len(schemas) > 1 or None in schemas:
+        schemas = {worlds.get(str(side.alias)) for side in sides}
+        aliases = {side.alias for side in sides}
+        others = [part for part in _conjuncts(self.query.where) if part is not node]
+        alone = any(len(free_aliases(part) & aliases) == 1 for part in others)
+        if alone or len(schemas) > 1 or None in schemas:
             return None
-        beside = [part for part in _conjuncts(self.query.where) if part is not node]
-        if any(len(free_aliases(part) & {a.alias, b.alias}) == 1 for part in beside):
+        assert isinstance(node, Call)
+        found = joined(self.sql, node, str(schemas.pop()))
+        if found is None:
             return None
-        if not all(map(self.sql.is_constant, others)):
-            return None
-        try:
-            holds = self.sql.truth(self.sql.value(node))
-            names = [parameter.name for parameter in relation.parameters[2 : len(node.arguments)]]
-            known = dict(zip(names, map(self.sql.value, others), strict=True))
-        except NotSqlError:
-            return None
-        apart = expanded(relation.apart_of(len(node.arguments)), known)
-        pairs = pairs_of(
-            relation.candidates, apart, str(schemas.pop()), self.context.alias("pairs")
-        )
-        self.pairs.append(pairs.table)
-        sides = zip((a, b), pairs.columns, strict=True)
-        found = [exp.EQ(this=self.sql.value(s).sql, expression=column) for s, column in sides]
-        return exp.and_(*found, *(() if relation.candidates.are_exact else (holds,)))
+        self.pairs.append(found.table)
+        return found.condition
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:
-            return self.sql.truth(self.sql.value(node))
+            holds = self.sql.truth(self.sql.value(node))
         except NotSqlError:
             self._leave(node)
             return None
+        near = implied(self.sql, node)
+        if near is None:
+            return holds
+        # Once for a join to go by, and once so that no other pair is compared.
+        asked = exp.case().when(near.copy(), holds).else_(exp.false())
+        return exp.and_(near, asked)
 
     def _item(self, node: Node) -> None:
         """A selected value or a key: a column if it can be, else its parts are."""

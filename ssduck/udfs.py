@@ -19,6 +19,9 @@ rows could be taken for a column of that table.
 from __future__ import annotations
 
 import re
+from typing import Literal
+
+import sqlglot
 
 from ssduck.relations import Candidates, Parameter, Relation, ValueType
 
@@ -54,14 +57,19 @@ _SENSOR = (Parameter("s", "entity", "a sensor"),)
 _SENSOR_AND_OTHER = (*_SENSOR, Parameter("e", "entity", "another entity"))
 
 
-def _meet(apart: str = "0") -> str:
+def _boxes_within(apart: str) -> str:
     """Whether two boxes are that near; a nanometre is allowed for what is rounded."""
     far = f"({apart}) + 1e-9"
     sides = [
         f"a.{axis}min <= b.{axis}max + {far} AND b.{axis}min <= a.{axis}max + {far}"
         for axis in "xyz"
     ]
-    return f"a.id <> b.id AND {' AND '.join(sides)}"
+    return " AND ".join(sides)
+
+
+def _meet(apart: str = "0") -> str:
+    """Whether the boxes of two entities are that near."""
+    return f"a.id <> b.id AND {_boxes_within(apart)}"
 
 
 def _narrow(call: str, apart: str = "0", otherwise: str = "FALSE") -> str:
@@ -92,6 +100,7 @@ def _on_shapes(
     symmetric: bool = False,
     element: ValueType = "real",
     candidates: Candidates | None = None,
+    far: Literal["", "more", "nothing"] = "",
 ) -> Relation:
     """A relation of the shapes of two entities."""
     return Relation(
@@ -107,6 +116,7 @@ def _on_shapes(
         apart="error('of entities of two worlds')",
         asked=asked,
         candidates=candidates,
+        far=far,
     )
 
 
@@ -308,6 +318,7 @@ _LISTED = (
         _narrow('"narrow penetration"($world, a.id, b.id)', otherwise="0.0::DOUBLE"),
         "Returns the depth of the deepest penetration of the shapes of a and b: how far they "
         "would have to be moved to be apart; 0 if they are.",
+        far="nothing",
         unit="m",
         symmetric=True,
     ),
@@ -316,8 +327,10 @@ _LISTED = (
         "real",
         'CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE "narrow clearance"($world, a.id, b.id) END',
         "Returns the smallest distance between the surfaces of a and b, 0 if they meet. It is "
-        "worked out for each pair that is asked for; near(a, b, d) leaves out what is far apart. "
+        "worked out for each pair that is asked for, but for near(a, b, d), and for "
+        "WHERE clearance(a, b) < d in SelectScript: they leave out what is far apart. "
         "What has no shapes is infinitely far from everything.",
+        far="more",
         asked=_EVERY,
         unit="m",
         symmetric=True,
@@ -375,6 +388,7 @@ _LISTED = (
         _narrow('"narrow inside"($world, a.id, b.id)', otherwise="0.0::DOUBLE"),
         "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
         "0 if b has no volume.",
+        far="nothing",
     ),
     _on_shapes(
         "contains",
@@ -621,6 +635,9 @@ _LISTED = (
         element="integer",
     ),
 )
+
+# Whether the boxes of a and b are at most d apart along each axis.
+BOXES_WITHIN = sqlglot.parse_one(_boxes_within("d"), dialect="duckdb")
 
 # The functions of the narrow phase, as SQL calls them: what they take besides a world and
 # entities, and what they yield.

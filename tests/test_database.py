@@ -507,6 +507,11 @@ def test_a_file_that_is_no_database(tmp_path):
         ssduck.Interpreter(str(path))
 
 
+def test_a_letter_that_is_another_in_upper_case_only(ss):
+    with pytest.raises(ssduck.SelectScriptError, match="entitie\u017f"):
+        ss.sql("SELECT * FROM entitie\u017f")
+
+
 def test_a_closed_interpreter_says_so(tmp_path):
     ss = ssduck.load("kitchen")
     ss.close()

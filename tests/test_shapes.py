@@ -425,6 +425,44 @@ FORMS = [
 ]  # fmt: skip
 
 
+COMPARED = [
+    "clearance({}, {}) < 0.2", "0.2 > clearance({}, {})", "clearance({}, {}) <= half",
+    "half >= clearance({}, {})", "clearance({}, {}) <= 0", "clearance({}, {}) < -1",
+    "penetration({}, {}) > 0", "0 < penetration({}, {})", "penetration({}, {}) >= 0.05",
+    "inside({}, {}) > 0.5", "0.5 <= inside({}, {})",
+]  # fmt: skip
+ANYWAY = [
+    "clearance({}, {}) > 1", "NOT clearance({}, {}) < 0.2", "clearance({}, {}) == 0",
+    "penetration({}, {}) >= 0", "penetration({}, {}) <= 0", "inside({}, {}) >= 0",
+    "inside({}, {}) > -half", "clearance({}, {}) < mass({}) + 0.5",
+]  # fmt: skip
+
+
+def boxes_apart(a, b):
+    """How far apart the boxes of two entities are along the axis where they are farthest."""
+    (low, high), (lower, higher) = a.aabb, b.aabb
+    return max(np.max(np.subtract(low, higher)), np.max(np.subtract(lower, high)))
+
+
+@pytest.mark.parametrize("condition", COMPARED + ANYWAY)
+def test_what_is_compared_with_a_number(row, condition, monkeypatch):
+    monkeypatch.setattr(queries, "FEW_ROWS", 0)
+    ss, slow, world = row
+    near = sum(boxes_apart(a, b) <= 0.5 + 1e-9 for a, b in itertools.combinations(world, 2))
+    for sides in (("p.this", "q.this"), ("b1", "this"), ("this", "b1")):
+        first, second = sides
+        sources = "p=sim, q=sim" if first == "p.this" else "sim"
+        asked = condition.format(first, second, first)
+        selected = "[id(p.this), id(q.this)]" if first == "p.this" else "id(this)"
+        world.tick()
+        before = world.snapshot.calls.pairs
+        found = ss.eval(f"SELECT {selected} FROM {sources} WHERE {asked} AS list;")
+        compared = world.snapshot.calls.pairs - before
+        assert found == slow.eval(f"SELECT {selected} FROM {sources} WHERE {asked} AS list;")
+        if condition in COMPARED:
+            assert compared <= near < 10
+
+
 @pytest.mark.parametrize(("program", "expected"), FORMS)
 def test_forms_of_selectscript(row, program, expected, monkeypatch):
     monkeypatch.setattr(queries, "FEW_ROWS", 0)
