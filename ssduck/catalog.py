@@ -7,12 +7,68 @@ relations' formulas in it.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 
 from sqlglot import exp
 
-from ssduck.relations import Relation
+from ssduck.elements import pairs_of
+from ssduck.relations import Candidates, Relation
 from ssduck.tables import ROWS, TABLES
 from ssduck.udfs import RELATIONS
+
+
+@dataclass(frozen=True)
+class TableMacro:
+    """A table of pairs of a world, for SQL over thousands of bodies: a join of rows takes longer.
+
+    Attributes:
+        name: in a world's schema; that of the only world goes without it.
+        parameters: what it takes.
+        candidates: which pairs; `apart` is one of the parameters.
+        about: what a row is.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    candidates: Candidates
+    about: str
+
+    def macro(self, place: Sequence[str], schema: str) -> str:
+        """The statement that makes it."""
+        apart = exp.column(self.candidates.apart)
+        pairs = pairs_of(self.candidates, apart, schema, "pairs").table
+        rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
+        temporary = "TEMP " if place[0] == "temp" else ""
+        name = _dotted(place[1:] if temporary else place, self.name)
+        parameters = ", ".join(self.parameters)
+        return f"CREATE OR REPLACE {temporary}MACRO {name}({parameters}) AS TABLE {rows}"
+
+    def comment(self, place: Sequence[str]) -> str:
+        """The statement that lets DuckDB say what it is."""
+        said = exp.Literal.string(self.about).sql("duckdb")
+        where = ("temp", "main") if place[0] == "temp" else place
+        return f"COMMENT ON MACRO TABLE {_dotted(where, self.name)} IS {said}"
+
+
+TABLE_MACROS = (
+    TableMacro(
+        "colliding_pairs",
+        (),
+        Candidates("colliding"),
+        "A row is the ids a, b of two entities that collide; each pair both ways.",
+    ),
+    TableMacro(
+        "pairs_within",
+        ("d",),
+        Candidates("within", "d"),
+        "A row is the ids a, b of two entities whose clearance is at most d metres; each pair "
+        "both ways.",
+    ),
+)
+
+
+def _dotted(place: Sequence[str], name: str) -> str:
+    return ".".join(exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, name))
 
 
 def described(worlds: Sequence[str], known: Collection[str] | None) -> Iterator[str]:
@@ -29,12 +85,21 @@ def described(worlds: Sequence[str], known: Collection[str] | None) -> Iterator[
     for relation in RELATIONS.values() if known is None else looking_up():
         yield relation.macro(only)
         yield relation.comment()
+    for table in TABLE_MACROS:
+        if only is not None:
+            yield table.macro(("temp",), only)
+            yield table.comment(("temp",))
+        elif known is not None and len(known) == 1:
+            yield f"DROP MACRO TABLE {_dotted(('temp', 'main'), table.name)}"
     for schema in worlds:
         if schema in (known or ()):
             continue
         for relation in looking_up():
             yield relation.macro(schema, inside=True)
             yield relation.comment(schema)
+        for table in TABLE_MACROS:
+            yield table.macro((schema,), schema)
+            yield table.comment((schema,))
         yield from _comments(schema)
 
 
@@ -55,6 +120,8 @@ def dropped(world: str, *, described: bool) -> Iterator[str]:
     for kind, name in names:
         place = exp.table_(name, db=world, quoted=True)
         yield exp.Drop(tables=[place], kind=kind, exists=True).sql("duckdb")
+    for table in TABLE_MACROS if described else ():
+        yield f"DROP MACRO TABLE {_dotted((world,), table.name)}"
 
 
 def _comments(schema: str) -> Iterator[str]:

@@ -18,7 +18,7 @@ from duckdb.func import FunctionNullHandling
 from sqlglot import exp
 
 from ssduck import ctrl_c
-from ssduck.catalog import described, dropped, looking_up
+from ssduck.catalog import TABLE_MACROS, described, dropped, looking_up
 from ssduck.errors import (
     ArgumentError,
     LimitError,
@@ -47,6 +47,7 @@ _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"
 _TABLES_OF = {
     **{name.lower(): frozenset((name,)) for name in TABLES},
     **{relation.name.lower(): relation.tables for relation in looking_up()},
+    **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)

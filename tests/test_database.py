@@ -15,6 +15,7 @@ import pybullet
 import pytest
 
 import ssduck
+from ssduck.catalog import TABLE_MACROS
 from ssduck.tables import ROWS, TABLES
 from ssduck.udfs import RELATIONS
 
@@ -494,6 +495,11 @@ def test_tables_columns_and_functions_are_commented(sim):
             {"place": place},
         )
         assert said.fetchall() == [(RELATIONS["collides"].help,)]
+    said = sim.sql(
+        "SELECT function_name, comment FROM duckdb_functions() "
+        "WHERE function_type = 'table_macro' AND schema_name = 'sim' ORDER BY ALL"
+    )
+    assert said.fetchall() == [(macro.name, macro.about) for macro in TABLE_MACROS]
     # A name that is given to another world keeps them.
     sim.add_variable("sim", sim.call_variable("sim").what_if({}))
     views = sim.sql("SELECT comment FROM duckdb_views() WHERE schema_name = 'sim'")

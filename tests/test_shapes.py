@@ -609,6 +609,27 @@ def test_a_crate_at_rest_on_a_ramp_is_held_by_its_contacts(stage, first):
         assert on_ramp[1] == pytest.approx([-30 * y, 30 * x, 0], abs=0.01)
 
 
+@pytest.mark.parametrize("place", ["", "sim."])
+def test_pairs_as_tables(row, place):
+    ss, _, world = row
+    world.tick()
+    named = (
+        "SELECT e.name, f.name FROM {} p, entities e, entities f WHERE e.id = p.a AND f.id = p.b"
+    )
+    for table, condition in (
+        ("colliding_pairs()", "collides(e, f)"),
+        ("pairs_within(0.5)", "near(e, f, 0.5)"),
+        ("pairs_within(0)", "touching(e, f, 0.0)"),
+        ("pairs_within(-1)", "FALSE"),
+    ):
+        expected = ss.sql(f"SELECT e.name, f.name FROM entities e, entities f WHERE {condition}")
+        found = ss.sql(named.format(place + table)).fetchall()
+        assert sorted(found) == sorted(expected.fetchall())
+    world["b3"].move([0.5, 0, 0])
+    assert ("b3", "b0") in ss.sql(named.format(f"{place}colliding_pairs()")).fetchall()
+    world["b3"].move([5, 0, 0])
+
+
 # -- kinds of shapes ---------------------------------------------------------------------------
 
 KINDS = ("isBox", "isSphere", "isCylinder", "isCapsule", "isPlane", "isTriMesh")

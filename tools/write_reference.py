@@ -33,6 +33,22 @@ but only for the pairs that are said there, wherever the relation stands: in `WH
 under `NOT` and in `OR`. A pair is compared once a tick, however often it is asked for. `clearance`
 compares every pair that it is asked for; where a distance will do, `near(a, b, d)` is cheaper.
 
+Of two sources that are one world, `collides`, `near`, `touching`, `on` and `contains` in the WHERE
+of a SelectScript query find all of the tick's pairs at once: milliseconds for a thousand bodies. In
+raw SQL, DuckDB compares the boxes of every row with those of every other one, which from some 3,000
+bodies on takes longer than the shapes do; the pairs are there as tables, too:
+
+```python
+import ssduck
+
+ss = ssduck.load("kitchen")
+ss.sql("""
+    SELECT e.name, f.name
+    FROM colliding_pairs() p JOIN entities e ON e.id = p.a JOIN entities f ON f.id = p.b
+""")
+ss.sql("SELECT a, b FROM kitchen.pairs_within(0.02) WHERE a < b")  # of clearances, in metres
+```
+
 An entity is all its shapes, those of all its links: a relation of two holds for their closest
 shapes. A plane is a solid half-space: what is under the ground collides with it. A closed mesh is
 solid, an open one a surface. What has no shapes, a sensor say, meets nothing and is infinitely far
@@ -66,7 +82,8 @@ of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In r
   `FROM kitchen.entities a, kitchen.entities b WHERE kitchen.collides(a, b)`.
 - `contains` of two texts is DuckDB's own; of a list or a map, write `list_contains` or
   `map_contains`.
-- DuckDB lists what they do: `SELECT function_name, comment FROM duckdb_functions()`.
+- DuckDB lists what they do: `SELECT function_name, comment FROM duckdb_functions()`; what columns
+  hold: `SELECT table_name, column_name, comment FROM duckdb_columns()`.
 
 ## Relations
 '''
