@@ -160,7 +160,7 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="write docs/shapes.md")
     given = parser.parse_args()
     started = time.monotonic()
-    each = max(1, given.count // len(pairs.COMBINATIONS))
+    each = max(1, -(-given.count // len(pairs.COMBINATIONS)))
     step = 100
     tasks = [
         (kinds, given.seed + first, min(step, each - first))
