@@ -21,6 +21,9 @@ import numpy.typing as npt
 Array: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.intp]
 Triangles: TypeAlias = npt.NDArray[np.int32]
+# A plane whose normal is off an axis by less is across it: 1 km out that is 1e-6 m.
+LEVEL = 1e-9
+
 GeometryType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
@@ -407,7 +410,7 @@ def _add_plane(box: Array, shape: PlacedGeometry, positions: Array, matrices: Ar
         return
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     axis = int(np.argmax(np.abs(normal)))
-    if abs(normal[axis]) > 1.0 - 1e-9:
+    if np.abs(np.delete(normal, axis)).max() < LEVEL:
         (high if normal[axis] > 0 else low)[axis] = origin[axis]
     np.minimum(box[:3], low, out=box[:3])
     np.maximum(box[3:], high, out=box[3:])

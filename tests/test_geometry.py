@@ -289,6 +289,8 @@ PLANES = [
     # A plane that is tilted, be it little, reaches everywhere.
     ((HALF, 0, HALF), (1, 0, 0, 0), [[-INF] * 3, [INF] * 3]),
     ((0, 0, 1), (math.cos(1e-3), math.sin(1e-3), 0, 0), [[-INF] * 3, [INF] * 3]),
+    ((1.1e-9, 0, 1), (1, 0, 0, 0), [[-INF] * 3, [INF] * 3]),
+    ((0.9e-9, 0, 1), (1, 0, 0, 0), [[-INF] * 3, [INF, INF, 3]]),
 ]
 
 
