@@ -4,19 +4,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ssduck.entities import Entity, Sensor
     from ssduck.errors import SelectScriptError
     from ssduck.interpreter import Interpreter, load
     from ssduck.limits import Limits
-    from ssduck.world import Entity, Sensor, World
+    from ssduck.world import World
 
 __all__ = ["Entity", "Interpreter", "Limits", "SelectScriptError", "Sensor", "World", "load"]
 
 _HOMES = {
-    "Entity": "world",
+    "Entity": "entities",
     "Interpreter": "interpreter",
     "Limits": "limits",
     "SelectScriptError": "errors",
-    "Sensor": "world",
+    "Sensor": "entities",
     "World": "world",
     "load": "interpreter",
 }

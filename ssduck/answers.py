@@ -125,7 +125,8 @@ def _plain(value: Any) -> Any:
 
 
 def _of_other_type(value: Any) -> Any:
-    from ssduck.world import Entity, World
+    from ssduck.entities import Entity
+    from ssduck.world import World
 
     match value:
         case Entity() | World():

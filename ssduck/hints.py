@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 from zlib import crc32
 
+from ssduck.entities import Entity
 from ssduck.types import FLAG, INTEGER, REAL, TEXT, Signature, Tag
-from ssduck.world import Entity
 
 _TYPES: dict[object, Tag] = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT}
 

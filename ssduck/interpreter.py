@@ -23,6 +23,7 @@ from ssduck.database import Database
 from ssduck.deferred import Deferred
 from ssduck.dependencies import tables_of, variables_of
 from ssduck.dialects import in_dialect
+from ssduck.entities import Entity
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -46,7 +47,7 @@ from ssduck.scenes import find_scene
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS
-from ssduck.world import Entity, World
+from ssduck.world import World
 
 
 def load(scene: str | Path, database: str = ":memory:") -> Interpreter:

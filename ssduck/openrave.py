@@ -20,7 +20,8 @@ from ssduck.kinematics import pose_of
 from ssduck.simulators import SETTABLE
 
 if TYPE_CHECKING:
-    from ssduck.world import Entity, JointState, World
+    from ssduck.entities import Entity, JointState
+    from ssduck.world import World
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,9 @@ from itertools import chain
 from operator import itemgetter
 from typing import Any, TypeAlias
 
+from ssduck.entities import Entity
 from ssduck.relations import ValueType
-from ssduck.world import Entity, World
+from ssduck.world import World
 
 # Larger integers are not all numbers that a DOUBLE can be.
 EXACT = 2**53

@@ -1,4 +1,4 @@
-"""What a simulation is, whichever simulator runs it: `World`, `Entity`, `Sensor`.
+"""What a simulation is, whichever simulator runs it: `World`.
 
 A *world* is one simulation; an *entity* is a robot, a kinbody or a sensor of it. What an entity
 tells of itself is of the world's last tick, never of the simulator's present.
@@ -11,29 +11,25 @@ import time
 import weakref
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import count
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 
+from ssduck.entities import Entity, Sensor
 from ssduck.errors import (
     ArgumentError,
-    RemovedEntityError,
     SceneError,
     SelectScriptError,
     UnknownNameError,
     nearest,
 )
-from ssduck.geometry import Array, Indices
-from ssduck.kinematics import JointValues, Pose, finite, pose_of, positions_of, unit
+from ssduck.kinematics import JointValues, Pose, pose_of, positions_of
 from ssduck.layout import Member
-from ssduck.openrave import EntitySpellings, SensorSpellings, WorldSpellings
+from ssduck.openrave import WorldSpellings
 from ssduck.scenes import Camera, Scene, SensorSpec, read_sensor
 from ssduck.sensing import Reading
-from ssduck.sensors import SENSOR_TYPES
 from ssduck.simulators import Body, Kind, Simulator
 from ssduck.snapshot import Snapshot
 from ssduck.what_if import imagined
@@ -518,316 +514,6 @@ def _link_number(host: Member, spec: SensorSpec, index: int) -> int:
             suggestions=nearest(spec.link, names),
         )
     return names.index(spec.link)
-
-
-@dataclass(frozen=True, eq=False)
-class LinkState:
-    """A link at a tick: its name, position (m), orientation (w, x, y, z), box and mass (kg)."""
-
-    name: str
-    position: list[float]
-    orientation: list[float]
-    aabb: tuple[list[float], list[float]]
-    mass: float
-
-
-@dataclass(frozen=True, eq=False)
-class JointState:
-    """A joint at a tick: position (rad or m), velocity, effort of its motor, limits.
-
-    The effort is None where nobody knows it, in a what-if world.
-    """
-
-    name: str
-    type: str
-    position: float
-    velocity: float
-    effort: float | None
-    lower: float | None
-    upper: float | None
-
-
-class Entity(EntitySpellings):
-    """A handle of a robot, kinbody or sensor: what it tells is of its world's last tick.
-
-    Two handles are equal when they are of the same entity of the same world.
-
-    Attributes:
-        world: the world that it is in.
-        id: ssduck's own number, never used again in this world.
-        name: unique in the world.
-        kind: `"robot"`, `"kinbody"` or `"sensor"`.
-    """
-
-    __slots__ = ("id", "kind", "name", "world")
-
-    def __init__(self, world: World, id: int, name: str, kind: Kind) -> None:
-        self.world = world
-        self.id = id
-        self.name = name
-        self.kind = kind
-
-    @property
-    def position(self) -> list[float]:
-        """The link frame's origin [x, y, z], metres, world frame."""
-        return self._numbers("x", "z")
-
-    @property
-    def orientation(self) -> list[float]:
-        """The link frame's orientation [w, x, y, z], world frame."""
-        return self._numbers("qw", "qz")
-
-    @property
-    def pose(self) -> list[float]:
-        """Orientation, then position: [w, x, y, z, x, y, z]."""
-        return self.orientation + self.position
-
-    @property
-    def velocity(self) -> list[float]:
-        """Of the link frame's origin, m/s, then angular, rad/s: six numbers, world frame."""
-        return self._numbers("vx", "wz")
-
-    @property
-    def aabb(self) -> tuple[list[float], list[float]]:
-        """The lower and upper corner of the exact axis-aligned box, metres."""
-        return self._numbers("xmin", "zmin"), self._numbers("xmax", "zmax")
-
-    @property
-    def mass(self) -> float:
-        """Kilograms of all links; 0 for a sensor and for what cannot move."""
-        return self._numbers("mass", "mass")[0]
-
-    @property
-    def links(self) -> list[LinkState]:
-        """The links, the base first; asks the world for the table of links."""
-        table = self._table("links")
-        box = ("xmin", "ymin", "zmin"), ("xmax", "ymax", "zmax")
-        return [
-            LinkState(
-                name=row["name"],
-                position=[row[axis] for axis in ("x", "y", "z")],
-                orientation=[row[axis] for axis in ("qw", "qx", "qy", "qz")],
-                aabb=([row[axis] for axis in box[0]], [row[axis] for axis in box[1]]),
-                mass=row["mass"],
-            )
-            for row in table
-        ]
-
-    @property
-    def joints(self) -> list[JointState]:
-        """The joints; asks the world for the table of joints."""
-        keys = ("name", "type", "position", "velocity", "effort", "lower", "upper")
-        return [JointState(**{key: row[key] for key in keys}) for row in self._table("joints")]
-
-    def move(
-        self,
-        position: Sequence[float] | None = None,
-        orientation: Sequence[float] | None = None,
-        joints: JointValues | None = None,
-    ) -> None:
-        """Put it elsewhere at rest, and take a tick: the next query sees it.
-
-        In a simulation that ssduck loaded, motors that hold joints hold them at the new
-        positions; in one of yours they are as you set them.
-
-        Args:
-            position: of its link frame, [x, y, z], metres; None leaves it.
-            orientation: of its link frame, [w, x, y, z], any length but 0; None leaves it.
-            joints: positions, rad or m: by the joint's name, or one for each revolute and
-                prismatic joint in order. The others stay as they are; joints alone leave the
-                body where it is, and as fast.
-
-        Raises:
-            StateError: a number is not finite, the orientation is all 0, or a joint is beyond
-                its limits.
-            UnknownNameError: there is no joint of a name, with the nearest names.
-            ArgumentError: it is a sensor, a joint's position is not one number, or there are
-                too many values or too few.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: it is in a what-if world.
-        """
-        pose = None
-        if joints is None or position is not None or orientation is not None:
-            place = self.position if position is None else position
-            turn = self.orientation if orientation is None else orientation
-            pose = (
-                finite(place, 3, f"{self.name}: position"),
-                unit(finite(turn, 4, f"{self.name}: orientation"), self.name),
-            )
-        self.world.place(self, pose, joints)
-
-    @property
-    def enabled(self) -> bool:
-        """Whether it takes part in collisions; setting it takes a tick.
-
-        Rays do not meet what is not enabled either. PyBullet does not tell what a body may
-        collide with; enabled again, it is what PyBullet begins with.
-
-        Raises:
-            ArgumentError: it is a sensor.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: it is in a what-if world.
-        """
-        return bool(self.column("enabled"))
-
-    @enabled.setter
-    def enabled(self, on: bool) -> None:
-        self.world.enable(self, on)
-
-    @property
-    def visible(self) -> bool:
-        """Whether it is drawn; setting it takes a tick. It gets its colours back.
-
-        Raises:
-            ArgumentError: it is a sensor.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: it is in a what-if world.
-        """
-        return bool(self.column("visible"))
-
-    @visible.setter
-    def visible(self, on: bool) -> None:
-        self.world.show(self, on)
-
-    def body_of(self, member: Member, verb: str) -> Body:
-        """What it is made of, by its entry in the world; `verb` says what for.
-
-        Raises:
-            ArgumentError: it is a sensor.
-        """
-        if member.body is None:
-            raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
-        return member.body
-
-    def column(self, name: str) -> Any:
-        """Its value in a column of the table of entities; None for an unknown one."""
-        return self.world.snapshot.value(self._row(), name)
-
-    def _row(self) -> int:
-        row = self.world.snapshot.rows.get(self.id)
-        if row is None:
-            raise self.removed()
-        return row
-
-    def removed(self) -> RemovedEntityError:
-        """What to raise where it is no longer in its world."""
-        return RemovedEntityError(f"{self.name!r} is no longer in world {self.world.name!r}")
-
-    def _numbers(self, first: str, last: str) -> list[float]:
-        with self.world.lock:
-            column = self.world.snapshot.tables["entities"].reals(first, last)[:, self._row()]
-            values: list[float] = column.tolist()
-        return values
-
-    def _table(self, name: str) -> list[dict[str, Any]]:
-        with self.world.lock:
-            self._row()
-            self.world.ask([name])
-            self._row()  # asking may have taken a tick
-            table = self.world.snapshot.tables[name]
-            own = table.arrow.filter(pa.array(table["entity"] == self.id))
-            rows: list[dict[str, Any]] = own.to_pylist()
-        return rows
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Entity) and (self.world, self.id) == (other.world, other.id)
-
-    def __hash__(self) -> int:
-        return hash((id(self.world), self.id))
-
-    def __deepcopy__(self, _: dict[int, Any]) -> Entity:
-        """A handle changes nothing, so it is its own copy."""
-        return self
-
-    def __repr__(self) -> str:
-        return f"<{self.kind} {self.name!r}>"
-
-
-class Sensor(SensorSpellings, Entity):
-    """A handle of a sensor: what it measured last, by its world's last tick.
-
-    It is read from the simulator when it is asked for, and then again when its `period` has
-    passed. A ray is a ray of a laser, a pixel of a camera (row by row from the upper left) or a
-    contact point of a contact sensor. All arrays are numpy's, and cannot be written to.
-    """
-
-    __slots__ = ()
-
-    def power(self, on: bool) -> None:
-        """Switch it on or off; the next query sees it. It perceives nothing while it is off."""
-        self.world.switch(self, on=on)
-
-    @property
-    def powered(self) -> bool:
-        """Whether it is switched on."""
-        self._row()
-        return self.world.snapshot.sensing.is_on(self.id)
-
-    @property
-    def reading(self) -> Reading | None:
-        """All that it measured last, and when; None while it is switched off."""
-        return self.world.reading(self)
-
-    @property
-    def rays(self) -> int:
-        """How many rays, pixels or contact points its reading has."""
-        return self._measured("rays")  # type: ignore[no-any-return]
-
-    @property
-    def ranges(self) -> Array:
-        """How long each ray is, m, (n,); inf for one that ends on nothing within range."""
-        return self._measured("ranges")  # type: ignore[no-any-return]
-
-    @property
-    def points(self) -> Array:
-        """Where rays end on something, [x, y, z] in the world frame, m, (hits, 3)."""
-        return self._measured("points")  # type: ignore[no-any-return]
-
-    @property
-    def depth(self) -> Array:
-        """Of a camera, how far along its axis each pixel is, m, (height, width); else inf."""
-        return self._measured("depth")  # type: ignore[no-any-return]
-
-    @property
-    def segmentation(self) -> Indices:
-        """Of a camera, the id of what each pixel shows, (height, width); 0 for nothing."""
-        return self._measured("segmentation")  # type: ignore[no-any-return]
-
-    @property
-    def image(self) -> npt.NDArray[np.uint8]:
-        """Of a camera, its colours: red, green, blue, (height, width, 3), from 0 to 255.
-
-        It shows what is drawn, the sensor's own body and what is out of range included.
-        """
-        return self._measured("image")  # type: ignore[no-any-return]
-
-    @property
-    def forces(self) -> Array:
-        """Of a contact sensor, the normal force at each contact point, N, (n,)."""
-        return self._measured("forces")  # type: ignore[no-any-return]
-
-    def _measured(self, what: str) -> Any:
-        reading = self.world.reading(self, picture=what == "image" and self._has_picture())
-        if reading is None:
-            raise SelectScriptError(
-                f"{self.name!r} measures nothing: it is switched off, or nowhere; "
-                "power(True) switches it on"
-            )
-        value = getattr(reading, what)
-        if value is None:
-            has = ", ".join(k for k, v in vars(reading).items() if isinstance(v, np.ndarray))
-            raise ArgumentError(f"{self.name!r} is a {self.spec.type}: no {what}, but {has}")
-        return value
-
-    def _has_picture(self) -> bool:
-        return SENSOR_TYPES[self.spec.type].has_picture
-
-    @property
-    def spec(self) -> SensorSpec:
-        """What the sensor is, and where it sits."""
-        spec = self.world.snapshot.members[self._row()].sensor
-        assert spec is not None
-        return spec
 
 
 def _plain(values: Any) -> Any:
