@@ -427,7 +427,8 @@ def _deepest(corners: Array, new: Array) -> tuple[Array, Array]:
     every = np.arange(new.shape[1])
     choices = np.repeat(corners[None], 4, axis=0)
     choices[np.arange(4), np.arange(4)] = new
-    depths = np.array([_depths(choice)[0].min(axis=0) for choice in choices])
+    together = choices.transpose(1, 2, 0, 3).reshape(4, 3, -1)
+    depths = _depths(together)[0].min(axis=0).reshape(4, -1)
     best = depths.argmax(axis=0)
     return choices[best, :, :, every].transpose(1, 2, 0), depths[best, every]
 
