@@ -71,17 +71,19 @@ def _dotted(place: Sequence[str], name: str) -> str:
     return ".".join(exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, name))
 
 
-def described(worlds: Sequence[str], known: Collection[str] | None) -> Iterator[str]:
+def described(
+    worlds: Sequence[str], only: str | None, known: Collection[str] | None
+) -> Iterator[str]:
     """The statements that make the macros and comments.
 
     Relations look things up in the only world, as a row does not tell which it is of; each world
     has them under its own name, too.
 
     Args:
-        worlds: the schemas of all worlds.
+        worlds: the schemas of all worlds; one may have several.
+        only: that of the only world.
         known: those that were described before; None if nothing was.
     """
-    only = worlds[0] if len(worlds) == 1 else None
     for relation in RELATIONS.values() if known is None else looking_up():
         yield relation.macro(only)
         yield relation.comment()
@@ -89,8 +91,8 @@ def described(worlds: Sequence[str], known: Collection[str] | None) -> Iterator[
         if only is not None:
             yield table.macro(("temp",), only)
             yield table.comment(("temp",))
-        elif known is not None and len(known) == 1:
-            yield f"DROP MACRO TABLE {_dotted(('temp', 'main'), table.name)}"
+        elif known:
+            yield f"DROP MACRO TABLE IF EXISTS {_dotted(('temp', 'main'), table.name)}"
     for schema in worlds:
         if schema in (known or ()):
             continue

@@ -6,7 +6,7 @@ import inspect
 import re
 import threading
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
@@ -26,6 +26,7 @@ from ssduck.errors import (
     Span,
     SqlError,
     UnknownNameError,
+    UnsupportedError,
 )
 from ssduck.functions import Function
 from ssduck.limits import Limits, Meter
@@ -306,18 +307,42 @@ class Database:
         asked = {table for word in words for table in _TABLES_OF[word]}
         if _KEEPS_A_QUERY.search(sql):
             self._asked_for_good |= asked
-        with self.held(asked | self._asked_for_good):
+        with self.held(asked | self._asked_for_good, self._named_in(sql)):
             self._tell_sql()
             return self._arrow(sql, parameters)
 
+    def _named_in(self, sql: str) -> list[World] | None:
+        """The worlds that a statement may be about; None for all, where it may use another one.
+
+        The first one's tables go without its name.
+        """
+        if self._asked_for_good or _KEEPS_A_QUERY.search(sql):
+            return None
+        text = sql.casefold()
+        return [
+            bound.world
+            for number, bound in enumerate(self._bound)
+            if number == 0 or any(schema.casefold() in text for schema in bound.schemas)
+        ]
+
     @contextmanager
-    def held(self, tables: set[str] | frozenset[str] = frozenset()) -> Iterator[None]:
-        """Hold all worlds at their tick, with these tables read, while statements run."""
+    def held(
+        self,
+        tables: set[str] | frozenset[str] = frozenset(),
+        worlds: Collection[World] | None = None,
+    ) -> Iterator[None]:
+        """Hold all worlds at their tick while statements run.
+
+        Args:
+            tables: those that are read, of the simulators if need be.
+            worlds: of which worlds; None for all.
+        """
         with ExitStack() as stack:
             stack.enter_context(self._lock)
             # In one order in all databases, so that no two wait for each other.
             for bound in sorted(self._bound, key=lambda bound: bound.world.serial):
-                stack.enter_context(bound.world.held(tables))
+                asked = worlds is None or any(bound.world is world for world in worlds)
+                stack.enter_context(bound.world.held(tables if asked else ()))
             for bound in self._bound:
                 self._show(bound)
             yield
@@ -400,7 +425,7 @@ class Database:
             raise cause from None
         if interrupted:
             raise KeyboardInterrupt from error
-        if isinstance(cause, LimitError):
+        if isinstance(cause, LimitError | UnknownNameError | UnsupportedError):
             raise cause from None
         if not self._finalizer.alive:
             raise SqlError("the interpreter is closed", is_final=True) from error
@@ -439,8 +464,9 @@ class Database:
         self._functions.add(signature.name)
 
     def _add_narrow(self, name: str) -> None:
-        """Make a function of the narrow phase one of SQL: of a world's name, and of ids."""
+        """Make a function of the narrow phase one of SQL: of a world's name, and of entities."""
         taken, result = NARROW[name]
+        entities = taken.count("BIGINT")  # twice as many: of each its tick and its id
         answer, worlds, raised = ANSWERS[name], self._narrow_worlds, self._raised
 
         def call(world: str, *arguments: Any) -> Any:
@@ -449,7 +475,13 @@ class Database:
             try:
                 if world not in worlds:
                     raise UnknownNameError(f"there is no world {world!r} here any more")
-                return answer(worlds[world].snapshot.shapes(), *arguments)
+                snapshot = worlds[world].snapshot
+                if any(tick != snapshot.number for tick in arguments[:entities:2]):
+                    raise UnsupportedError(
+                        f"the shapes of {world!r} are known of its tick {snapshot.number} only: "
+                        "rows that were kept of another tick cannot be compared"
+                    )
+                return answer(snapshot.shapes(), *arguments[1:entities:2], *arguments[entities:])
             except BaseException as error:
                 raised[:] = [error]
                 raise
@@ -484,8 +516,9 @@ class Database:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
             self._set_search_path()
+            names = {schema: bound.world for bound in self._bound for schema in bound.schemas}
             self._narrow_worlds.clear()
-            self._narrow_worlds.update(self.worlds)
+            self._narrow_worlds.update(names)
 
     def _unbind(self, name: str, world: World) -> None:
         """Take a name from another world; one without a name is not held any more."""
@@ -558,9 +591,10 @@ class Database:
 
     def _tell_sql(self) -> None:
         """Make the relations functions of SQL, and let it say what the tables hold."""
-        schemas = list(self.worlds)
+        schemas = list(self._narrow_worlds)
         if self._told_of != set(schemas):
-            for statement in described(schemas, self._told_of):
+            only = schemas[0] if len(self.worlds) == 1 else None
+            for statement in described(schemas, only, self._told_of):
                 self.run(statement)
             self._told_of = set(schemas)
 

@@ -87,6 +87,13 @@ def tables_of(node: Node) -> frozenset[str]:
     return own.union(*map(tables_of, node.children()))
 
 
+@known
+def calls_of(node: Node) -> frozenset[str]:
+    """The functions that a part calls."""
+    own = (node.name,) if isinstance(node, Call) else ()
+    return frozenset(own).union(*map(calls_of, node.children()))
+
+
 def states(query: Query) -> frozenset[str]:
     """The state variables of a hierarchical query."""
     if query.recursion is None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +21,7 @@ from weakref import WeakKeyDictionary
 from ssduck.adapters import ADAPTERS, Adapter, Rows
 from ssduck.database import Database
 from ssduck.deferred import Deferred
-from ssduck.dependencies import tables_of, variables_of
+from ssduck.dependencies import calls_of, tables_of, variables_of
 from ssduck.dialects import in_dialect
 from ssduck.entities import Entity
 from ssduck.errors import (
@@ -44,6 +44,7 @@ from ssduck.relations import Relation
 from ssduck.result import Result
 from ssduck.rows import check_columns, formed
 from ssduck.scenes import find_scene
+from ssduck.sources import within
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS
@@ -254,13 +255,10 @@ class Interpreter:
         try:
             for statement in program.statements[:-1]:
                 frame.value(statement)
-            with self._database.held(self._tables_of_last(program)):
+            with self._reading(*program.statements[-1:]):
                 yield frame
         finally:
             self._variables = before
-
-    def _tables_of_last(self, program: Program) -> frozenset[str]:
-        return frozenset().union(*map(self._tables_of, program.statements[-1:]))
 
     # -- variables and functions ----------------------------------------------------------
 
@@ -504,8 +502,32 @@ class Interpreter:
         adapter = _adapter(node)
         make = _made(adapter, node, frame)
         check = check_columns if adapter.keyed else _unchecked
-        with self._database.held(self._tables_of(node)):  # the result is made of one tick, too
+        with self._reading(node):  # the result is made of one tick, too
             return formed(self._planner.run(node, frame, check), make)
+
+    @contextmanager
+    def _reading(self, *nodes: Node) -> Iterator[None]:
+        """Hold all worlds at their tick, with the tables read that relations look things up in."""
+        tables = frozenset().union(*map(self._tables_of, nodes))
+        with self._database.held(tables, self._worlds_of(nodes) if tables else ()):
+            yield
+
+    def _worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
+        """The worlds that parts may be about; None if their values alone tell."""
+        worlds: list[World] = []
+        for node in nodes:
+            called = calls_of(node)
+            if not called.isdisjoint(("var", "eval")) or any(map(self.is_users, called)):
+                return None
+            values = [self._variables.get(name) for name in variables_of(node)]
+            for value in values:
+                inner = (
+                    self._worlds_of([value.node]) if isinstance(value, Deferred) else within(value)
+                )
+                if inner is None:
+                    return None
+                worlds += inner
+        return worlds
 
     def _tables_of(self, node: Node) -> frozenset[str]:
         """The tables that relations in a part look things up in."""
@@ -524,7 +546,8 @@ class Interpreter:
             asked = Call(node.span, node.name, tuple(names), node.name_span)
             query = self._relations[node] = Query(node.span, (asked,), ())
         given = {f"argument_{index}": value for index, value in enumerate(values)}
-        with self._database.held(RELATIONS[node.name].tables):
+        worlds = [value.world for value in values if isinstance(value, Entity)]
+        with self._database.held(RELATIONS[node.name].tables, worlds):
             for argument, value in zip(node.arguments, values, strict=True):
                 if isinstance(value, Entity) and value not in value.world:
                     error = value.removed()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import cached_property
 from itertools import starmap
 from typing import Any, TypeAlias
@@ -110,31 +109,42 @@ class Shapes:
         self._narrow.note((pair_number(i, j),))
         return i, j
 
-    def _holds(self, i: int, j: int, apart: float | None) -> bool | None:
-        """What is known of a pair once all pairs of the tick were compared at once.
+    def _together(self, apart: float | None) -> frozenset[int] | None:
+        """The pairs that are as near, found at once; None while few were asked about.
 
-        Raises:
-            KeyError: they were not, and few were asked about.
+        Args:
+            apart: metres; None for those that collide. What is far, as bodies go, is near too many.
         """
         if apart not in self._found:
             self._asked[apart] += 1
-            if self._asked[apart] <= max(FEW, len(self._numbers) // 4):
-                raise KeyError
+            few = max(FEW, len(self._numbers) // 4)
+            if self._asked[apart] <= few or not (apart is None or apart <= self._usual):
+                return None
             narrow, sorts = self._narrow, self._sorts
             pairs = (
                 narrow.all_that_collide(sorts) if apart is None else narrow.all_within(sorts, apart)
             )
             self._found[apart] = frozenset(starmap(pair_number, pairs))
-        if pair_number(i, j) in self._found[apart]:
+        return self._found[apart]
+
+    @cached_property
+    def _usual(self) -> float:
+        """How large bodies are: the median of their boxes' longest sides, metres."""
+        with np.errstate(invalid="ignore"):
+            sides = (self._boxes[3:] - self._boxes[:3]).max(axis=0, initial=0.0)
+        finite = sides[np.isfinite(sides)]
+        return float(np.median(finite)) if len(finite) else 0.0
+
+    def _is_among(self, found: frozenset[int], i: int, j: int) -> bool | None:
+        if pair_number(i, j) in found:
             return True
         return False if self._narrow.is_known(i) and self._narrow.is_known(j) else None
 
     def collides(self, a: int, b: int) -> bool | None:
         """Whether they are deeper in each other than counts."""
         i, j = self._pair(a, b)
-        with suppress(KeyError):
-            return self._holds(i, j, None)
-        return self._narrow.collides(i, j)
+        found = self._together(None)
+        return self._narrow.collides(i, j) if found is None else self._is_among(found, i, j)
 
     def penetration(self, a: int, b: int) -> float | None:
         """The depth of the deepest two shapes, m; 0 if all are apart."""
@@ -152,10 +162,11 @@ class Shapes:
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return False
-        with suppress(KeyError):
-            return self._holds(i, j, apart)
-        found = self._narrow.clearance(i, j, apart)
-        return None if found is None else found <= apart
+        found = self._together(apart)
+        if found is not None:
+            return self._is_among(found, i, j)
+        gap = self._narrow.clearance(i, j, apart)
+        return None if gap is None else gap <= apart
 
     def points(self, a: int, b: int) -> list[list[float]] | None:
         """The nearest or the deepest points, one of each."""

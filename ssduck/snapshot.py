@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from ssduck.colliding import Sorts
+from ssduck.errors import UnsupportedError
 from ssduck.geometry import Array, Geometry, Indices
 from ssduck.layout import Layout, Member, Part
 from ssduck.narrow import Narrow
@@ -262,12 +263,18 @@ class Snapshot:
 
     def ask(self, tables: Iterable[str]) -> bool:
         """Note that these tables are asked for; tells whether this tick lacks any of them."""
-        wanted = ON_DEMAND.intersection(tables)
+        wanted = ON_DEMAND.intersection(tables).difference(self.untold)
         self._asked |= dict.fromkeys(wanted, self.number)
         return not wanted <= self._read
 
     def ask_sensor(self, sensor: int, *, picture: bool) -> bool:
-        """Note that a sensor is asked for; tells whether this tick lacks it, or its colours."""
+        """Note that a sensor is asked for; tells whether this tick lacks it, or its colours.
+
+        Raises:
+            UnsupportedError: nobody knows what it perceives.
+        """
+        if "sensings" in self.untold:
+            raise UnsupportedError(self.untold["sensings"])
         self._asked_sensors[sensor] = self.number
         lacks_picture = picture and self.sensing.ask_picture(sensor, self.number)
         return lacks_picture or sensor not in self._read_sensors

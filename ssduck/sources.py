@@ -12,12 +12,16 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.dependencies import aliases_of
+from ssduck.entities import Entity
 from ssduck.errors import ArgumentError
 from ssduck.plan import Shape
 from ssduck.result import Result, values_of
 from ssduck.tree import Query
 from ssduck.types import ANY, INTEGER, SchemaOf, Tag, tag_of_any, to_sql
 from ssduck.world import World
+
+# A longer list may be of any worlds.
+MOST_LOOKED_AT = 100
 
 
 def elements_of(value: Any) -> Sequence[Any]:
@@ -170,3 +174,18 @@ _ARROW_TYPES = {
     "text": pa.string(),
     "flag": pa.bool_(),
 }
+
+
+def within(value: Any) -> list[World] | None:
+    """The worlds that a value is of: a world, an entity, a list of such; None if nobody knows."""
+    match value:
+        case World():
+            return [value]
+        case Entity():
+            return [value.world]
+        case None | str() | int() | float() | Result():
+            return []
+        case list() | tuple() if len(value) <= MOST_LOOKED_AT:
+            found = [within(element) for element in value]
+            return None if None in found else [world for inner in found for world in inner or ()]
+    return None

@@ -72,6 +72,11 @@ def _meet(apart: str = "0") -> str:
     return f"a.id <> b.id AND {_boxes_within(apart)}"
 
 
+def _ask(answer: str, *more: str) -> str:
+    """A call of the narrow phase, of two rows; more of what it takes."""
+    return f'"narrow {answer}"({", ".join(("$world, a.tick, a.id, b.tick, b.id", *more))})'
+
+
 def _narrow(call: str, apart: str = "0", otherwise: str = "FALSE") -> str:
     """A formula that calls the narrow phase where the boxes are that near.
 
@@ -178,7 +183,7 @@ def _summed(*terms: str) -> str:
     )
 
 
-_COLLIDES = _narrow('"narrow collides"($world, a.id, b.id)')
+_COLLIDES = _narrow(_ask("collides"))
 
 _LISTED = (
     _of_entity("id", "text", "object.name", "Returns the name of an object, unique in its world."),
@@ -315,7 +320,7 @@ _LISTED = (
     _on_shapes(
         "penetration",
         "real",
-        _narrow('"narrow penetration"($world, a.id, b.id)', otherwise="0.0::DOUBLE"),
+        _narrow(_ask("penetration"), otherwise="0.0::DOUBLE"),
         "Returns the depth of the deepest penetration of the shapes of a and b: how far they "
         "would have to be moved to be apart; 0 if they are.",
         far="nothing",
@@ -325,7 +330,7 @@ _LISTED = (
     _on_shapes(
         "clearance",
         "real",
-        'CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE "narrow clearance"($world, a.id, b.id) END',
+        f"CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE {_ask('clearance')} END",
         "Returns the smallest distance between the surfaces of a and b, 0 if they meet. It is "
         "worked out for each pair that is asked for, but for near(a, b, d), and for "
         "WHERE clearance(a, b) < d in SelectScript: they leave out what is far apart. "
@@ -338,19 +343,19 @@ _LISTED = (
     _on_shapes(
         "touching",
         "flag",
-        _narrow('"narrow near"($world, a.id, b.id, 0.001)', "0.001"),
+        _narrow(_ask("near", "0.001"), "0.001"),
         "Checks if the clearance of a and b is at most eps, 1 mm if it is not given; what meets "
         "touches.",
         asked="on pairs whose boxes are at most eps apart",
         more=(Parameter("eps", "real", "a distance, m", optional=True),),
-        sliced=_narrow('"narrow near"($world, a.id, b.id, eps)', "eps"),
+        sliced=_narrow(_ask("near", "eps"), "eps"),
         symmetric=True,
         candidates=Candidates("within", "0.001", "eps"),
     ),
     _on_shapes(
         "near",
         "flag",
-        _narrow('"narrow near"($world, a.id, b.id, d)', "d"),
+        _narrow(_ask("near", "d"), "d"),
         "Checks if the clearance of a and b is at most d.",
         asked="on pairs whose boxes are at most d apart",
         more=(Parameter("d", "real", "a distance, m"),),
@@ -360,8 +365,7 @@ _LISTED = (
     _on_shapes(
         "nearestPoints",
         "list",
-        "CASE WHEN a.id = b.id THEN [[a.x, a.y, a.z], [a.x, a.y, a.z]] "
-        'ELSE "narrow points"($world, a.id, b.id) END',
+        f"CASE WHEN a.id = b.id THEN [[a.x, a.y, a.z], [a.x, a.y, a.z]] ELSE {_ask('points')} END",
         "Returns a point on a and one on b, [[x, y, z], [x, y, z]] in the world: the nearest "
         "ones, or where they meet those that are deepest in the other; nothing of what has no "
         "shapes.",
@@ -373,7 +377,7 @@ _LISTED = (
         _on_shapes(
             name,
             "flag",
-            _narrow('"narrow on"($world, a.id, b.id)', "0.001"),
+            _narrow(_ask("on"), "0.001"),
             "Checks if b rests on a: they touch (clearance at most 1 mm), a normal there is "
             "within 30 degrees of up, and the centre of the box of b is over the convex hull of "
             "the footprint of a.",
@@ -385,7 +389,7 @@ _LISTED = (
     _on_shapes(
         "inside",
         "real",
-        _narrow('"narrow inside"($world, a.id, b.id)', otherwise="0.0::DOUBLE"),
+        _narrow(_ask("inside"), otherwise="0.0::DOUBLE"),
         "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
         "0 if b has no volume.",
         far="nothing",
@@ -393,7 +397,7 @@ _LISTED = (
     _on_shapes(
         "contains",
         "flag",
-        _narrow('"narrow inside"($world, a.id, b.id) >= 0.95'),
+        _narrow(f"{_ask('inside')} >= 0.95"),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a.",
         candidates=Candidates("meeting"),
     ),
@@ -401,8 +405,8 @@ _LISTED = (
         "nextTo",
         "flag",
         _narrow(
-            f"a.zmin <= b.zmax AND b.zmin <= a.zmax AND {_BESIDE} < 1e300 "
-            f'AND "narrow near"($world, a.id, b.id, {_BESIDE})',
+            f"CASE WHEN a.zmin <= b.zmax AND b.zmin <= a.zmax AND {_BESIDE} < 1e300 "
+            f"THEN {_ask('near', _BESIDE)} ELSE FALSE END",
             _BESIDE,
         ),
         "Checks if a and b are beside each other: the heights of their boxes overlap, and their "
@@ -415,7 +419,7 @@ _LISTED = (
         "solidVolume",
         _ENTITY,
         "real",
-        '"narrow volume"($world, object.id)',
+        '"narrow volume"($world, object.tick, object.id)',
         "Returns the sum of the volumes of the object's shapes, infinity for a plane, 0 for an "
         "open mesh.",
         unit="m^3",
@@ -639,8 +643,10 @@ _LISTED = (
 # Whether the boxes of a and b are at most d apart along each axis.
 BOXES_WITHIN = sqlglot.parse_one(_boxes_within("d"), dialect="duckdb")
 
-# The functions of the narrow phase, as SQL calls them: what they take besides a world and
-# entities, and what they yield.
+# The functions of the narrow phase, as SQL calls them: what they take besides a world, and what
+# they yield. An entity is the tick that its row is of, and its id.
+_ONE = ("BIGINT", "BIGINT")
+_PAIR = _ONE + _ONE
 NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow first_colliding": ((), "BIGINT[]"),
     "narrow second_colliding": ((), "BIGINT[]"),
@@ -648,14 +654,14 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow second_within": (("DOUBLE",), "BIGINT[]"),
     "narrow first_meeting": (("DOUBLE",), "BIGINT[]"),
     "narrow second_meeting": (("DOUBLE",), "BIGINT[]"),
-    "narrow collides": (("BIGINT", "BIGINT"), "BOOLEAN"),
-    "narrow penetration": (("BIGINT", "BIGINT"), "DOUBLE"),
-    "narrow clearance": (("BIGINT", "BIGINT"), "DOUBLE"),
-    "narrow near": (("BIGINT", "BIGINT", "DOUBLE"), "BOOLEAN"),
-    "narrow points": (("BIGINT", "BIGINT"), "DOUBLE[][]"),
-    "narrow on": (("BIGINT", "BIGINT"), "BOOLEAN"),
-    "narrow inside": (("BIGINT", "BIGINT"), "DOUBLE"),
-    "narrow volume": (("BIGINT",), "DOUBLE"),
+    "narrow collides": (_PAIR, "BOOLEAN"),
+    "narrow penetration": (_PAIR, "DOUBLE"),
+    "narrow clearance": (_PAIR, "DOUBLE"),
+    "narrow near": ((*_PAIR, "DOUBLE"), "BOOLEAN"),
+    "narrow points": (_PAIR, "DOUBLE[][]"),
+    "narrow on": (_PAIR, "BOOLEAN"),
+    "narrow inside": (_PAIR, "DOUBLE"),
+    "narrow volume": (_ONE, "DOUBLE"),
 }
 
 RELATIONS: dict[str, Relation] = {relation.name: relation for relation in _LISTED}

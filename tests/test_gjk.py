@@ -263,6 +263,10 @@ def test_sizes_beyond_any_scene(solid, size):
     assert tick.all_within(sorts, 0.1) == [(0, 1), (0, 2), (1, 2)]
 
 
+# Of a body of a metre.
+BOXES = np.array([[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]]).T
+
+
 # -- what it costs -----------------------------------------------------------------------------
 
 
@@ -304,9 +308,7 @@ def test_pairs_count_once_a_tick():
         tick.all_within(sorts, 0.05)
         tick.all_that_collide(sorts)
         assert tick.calls.pairs == len(near) > len(meeting)
-    shapes = Shapes(
-        tick, {10 * n: n for n in range(60)}, sorts, np.zeros((6, 0)), np.zeros(0, np.int64)
-    )
+    shapes = Shapes(tick, {10 * n: n for n in range(60)}, sorts, BOXES, np.zeros(0, np.int64))
     for i, j in sorted(near)[:5]:
         shapes.collides(10 * i, 10 * j)
         shapes.near(10 * j, 10 * i, 0.1)
@@ -319,7 +321,7 @@ def test_many_questions_are_answered_together():
     entities = [*convex_crowd(150), [(box(), (math.nan, 0, 0))], [(box(), (0, 0, 0))]]
     tick, alone = narrow(*entities), narrow(*entities)
     numbers = {n: n for n in range(len(entities))}
-    shapes = Shapes(tick, numbers, sorts_of(tick), np.zeros((6, 0)), np.zeros(0, np.int64))
+    shapes = Shapes(tick, numbers, sorts_of(tick), BOXES, np.zeros(0, np.int64))
     every = list(itertools.combinations(numbers, 2))
     meeting = [pair for pair in every if boxes_apart(tick, *pair) <= 0.05]
     unknown = [(149, 150), (151, 150)]
@@ -333,9 +335,7 @@ def test_many_questions_are_answered_together():
 
 def test_ids_of_all_that_are_near():
     tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
-    shapes = Shapes(
-        tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), np.zeros((6, 0)), np.zeros(0, np.int64)
-    )
+    shapes = Shapes(tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64))
     assert shapes.first_within(0.4) == shapes.second_within(0.4) == []
     assert list(zip(shapes.first_within(0.5), shapes.second_within(0.5), strict=True)) == [
         (7, 3), (3, 5), (3, 7), (5, 3),

@@ -858,6 +858,36 @@ def test_statistics_and_explain(row):
         )
 
 
+# Where many pairs are asked about one by one, those that nobody asked about stay uncompared.
+FAR = [
+    ("SELECT id FROM sim WHERE near(ground, this, 2.5) AS list;", 1),
+    ("SELECT id FROM sim WHERE near(ground, this, 1e9) AS list;", 1),
+    ("SELECT id FROM sim WHERE near(b0, this, 20) AS list;", 1),
+    ("SELECT id(p.this) FROM p=sim, q=sim WHERE nextTo(p.this, q.this) AS list;", 40),
+]
+
+
+@pytest.mark.parametrize(("program", "each"), FAR)
+def test_few_pairs_of_a_world_with_a_ground(stage, program, each):
+    random = np.random.default_rng(5)
+    stage.add("ground", PLANE)
+    for number, place in enumerate(random.uniform(0, 6, (300, 3)).tolist()):
+        turn = random.normal(size=4)
+        stage.box(f"b{number}", place, [0.15, 0.1, 0.12], turn=turn / np.linalg.norm(turn))
+    world = stage.open()
+    ss, _ = stage.interpreters(sim=world)
+    before = world.snapshot.calls.pairs
+    ss.eval(program)
+    assert world.snapshot.calls.pairs - before <= 300 * each
+    world.tick()
+    before = world.snapshot.calls.pairs
+    ss.eval(
+        "SELECT id(p.this) FROM p=sim, q=sim WHERE near(p.this, q.this, z(p.this) / 8) AS list;"
+    )
+    assert world.snapshot.calls.pairs - before <= 301 * 150
+    assert not world.snapshot.shapes()._narrow._all_within
+
+
 # -- the registry, and the kitchen -------------------------------------------------------------
 
 
