@@ -2,11 +2,16 @@
 
 A uniform grid for each class of sizes, in sorted arrays: boxes of a class have about the same
 extent, and a cell is as large as the largest of them, so that boxes that meet begin in
-neighbouring cells. Boxes without end, a ground plane's, are compared with all others.
+neighbouring cells. Where along an axis bodies are very far out, the empty cells between are left
+out, so that the number of a cell is a whole number of 64 bits however far they are. Boxes without
+end, a ground plane's, are compared with all others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import pairwise
+from math import prod
 from typing import TypeAlias
 
 import numpy as np
@@ -16,9 +21,22 @@ from ssduck.geometry import Array, Indices
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 Pairs: TypeAlias = tuple[Indices, Indices]
+Cells: TypeAlias = npt.NDArray[np.int64]
 
 # Extents within this factor share a class.
 _BASE = 4.0
+# A cell is larger than the boxes in it by this share, which is more than rounding may take away.
+_MARGIN = 1e-6
+# No cell is smaller: the margin of a number near the least there is would round to nothing.
+_LEAST = 1e-300
+# Corners beyond are as good as without end: their differences might be too large for a number.
+_MOST = 1e306
+# What the number of a cell stays below.
+_NUMBERS = 2**62
+# Cells along an axis from which on the empty ones are left out; its cube has such numbers.
+_MANY = 2.0**20
+# So many candidates are compared at a time, or those of one box.
+_AT_ONCE = 1_000_000
 # Rows of cells along z, by their steps along x and y: those ahead, and those behind.
 _AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 _BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
@@ -36,20 +54,18 @@ def meeting(boxes: Array, apart: float = 0.0) -> Pairs:
         The first and the second of each pair, in no order; each pair once.
     """
     pad = 0.5 * apart
-    low, high = boxes[:3] - pad, boxes[3:] + pad
+    with np.errstate(over="ignore", invalid="ignore"):  # without end, or not a box at all
+        low, high = boxes[:3] - pad, boxes[3:] + pad
     here: Flags = np.asarray((low <= high).all(axis=0))
-    endless: Flags = np.asarray(here & ~np.isfinite(boxes).all(axis=0))
+    near = ((low >= -_MOST) & (high <= _MOST)).all(axis=0)
+    endless: Flags = np.asarray(here & ~near)
     parts = [_with_others(low, high, one, here, endless) for one in np.flatnonzero(endless)]
     bounded = np.flatnonzero(here & ~endless)
     if len(bounded) > 1:
-        i, j = _in_grids(low[:, bounded], high[:, bounded])
-        parts.append((bounded[i], bounded[j]))
+        pairs = _in_grids(low[:, bounded], high[:, bounded])
+        parts += [(bounded[i], bounded[j]) for i, j in pairs]
     if not parts:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    return _joined(parts)
-
-
-def _joined(parts: list[Pairs]) -> Pairs:
     first, second = zip(*parts, strict=True)
     return np.concatenate(first), np.concatenate(second)
 
@@ -62,29 +78,26 @@ def _with_others(low: Array, high: Array, one: np.intp, here: Flags, endless: Fl
     return np.full(len(others), one), others
 
 
-def _in_grids(low: Array, high: Array) -> Pairs:
-    """The pairs of bounded boxes that meet, a class of sizes at a time."""
-    extents = (high - low).max(axis=0)
-    largest = extents.max() or 1.0
-    shares = np.maximum(extents, largest * 1e-6) / largest
-    classes = np.ceil(np.log(shares) / np.log(_BASE) - 1e-9)
-    return _joined([_in_grid(low, high, classes, extents, size) for size in np.unique(classes)])
+def _in_grids(low: Array, high: Array) -> Iterator[Pairs]:
+    """The pairs of bounded boxes that meet, in parts, a class of sizes at a time."""
+    extents = np.maximum((high - low).max(axis=0), _LEAST)
+    orders = (np.log(extents) - np.log(extents.max())) / np.log(_BASE)
+    classes = np.ceil(orders - 1e-9)
+    for size in np.unique(classes):
+        yield from _in_grid(low, high, classes, extents, size)
 
 
-def _in_grid(low: Array, high: Array, classes: Array, extents: Array, size: float) -> Pairs:
-    """The pairs of a box of a class with one of the same or of a smaller class."""
+def _in_grid(
+    low: Array, high: Array, classes: Array, extents: Array, size: float
+) -> Iterator[Pairs]:
+    """The pairs of a box of a class with one of the same or of a smaller class, in parts."""
     members = np.flatnonzero(classes <= size)
-    cell = extents[members].max() * (1.0 + 1e-9) or 1.0
-    cells = np.floor((low[:, members] - low[:, members].min(axis=1, keepdims=True)) / cell)
-    # A cell's number; a cell around the grid keeps rows from running into each other.
-    wide = cells.max(axis=1) + 3.0
-    numbers = ((cells[0] + 1.0) * wide[1] + cells[1] + 1.0) * wide[2] + cells[2] + 1.0
+    numbers, wide = _numbered(low[:, members], extents[members].max() * (1.0 + _MARGIN))
     order = np.argsort(numbers, kind="stable")
     members, numbers = members[order], numbers[order]
     low, high = low[:, members], high[:, members]
     same = classes[members] == size
     asking, smaller = np.flatnonzero(same), np.flatnonzero(~same)
-    found = []
     for asked in (asking, smaller) if len(smaller) else (asking,):
         of = numbers[asked]
         alike = asked is asking
@@ -92,13 +105,60 @@ def _in_grid(low: Array, high: Array, classes: Array, extents: Array, size: floa
             row = numbers[asking] + (across * wide[1] + along) * wide[2]
             # In its own row, of two of one class the later one is ahead.
             own = alike and not (across or along)
-            starts = np.arange(1, len(asking) + 1) if own else np.searchsorted(of, row - 1.0)
-            counts = np.searchsorted(of, row + 1.0, "right") - starts
-            i = np.repeat(asking, counts)
-            places = np.arange(len(i)) + np.repeat(starts - np.cumsum(counts) + counts, counts)
-            found.append(_met(low, high, i, asked[places]))
-    first, second = _joined(found)
-    return members[first], members[second]
+            starts = np.arange(1, len(asking) + 1) if own else np.searchsorted(of, row - 1)
+            ends = np.searchsorted(of, row + 1, "right")
+            for one, places in _runs(asking, starts, ends - starts):
+                i, j = _met(low, high, one, asked[places])
+                yield members[i], members[j]
+
+
+def _numbered(low: Array, cell: float) -> tuple[Cells, list[int]]:
+    """The number of the cell of each box, and the grid's width in cells along each axis.
+
+    They are whole numbers, for as floats those of neighbours could be the same. Along an axis there
+    are no more than `_MANY` cells or twice the boxes, so only millions of boxes can have too many.
+    """
+    x, y, z = cells = [_along(axis, cell) for axis in low]
+    # A cell around the grid keeps rows from running into each other.
+    wide = [int(axis.max()) + 3 for axis in cells]
+    if prod(wide) > _NUMBERS:
+        return _numbered(low, 8.0 * cell)  # boxes that meet are neighbours in a coarser grid too
+    return ((x + 1) * wide[1] + y + 1) * wide[2] + z + 1, wide
+
+
+def _along(low: Array, cell: float) -> Cells:
+    """The cell of each box along an axis, from 0 on; boxes that meet are no more than 1 apart.
+
+    They are counted from a box that begins near, not from the origin: the difference of two
+    floats is off by no more than 2 ** -53 of itself, so that a count of n cells is off by less than
+    n * 2 ** -51, which is within the margin of a cell for n up to 2 ** 31.
+    """
+    before = low - low.min()
+    if before.max() / _MANY <= cell:
+        cells: Cells = np.floor(before / cell).astype(np.int64)
+        return cells
+    # Where the next box begins more than a cell later, none before meets any after: a new group,
+    # counted from its own first box, and an empty cell between.
+    order = np.argsort(low)
+    ascending = low[order]
+    begins = np.append(0, np.flatnonzero(np.diff(ascending) > cell) + 1)
+    sizes = np.diff(begins, append=len(low))
+    within = np.floor((ascending - np.repeat(ascending[begins], sizes)) / cell).astype(np.int64)
+    widths = within[begins + sizes - 1] + 2
+    cells = np.zeros(len(low), np.int64)
+    cells[order] = within + np.repeat(np.cumsum(widths) - widths, sizes)
+    return cells
+
+
+def _runs(asking: Indices, starts: Indices, counts: Indices) -> Iterator[Pairs]:
+    """Each that asks with each place of its run; a part at a time, for there may be many."""
+    totals = np.cumsum(counts)
+    parts = np.searchsorted(totals, np.arange(0, totals[-1], _AT_ONCE), "right")
+    for begin, end in pairwise((*parts, len(totals))):
+        lengths = counts[begin:end]
+        shifts = starts[begin:end] - np.cumsum(lengths) + lengths
+        i = np.repeat(asking[begin:end], lengths)
+        yield i, np.arange(len(i)) + np.repeat(shifts, lengths)
 
 
 def _met(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
