@@ -137,6 +137,8 @@ class Entity(EntitySpellings):
     ) -> None:
         """Put it elsewhere at rest, and take a tick: the next query sees it.
 
+        Joints that are not given keep their positions and speeds.
+
         In a simulation that ssduck loaded, motors that hold joints hold them at the new
         positions; in one of yours they are as you set them.
 
@@ -144,8 +146,8 @@ class Entity(EntitySpellings):
             position: of its link frame, [x, y, z], metres; None leaves it.
             orientation: of its link frame, [w, x, y, z], any length but 0; None leaves it.
             joints: positions, rad or m: by the joint's name, or one for each revolute and
-                prismatic joint in order. The others stay as they are; joints alone leave the
-                body where it is, and as fast.
+                prismatic joint in order. Joints alone leave the body where it is, and
+                as fast.
 
         Raises:
             StateError: a number is not finite, the orientation is all 0, or a joint is beyond

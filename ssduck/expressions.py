@@ -357,8 +357,12 @@ class Expressions:
         value = self.value(node)
         if value.tag.nullable:
             raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
-        if value.extent or value.risky:
+        if value.extent and parameter.type == "real":
+            value = self.certain(value)  # a distance may be infinite
+        elif value.extent:
             raise NotSqlError  # of what is infinite, a formula may be no number
+        if value.risky:
+            raise NotSqlError
         if value.tag.type == parameter.type or (parameter.type == "real" and value.tag.is_number):
             return value
         if parameter.type == "place" and value.tag.type == "entity":

@@ -12,6 +12,7 @@ from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.evaluate import Frame, Scope
 from ssduck.functions import Function
 from ssduck.limits import Limits
+from ssduck.messages import kind_of, shown
 from ssduck.plan import Plan, Shape
 from ssduck.queries import Planned, RowByRow, SqlFailedError, is_small
 from ssduck.resolve import resolve
@@ -20,8 +21,9 @@ from ssduck.sources import INLINE, shapes_of
 from ssduck.sqlvalues import NotSqlError
 from ssduck.subqueries import is_inline
 from ssduck.translate import NotInlineError, translate
-from ssduck.tree import Name, Node, Query
+from ssduck.tree import Call, Given, Name, Node, Query
 from ssduck.types import Signature, Tag, tag_of
+from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
 # So many queries keep their plans; then all are forgotten and made anew as they are needed.
@@ -124,7 +126,13 @@ class Planner:
         typed = self._typed(frame)
         planned, _ = self._found(query, frame, typed, cautious=True)
         if planned.plan.left:
-            raise ArgumentError("it does not take that", span=query.span)
+            (call,) = query.items
+            assert isinstance(call, Call)
+            given = [frame.given[part.name] for part in call.arguments if isinstance(part, Given)]
+            told = ", ".join(shown(v) if isinstance(v, float) else kind_of(v) for v in given)
+            raise ArgumentError(
+                f"{call.name} does not take ({told}): {RELATIONS[call.name].usage}", span=query.span
+            )
         (row,) = planned.run(typed.frame(), ()).values  # type: ignore[union-attr]
         return row[0]
 

@@ -238,5 +238,5 @@ def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
 
 def _listed(parameters: tuple[Parameter, ...]) -> str:
     required = ", ".join(p.name for p in parameters if not p.optional)
-    optional = "".join(f"[, {p.name}" for p in parameters if p.optional)
-    return required + optional + "]" * optional.count("[")
+    optional = "".join(f", {p.name}" for p in parameters if p.optional)
+    return f"{required}[{optional}]" if optional else required

@@ -232,9 +232,9 @@ class World(WorldSpellings):
 
         It has the same entities, of the same ids and names, the same time and tick, and is
         queried like any other. It never changes, whatever this world does later. What is moved
-        is at rest, and sensors move with what they sit on. It was not simulated, so that it has
-        no contacts (asking for them is an error), the efforts of joints are unknown, and it can
-        neither be stepped nor drawn.
+        is at rest, but joints that are not given are as fast as they were, and sensors move with
+        what they sit on. It was not simulated, so that it has no contacts (asking for them is an
+        error), the efforts of joints are unknown, and it can neither be stepped nor drawn.
 
         Args:
             poses: of link frames in the world by entity: orientation, then position, [w, x, y,

@@ -33,6 +33,7 @@ def ss():
     with ssduck.load("kitchen") as interpreter:
         interpreter.add_function("broken", broken, "Raises.")
         interpreter.add_variable("array", np.zeros(3))
+        interpreter.add_variable("nothing", None)
         interpreter.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
         yield interpreter
 
@@ -157,6 +158,13 @@ MISTAKES = [
         [],
     ),
     ("-'a';", ArgumentError, "-'a'", "- does not take a text", []),
+    (
+        "near(table, table, nothing);",
+        ArgumentError,
+        "near(table, table, nothing)",
+        "near does not take (Entity, Entity, nothing): near(a, b, d) -> bool",
+        [],
+    ),
     ("3[0];", ArgumentError, "0", "a number has no element 0", []),
     ("1 / 0;", EvaluationError, "1 / 0", "division by zero", []),
     ("1 % 0;", EvaluationError, "1 % 0", "division by zero", []),

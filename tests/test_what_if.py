@@ -469,6 +469,28 @@ def test_programs(kitchen, row_by_row):
             kitchen["can"].visible = True
 
 
+def test_the_sensors_of_the_first_world_go_on_perceiving():
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen").step(10)
+        maybe = ss.add_variable("maybe", kitchen.what_if({"cup_905a": [1, 0, 0, 0, 5, 5, 5]}))
+        ss.add_variable("table", kitchen["table"])
+        seen = ss.eval("SELECT id FROM kitchen WHERE isSensing(this, table) AS list;")
+        assert seen == ["fridge_webcam", "barrett_4918_laser_scaner"]
+        for ask in (
+            lambda: maybe["fridge_webcam"].depth,
+            lambda: ss.eval("SELECT id FROM maybe WHERE isSensing(this, this) AS list;"),
+            lambda: ss.sql("FROM maybe.sensings"),
+        ):
+            with pytest.raises((UnsupportedError, SqlError), match="perceive nothing in a what-if"):
+                ask()
+        assert len(ss.sql("FROM kitchen.sensings")) > 5
+        for world in ("kitchen", "maybe"):
+            ss.add_variable("table", ss.call_variable(world)["table"])
+            assert ss.eval(f"SELECT id FROM {world} WHERE near(table, this, 0.1) AS list;")
+        assert len(maybe["barrett_4918"].links) > 10
+        assert len(maybe.what_if({})) == len(kitchen)
+
+
 def test_one_name_for_several_worlds(kitchen):
     """A sweep: the same program on many what-if worlds, each bound to the same name in turn."""
     with ssduck.Interpreter() as ss:

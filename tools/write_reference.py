@@ -52,7 +52,8 @@ ss.sql("SELECT a, b FROM kitchen.pairs_within(0.02) WHERE a < b")  # of clearanc
 An entity is all its shapes, those of all its links: a relation of two holds for their closest
 shapes. A plane is a solid half-space: what is under the ground collides with it. A closed mesh is
 solid, an open one a surface. What has no shapes, a sensor say, meets nothing and is infinitely far
-from all.
+from all. What is disabled or not drawn has its shapes as before. The rows of `entities` that are
+compared are those of the current tick: rows that were kept of another one are an error.
 
 ```python
 import ssduck

@@ -43,6 +43,9 @@ T = TypeVar("T")
 NEAREST_DRAWN = 0.01
 FARTHEST_DRAWN = 100.0
 
+# So many bodies a warning names.
+MOST_NAMED = 50
+
 _flatten = chain.from_iterable
 # Of a link's state: pose of the centre of mass; and linear and angular velocity.
 _pose = itemgetter(0, 1)
@@ -350,11 +353,12 @@ def _handles(client: int) -> list[int]:
 
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
-        names = ", ".join(body.name for body in bodies[:5])
-        names += f" and {len(bodies) - 5} more" if len(bodies) > 5 else ""
+        names = ", ".join(body.name for body in bodies[:MOST_NAMED])
+        left = len(bodies) - MOST_NAMED
+        names += f" and {left} more" if left > 0 else ""
         warnings.warn(
-            f"{names}: PyBullet does not give back all shapes (a concave mesh that came from no "
-            "file is such a shape); bounding boxes are used instead",
+            f"{names}: PyBullet does not give back all shapes (a concave mesh made by "
+            "createCollisionShape is such a shape); bounding boxes are used instead",
             stacklevel=2,
         )
 
