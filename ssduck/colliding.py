@@ -115,13 +115,23 @@ class Found:
     """What was found of all pairs of entities.
 
     Attributes:
-        pairs: those asked for, in order; of each the lesser entity is the first.
-        compared: those with shapes whose boxes meet, or are as near as is asked for, by their
-            numbers.
+        numbers: of those asked for, ascending; see `pair_number`.
+        compared: of those with shapes whose boxes meet, or are as near as is asked for.
     """
 
-    pairs: list[tuple[int, int]]
+    numbers: Indices
     compared: Indices
+
+    @property
+    def sides(self) -> Pairs:
+        """The lesser entity of each pair, and the other."""
+        return self.numbers // _MOST_ENTITIES, self.numbers % _MOST_ENTITIES
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """The pairs, in order; of each the lesser entity is the first."""
+        first, second = self.sides
+        return list(zip(first.tolist(), second.tolist(), strict=True))
 
 
 def colliding(scene: Scene, deeper: float, is_deeper: Callable[[int, int], bool]) -> Found:
@@ -170,14 +180,17 @@ def _found(
         is_below: asked of two shapes that no rule decides.
     """
     first, second = candidates
-    compared = np.unique(scene.owners(first, second))
+    single = scene.sorts.single
+    compared = scene.owners(first, second)
+    if not single:
+        compared = np.unique(compared)
     found = np.zeros(0, np.intp)
     for rule in rules:
         verdicts = rule(scene, first, second, bound)
         owners = scene.owners(first, second)
         found = np.concatenate((found, owners[verdicts == BELOW]))
         left = verdicts == UNDECIDED
-        if not scene.sorts.single:
+        if not single:
             left &= ~np.isin(owners, found)
         first, second = first[left], second[left]
     more: set[int] = set()
@@ -185,9 +198,8 @@ def _found(
     for owner, s, t in zip(owners.tolist(), first.tolist(), second.tolist(), strict=True):
         if owner not in more and is_below(s, t):
             more.add(owner)
-    found = np.unique(np.concatenate((found, np.array(sorted(more), np.intp))))
-    i, j = divmod(found, _MOST_ENTITIES)
-    return Found(list(zip(i.tolist(), j.tolist(), strict=True)), compared)
+    found = np.concatenate((found, np.array(sorted(more), np.intp)))
+    return Found(np.sort(found) if single else np.unique(found), compared)
 
 
 def _candidates(scene: Scene, apart: float) -> Pairs:

@@ -77,8 +77,8 @@ class Narrow:
         self._shares: dict[tuple[int, int], float | None] = {}
         self._hulls: dict[int, Hull | None] = {}
         self._footprints: dict[int, Array] = {}
-        self._all: list[tuple[int, int]] | None = None
-        self._all_within: dict[float, list[tuple[int, int]]] = {}
+        self._all: Found | None = None
+        self._all_within: dict[float, Found] = {}
         self._compared: set[int] = set()
         # DuckDB calls from its own threads. A pair would be compared twice, not wrongly.
         self._lock = RLock()
@@ -95,8 +95,8 @@ class Narrow:
                 self._collisions[key] = self._collide(*key)
             return self._collisions[key]
 
-    def all_that_collide(self, sorts: Sorts) -> list[tuple[int, int]]:
-        """The pairs of entities that collide, the lesser first.
+    def all_that_collide(self, sorts: Sorts) -> Found:
+        """The pairs of entities that collide.
 
         Args:
             sorts: what the shapes are, and whose.
@@ -105,11 +105,11 @@ class Narrow:
             if self._all is None:
                 found = colliding(self._scene(sorts), COLLIDES, self._are_deep)
                 self.note(found.compared.tolist())
-                self._all = found.pairs
+                self._all = found
             return self._all
 
-    def all_within(self, sorts: Sorts, apart: float) -> list[tuple[int, int]]:
-        """The pairs of entities whose clearance is no more, the lesser first.
+    def all_within(self, sorts: Sorts, apart: float) -> Found:
+        """The pairs of entities whose clearance is no more.
 
         Args:
             sorts: what the shapes are, and whose.
@@ -117,12 +117,12 @@ class Narrow:
         """
         with self._lock:
             if apart not in self._all_within:
-                found = Found([], np.zeros(0, np.intp))
+                found = Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
                 if apart >= 0.0:
                     is_within = partial(self._are_within, apart=apart)
                     found = all_within(self._scene(sorts), apart, is_within)
                 self.note(found.compared.tolist())
-                self._all_within[apart] = found.pairs
+                self._all_within[apart] = found
             return self._all_within[apart]
 
     def note(self, pairs: Iterable[int]) -> None:

@@ -6,14 +6,13 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from itertools import starmap
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck.broad import meeting
-from ssduck.colliding import Sorts, pair_number
+from ssduck.colliding import Found, Sorts, pair_number
 from ssduck.geometry import Array
 from ssduck.narrow import Narrow
 
@@ -74,10 +73,11 @@ class Shapes:
             self._overlapping[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._overlapping[apart]
 
-    def _both_ways(self, pairs: list[tuple[int, int]]) -> Both:
+    def _both_ways(self, found: Found) -> Both:
         """The ids of pairs of entities of `narrow`."""
         ids = np.array(list(self._numbers), dtype=np.int64)
-        return _both_ways(*ids[np.array(pairs, dtype=np.intp).reshape(-1, 2).T])
+        first, second = found.sides
+        return _both_ways(ids[first], ids[second])
 
     def first_colliding(self) -> list[int]:
         """Of the pairs that collide, the first ones."""
@@ -121,10 +121,10 @@ class Shapes:
             if self._asked[apart] <= few or not (apart is None or apart <= self._usual):
                 return None
             narrow, sorts = self._narrow, self._sorts
-            pairs = (
+            found = (
                 narrow.all_that_collide(sorts) if apart is None else narrow.all_within(sorts, apart)
             )
-            self._found[apart] = frozenset(starmap(pair_number, pairs))
+            self._found[apart] = frozenset(found.numbers.tolist())
         return self._found[apart]
 
     @cached_property

@@ -198,12 +198,12 @@ def test_all_pairs_of_a_tick(seed, is_round):
     sorts = sorts_of(together)
     every = list(itertools.combinations(range(len(entities)), 2))
     collide = [pair for pair in every if alone.collides(*pair)]
-    assert together.all_that_collide(sorts) == collide
+    assert together.all_that_collide(sorts).pairs == collide
     assert collide
     gaps = {pair: alone.clearance(*pair) for pair in every}
     for apart in APART:
         near = [pair for pair in every if gaps[pair] is not None and gaps[pair] <= apart]
-        assert together.all_within(sorts, apart) == near
+        assert together.all_within(sorts, apart).pairs == near
         asked = narrow(*entities)  # anew: what is farther need not be known
         found = {pair: asked.clearance(*pair, apart) for pair in every}
         assert [
@@ -214,7 +214,7 @@ def test_all_pairs_of_a_tick(seed, is_round):
 @pytest.mark.parametrize("apart", [-1e-9, -1.0, -math.inf, math.nan])
 def test_nothing_is_nearer_than_nothing(apart):
     tick = narrow([(box(), (0, 0, 0))], [(box(), (0.5, 0, 0))])
-    assert tick.all_within(sorts_of(tick), apart) == []
+    assert tick.all_within(sorts_of(tick), apart).pairs == []
     assert tick.calls.pairs == 0
 
 
@@ -237,7 +237,7 @@ def test_at_the_bound(name, apart):
     a, b, touching = BESIDE[name]
     for more, expected in ((-1e-7, True), (0.0, None), (1e-7, False)):
         tick = narrow([(a, (0, 0, 0))], [(b, (touching + apart + more, 0, 0))])
-        found = tick.all_within(sorts_of(tick), apart) == [(0, 1)]
+        found = tick.all_within(sorts_of(tick), apart).pairs == [(0, 1)]
         assert found is (tick.clearance(0, 1) <= apart)
         assert expected is None or found is expected
 
@@ -247,7 +247,7 @@ def test_at_the_bound(name, apart):
 def test_at_the_depth_that_collides(name, depth, expected):
     a, b, touching = BESIDE[name]
     tick = narrow([(a, (0, 0, 0))], [(b, (touching - depth, 0, 0))])
-    assert (tick.all_that_collide(sorts_of(tick)) == [(0, 1)]) is expected
+    assert (tick.all_that_collide(sorts_of(tick)).pairs == [(0, 1)]) is expected
     assert tick.collides(0, 1) is expected
 
 
@@ -259,8 +259,8 @@ def test_sizes_beyond_any_scene(solid, size):
     tick = narrow([(large, (0, 0, 0))], [(large, (size / 4, 0, 0))], [(sphere(1.0), (0, 0, 0))])
     sorts = sorts_of(tick)
     expected = [(0, 1), (0, 2), (1, 2)] if size > 1 else [(0, 2), (1, 2)]
-    assert tick.all_that_collide(sorts) == expected
-    assert tick.all_within(sorts, 0.1) == [(0, 1), (0, 2), (1, 2)]
+    assert tick.all_that_collide(sorts).pairs == expected
+    assert tick.all_within(sorts, 0.1).pairs == [(0, 1), (0, 2), (1, 2)]
 
 
 # Of a body of a metre.
@@ -288,8 +288,8 @@ def convex_crowd(count, seed=0):
 def test_of_convex_shapes_fcl_is_not_asked():
     tick = narrow(*convex_crowd(300))
     sorts = sorts_of(tick)
-    assert len(tick.all_that_collide(sorts)) > 100
-    assert len(tick.all_within(sorts, 0.01)) > 100
+    assert len(tick.all_that_collide(sorts).numbers) > 100
+    assert len(tick.all_within(sorts, 0.01).numbers) > 100
     assert tick.calls.calls == 0
     assert not tick._placed
 
@@ -347,14 +347,14 @@ def test_shapes_of_two_entities_that_collide_are_left_out():
     """The rest of what two tables are made of is not compared."""
     table = [(ELL, (0, 0, 0)), (box(), (0, 0, 0)), (ELL, (0.1, 0, 0))]
     tick = narrow(table, [(box(), (0.2, 0, 0)), (ELL, (0.1, 0.1, 0))])
-    assert tick.all_that_collide(sorts_of(tick)) == [(0, 1)]
+    assert tick.all_that_collide(sorts_of(tick)).pairs == [(0, 1)]
     assert tick.calls.calls == 0
     assert tick.calls.pairs == 1
 
 
 def test_meshes_that_collide_cost_one_call():
     tick = narrow([(ELL, (0, 0, 0))], [(ELL, (0.4, 0.3, 0.1))], [(ELL, (0.3, 0, 5))])
-    assert tick.all_that_collide(sorts_of(tick)) == [(0, 1)]
+    assert tick.all_that_collide(sorts_of(tick)).pairs == [(0, 1)]
     assert tick.calls.calls == 1
     assert tick.penetration(0, 1) > 0.01
 

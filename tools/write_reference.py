@@ -22,9 +22,9 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 RELATIONS_HEAD = '''# Relations and functions
 
 Metres, newtons, radians, kilograms; world frame; quaternions w, x, y, z. A relation of an entity
-with itself is False, a distance 0. An unknown value, of a body whose pose is no number, is NULL (None
-in Python), never NaN: no condition on it holds in SQL, nor does its opposite. What Python evaluates
-takes None for false, and cannot compare it.
+with itself is False, a distance 0. An unknown value, of a body whose pose is no number, is NULL
+(None in Python), never NaN: no condition on it holds in SQL, nor does its opposite. What Python
+evaluates takes None for false, and cannot compare it.
 
 ## Boxes and shapes
 
