@@ -52,6 +52,8 @@ _TABLES_OF = {
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+# What lets tables of another world than the first go without its name.
+_CHANGES_THE_FIRST = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 
 
 # SQL with more words, or with more brackets around one of them, takes DuckDB's parser a time that
@@ -243,6 +245,7 @@ class Database:
         # Counts up, by table, when prepared statements that read it lose their validity.
         self._generations = dict.fromkeys(TABLES, 0)
         self._asked_for_good: set[str] = set()
+        self._first_changes = False
         # The data are small and the queries many: a second thread costs more than it gives.
         self.run("SET threads = 1")
         # In DuckDB 2.0.0 a range join of a prepared statement ends the database at its second run,
@@ -316,7 +319,8 @@ class Database:
 
         The first one's tables go without its name.
         """
-        if self._asked_for_good or _KEEPS_A_QUERY.search(sql):
+        self._first_changes |= _CHANGES_THE_FIRST.search(sql) is not None
+        if self._asked_for_good or self._first_changes or _KEEPS_A_QUERY.search(sql):
             return None
         text = sql.casefold()
         return [

@@ -552,6 +552,16 @@ def test_a_question_about_one_world_reads_no_other(stage, client):
     assert other.snapshot.number > before
 
 
+def test_a_world_that_goes_without_its_name_is_read(stage, client):
+    stage.box("a")
+    ss, _ = stage.interpreters(sim=stage.open())
+    box = pybullet.createCollisionShape(BOX, halfExtents=[0.5] * 3, physicsClientId=client)
+    pybullet.createMultiBody(0, box, physicsClientId=client)
+    ss.add_variable("other", ssduck.World.attach(client))
+    ss.sql("USE other")
+    assert ss.sql("SELECT entity FROM shapes").fetchall() == [(1,)]
+
+
 def test_rows_of_another_tick_are_not_compared(stage):
     stage.box("a", mass=1.0)
     stage.box("b", (0.9, 0, 0))
