@@ -17,12 +17,14 @@ from hypothesis import strategies as st
 from pairs import Shape, ell
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck import volumes
+from ssduck import surfaces, volumes
 from ssduck.geometry import Boxer, Geometry, PlacedGeometry, rotation_matrices
+from ssduck.meshes import triangle_depths
 from ssduck.narrow import Narrow
 from ssduck.overlap import hull_around, share_inside
 from ssduck.separation import Counter, Placed
 from ssduck.solids import solid_of
+from ssduck.surfaces import Surface
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -498,6 +500,81 @@ def test_nearest_points_of_a_sphere_and_a_mesh_are_in_the_world():
     assert p[2] == pytest.approx(7.5)
     assert math.dist(q, (5, 6, 9)) == pytest.approx(0.5)
     assert math.dist(p, q) == pytest.approx(tick.clearance(0, 1))
+
+
+def windings(points, triangles):
+    """How often a surface winds around points: solid angles, van Oosterom and Strackee 1983."""
+    to = triangles[None] - points[:, None, None]
+    a, b, c = (to[:, :, k] for k in range(3))
+    la, lb, lc = (np.linalg.norm(one, axis=2) for one in (a, b, c))
+    above = (a * np.cross(b, c)).sum(2)
+    ab, bc, ca = ((u * v).sum(2) for u, v in ((a, b), (b, c), (c, a)))
+    below = la * lb * lc + ab * lc + bc * la + ca * lb
+    return 2 * np.arctan2(above, below).sum(1) / (4 * math.pi)
+
+
+def meshes():
+    """Closed ones that are not convex; the last has two parts, one inside the other."""
+    torus = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+    inner = frame(1.8, 1.2, 0.5)
+    outer = frame()
+    faces = np.concatenate((outer.faces, inner.faces[:, ::-1] + len(outer.vertices)))
+    shell = Geometry("mesh", (0, 0, 0), np.concatenate((outer.vertices, inner.vertices)), faces)
+    return [ell(1.0, 2.0, 1.0), frame(), of_trimesh(torus), shell]
+
+
+@pytest.mark.parametrize("grid", [True, False])
+def test_what_a_mesh_encloses(grid):
+    """Points over its corners and edges too, and in the planes of its faces."""
+    random = np.random.default_rng(3)
+    for geometry in meshes():
+        surface = solid_of(geometry).fine_surface
+        points = random.integers(-16, 17, (1500, 3)) / 16
+        if not grid:
+            points = surface.vertices[random.integers(0, len(surface.vertices), (300, 4))]
+            points = (points * random.dirichlet(np.ones(4), 300)[:, :, None]).sum(1)
+            points = np.concatenate((points, points * [1, 1, 0] - [0, 0, 2], points[:, ::-1]))
+        off = pairs.points_to_triangles(points, surface.triangles).min(1) > 1e-9
+        around = windings(points[off], surface.triangles)
+        assert 0 < (around > 0.5).sum() < len(around)
+        for turn in (np.eye(3), shape(box(), turn=(1, 0.2, 0.3, 0.4)).matrix):
+            turned = Surface(surface.vertices @ turn.T, surface.faces)
+            assert (turned.encloses(points[off] @ turn.T) == (around > 0.5)).all()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_depth_of_meshes_is_that_of_all_corners_and_triangles(seed):
+    random = np.random.default_rng(seed)
+    a, b = (
+        shape(meshes()[random.integers(4)], random.uniform(-0.5, 0.5, 3), random.normal(size=4))
+        for _ in range(2)
+    )
+    (s, _), (t, _) = pairs.triangles(a), pairs.triangles(b)
+    depths = []
+    for corners, other in ((s.reshape(-1, 3), t), (t.reshape(-1, 3), s)):
+        inside = corners[windings(corners, other) > 0.5]
+        depths += pairs.points_to_triangles(inside, other).min(1).tolist()
+    i, j = np.array(sorted(pairs.crossings(s, t))).reshape(-1, 2).T
+    depths += triangle_depths(s[i], t[j])[0].tolist()
+    assert depths
+    assert pairs.gap(a, b).gap == pytest.approx(-max(depths), abs=1e-9)
+
+
+def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
+    looked = []
+    turns = surfaces._turns
+    monkeypatch.setattr(
+        surfaces, "_turns", lambda triangles: (looked.append(len(triangles)), turns(triangles))[1]
+    )
+    for count in (16, 64):
+        torus = of_trimesh(trimesh.creation.torus(1.0, 0.3, 2 * count, count))
+        corners = len(torus.vertices)
+        looked.clear()
+        tick = two(torus, torus, (0.5, 0.2, 0.1))
+        assert tick.penetration(0, 1) == pytest.approx(0.29, abs=0.02)
+        assert tick.calls.calls < 300
+        assert sum(looked) < 30 * corners
+        assert max(looked) <= surfaces.TOGETHER
 
 
 def test_an_answer_does_not_depend_on_the_one_before():
