@@ -21,7 +21,17 @@ from ssduck.broad import Flags
 from ssduck.colliding import Found, Scene, Sorts, all_within, colliding
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
-from ssduck.overlap import Hull, covers, footprint, hull_around, share_inside
+from ssduck.overlap import (
+    Box,
+    Hull,
+    box_around,
+    covers,
+    footprint,
+    hull_around,
+    most_in_box,
+    most_in_hull,
+    share_inside,
+)
 from ssduck.separation import Counter, Placed, Point, Separation, separation
 from ssduck.solids import Solid
 
@@ -31,6 +41,10 @@ COLLIDES = 1e-6
 TOUCHES = 1e-3
 # What boxes and spheres tell of a distance, metres, may be off by as much.
 ROUNDING = 1e-9
+# Of what is contained, at least this share of the volume is inside.
+CONTAINED = 0.95
+# What boxes and spheres tell of a share may be off by as much.
+TOLD = 0.01
 # The normal of what rests on something is at most 30 degrees off the vertical.
 UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
 
@@ -76,6 +90,7 @@ class Narrow:
         self._closest: dict[tuple[int, int], Separation | None] = {}
         self._shares: dict[tuple[int, int], float | None] = {}
         self._hulls: dict[int, Hull | None] = {}
+        self._arounds: dict[int, Box] = {}
         self._footprints: dict[int, Array] = {}
         self._all: list[tuple[int, int]] | None = None
         self._all_within: dict[float, list[tuple[int, int]]] = {}
@@ -245,10 +260,40 @@ class Narrow:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             if (a, b) not in self._shares:
-                if a not in self._hulls:
-                    self._hulls[a] = hull_around(self._of(a))
-                self._shares[a, b] = share_inside(self._hulls[a], self._of(b))
+                self._shares[a, b] = share_inside(self._hull(a), self._of(b))
             return self._shares[a, b]
+
+    def contains(self, a: int, b: int) -> bool | None:
+        """Whether a share of b's volume that counts as all is inside the convex hull of a.
+
+        False if b has no volume.
+        """
+        with self._lock:
+            if not (self._are_known[a] and self._are_known[b]):
+                return None
+            volume = self.solid_volume(b)
+            if not volume:
+                return False
+            if volume < math.inf and (a, b) not in self._shares and self._is_surely_out(a, b):
+                return False
+            share = self.inside(a, b)
+            return share is not None and share >= CONTAINED
+
+    def _is_surely_out(self, a: int, b: int) -> bool:
+        """Whether not enough of b, which has a volume, can be inside the hull of a."""
+        if a not in self._arounds:
+            self._arounds[a] = box_around(self._boxed(a))
+        if most_in_box(self._arounds[a], self._boxed(b)) < CONTAINED - TOLD:
+            return True
+        return most_in_hull(self._hull(a), self._of(b)) < CONTAINED - TOLD
+
+    def _hull(self, e: int) -> Hull | None:
+        if e not in self._hulls:
+            self._hulls[e] = hull_around(self._of(e))
+        return self._hulls[e]
+
+    def _boxed(self, e: int) -> list[tuple[Solid, Box]]:
+        return [(self._solids[shape], self._corners[shape]) for shape in self._shapes[e]]
 
     def solid_volume(self, e: int) -> float | None:
         """The volumes of the shapes, m³, those that overlap more than once.

@@ -387,13 +387,13 @@ _LISTED = (
         "real",
         _narrow('"narrow inside"($world, a.id, b.id)', otherwise="0.0::DOUBLE"),
         "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
-        "0 if b has no volume.",
+        "0 if b has no volume. Open meshes have none: see solidVolume.",
         far="nothing",
     ),
     _on_shapes(
         "contains",
         "flag",
-        _narrow('"narrow inside"($world, a.id, b.id) >= 0.95'),
+        _narrow('"narrow contains"($world, a.id, b.id)'),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a.",
         candidates=Candidates("meeting"),
     ),
@@ -655,6 +655,7 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow points": (("BIGINT", "BIGINT"), "DOUBLE[][]"),
     "narrow on": (("BIGINT", "BIGINT"), "BOOLEAN"),
     "narrow inside": (("BIGINT", "BIGINT"), "DOUBLE"),
+    "narrow contains": (("BIGINT", "BIGINT"), "BOOLEAN"),
     "narrow volume": (("BIGINT",), "DOUBLE"),
 }
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pairs import Shape, ell
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck import surfaces, volumes
+from ssduck import overlap, surfaces, volumes
 from ssduck.geometry import Boxer, Geometry, PlacedGeometry, rotation_matrices
 from ssduck.meshes import triangle_depths
 from ssduck.narrow import Narrow
@@ -333,9 +333,10 @@ def test_a_pose_that_is_no_number_is_unknown(over, number):
             tick.on(0, 1),
             tick.inside(0, 1),
             tick.inside(1, 0),
+            tick.contains(0, 1),
             tick.solid_volume(1),
         ]
-        assert told == [None] * 8
+        assert told == [None] * 9
 
 
 NO_SHAPES = [
@@ -768,7 +769,7 @@ INSIDE = [
     (box(2, 2, 2), ell(1, 1, 1), (0, 0, 0), 1.0),
     (ell(2, 2, 2), box(0.1, 0.1, 0.1), (0.2, 0, -0.2), 1.0),
     (BOWL, box(), (0, 0, 0.5), 1.0),
-    (box(4, 4, 4), BOWL, (2, 0, 0), 0.5),
+    (box(4, 4, 4), BOWL, (1, 0, 0), None),
     (plane(), box(), (0, 0, 0.25), 0.25),
     (plane(), box(), (0, 0, 0.5), 0.0),
     (box(), plane(), ORIGIN, 0.0),
@@ -848,6 +849,10 @@ def test_inside_of_several_shapes():
     row = [(box(), (x, 0, 0)) for x in (0, 1, 5)]
     assert narrow(posts, row).inside(0, 1) == pytest.approx(1.5 / 3)
     assert narrow(posts, [*row, (floor(), ORIGIN)]).inside(0, 1) == pytest.approx(1.5 / 3)
+    # an open mesh has no volume, however small the rest is
+    speck = (box(1e-3, 1e-3, 1e-3), ORIGIN)
+    assert narrow(posts, [(BOWL, (9, 0, 0))]).inside(0, 1) is None
+    assert narrow(posts, [(BOWL, (9, 0, 0)), speck]).inside(0, 1) == 1.0
     assert narrow(posts, [(box(), (1, 0, 0))] * 2).inside(0, 1) == pytest.approx(0.5)
     beams = [(box(1, 1.5, 1), (x, 0, 0)) for x in (0, 1)]
     assert narrow(beams, posts).inside(0, 1) == pytest.approx(0.25)
@@ -932,7 +937,7 @@ def test_shares_as_by_counting_points(kinds):
         points = random.uniform(low, high, (3000, 3))
         points = points[held(b, points)]
         found = share(a, b)
-        if b.kind in ("plane", "flat"):
+        if b.kind in ("plane", "flat", "open mesh"):
             assert found == (0.0 if b.kind == "plane" else None)
             continue
         off.append(found - held(a, points, whole=True).mean())
@@ -940,7 +945,7 @@ def test_shares_as_by_counting_points(kinds):
     assert abs(sum(off)) <= 0.2
 
 
-SOLID_KINDS = [kind for kind in pairs.KINDS if kind not in ("plane", "flat")]
+SOLID_KINDS = [kind for kind in pairs.KINDS if kind not in ("plane", "flat", "open mesh")]
 SEEDS = st.integers(0, 2**32)
 
 
@@ -1012,6 +1017,80 @@ def test_shares_do_not_depend_on_the_unit_of_length(kind, size):
         return share(shape(a), b), share(b, shape(a)), share(shape(plane()), shape(a, at, turn))
 
     assert found(size) == pytest.approx(found(1.0), abs=1e-6)
+
+
+def contained(*entities):
+    """Whether the first contains the second, asked before the share is known."""
+    found = narrow(*entities).contains(0, 1)
+    inside = narrow(*entities).inside(0, 1)
+    assert found is (inside is not None and inside >= 0.95)
+    return found
+
+
+def larger(one, factor):
+    """A shape that many times as large."""
+    geometry = one.geometry
+    size = geometry.size if one.kind == "plane" else tuple(factor * np.array(geometry.size))
+    grown = Geometry(geometry.type, size, factor * geometry.vertices, geometry.faces)
+    return Shape(one.kind, grown, one.position, one.quaternion)
+
+
+@pytest.mark.parametrize("kinds", list(itertools.product(pairs.KINDS, pairs.KINDS)), ids=" ".join)
+def test_what_is_contained_has_as_large_a_share(kinds):
+    for seed, factor in itertools.product(range(3), (1.0, 2.0, 4.0)):
+        a, b = pairs.pair(kinds, seed)
+        a = larger(a, factor)
+        contained(*([(one.geometry, one.position, one.quaternion)] for one in (a, b)))
+
+
+# What sticks out of something that is 1 from its middle, along +x.
+STICKS_OUT = [0.05 - 1e-9, 0.05 + 1e-9, 0.05 - 1e-4, 0.05 + 1e-4, 0.03, 0.06, 0.13, 0.14, 0.3]
+
+
+@pytest.mark.parametrize("out", STICKS_OUT)
+def test_what_is_contained_at_the_edges(out):
+    around = (box(2, 2, 2), cylinder(1.0, 2.0), plane((1, 0, 0)))
+    for b in (box(), sphere(), capsule(0.5, 1e-3), cylinder(), ell(1, 1, 1)):
+        for a, turn in itertools.product(around, (STRAIGHT, (1, 0, 0.3, 0))):
+            contained([(a, ORIGIN)], [(b, (0.5 + out, 0, 0), turn)])
+    assert contained([(box(2, 2, 2), ORIGIN)], [(box(), (0.5 + out, 0, 0))]) is (out < 0.05)
+
+
+def test_small_and_many_shapes_that_are_contained():
+    tiny = (box(1e-9, 1, 1), (1 + 4e-10, 0, 0))
+    assert contained([(box(2, 2, 2), ORIGIN)], [tiny])
+    assert not contained([(box(2, 2, 2), ORIGIN)], [(box(1e-9, 1, 1), (1 + 3e-9, 0, 0))])
+    posts = [(box(0.1, 0.1, 1), (x, y, 0)) for x in (-1, 1) for y in (-1, 1)]
+    assert contained(posts, [(box(), (0.5, 0.5, 0))])
+    assert contained(posts, [(box(0.2, 0.2, 0.2), (x, 0, 0)) for x in (-0.9, 0, 0.9)])
+    assert not contained(posts, [(box(0.2, 0.2, 0.2), (x, 0, 0)) for x in (-0.9, 0, 0.9, 1.1)])
+    assert not contained(posts, [(floor(0.1), ORIGIN)])
+    assert contained(posts, [(floor(9.0), ORIGIN), (box(), ORIGIN)])
+    assert not contained([(floor(), ORIGIN)], [(box(), ORIGIN)])
+    assert not contained([(Geometry.hull(np.zeros((0, 3))), ORIGIN)], [(box(), ORIGIN)])
+    ground = [(plane(), ORIGIN), (box(2, 2, 2), ORIGIN)]
+    assert contained(ground, [(sphere(), (90, 0, 0.5))])
+    assert not contained(ground, [(sphere(), (90, 0, 0.7))])
+    assert not contained(ground, [(plane(), ORIGIN)])
+    assert contained([*ground, (plane((1, 0, 0)), ORIGIN)], [(plane(), ORIGIN)])
+
+
+def test_few_shares_tell_what_is_contained(monkeypatch):
+    cut, volume = [], overlap._volume_inside
+    monkeypatch.setattr(
+        overlap, "_volume_inside", lambda hull, some: (cut.append(some), volume(hull, some))[1]
+    )
+    random = np.random.default_rng(9)
+    boxes = [
+        [(box(*random.uniform(0.3, 1.0, 3)), random.uniform(0, 3.5, 3), random.normal(size=4))]
+        for _ in range(100)
+    ]
+    tick, slow = narrow(*boxes), narrow(*boxes)
+    every = list(itertools.permutations(range(100), 2))
+    found = [tick.contains(i, j) for i, j in every]
+    fast = len(cut)
+    assert found == [slow.inside(i, j) >= 0.95 for i, j in every]
+    assert 0 < 10 * fast < len(cut) - fast
 
 
 def test_large_meshes_are_compared_where_they_meet(monkeypatch):
