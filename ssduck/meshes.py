@@ -15,6 +15,7 @@ are the ends of their cores.
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import cache
 from typing import Any
@@ -36,6 +37,8 @@ from ssduck.surfaces import Surface
 MOST_CONTACTS = 100_000
 # As many triangles that cross tell nearly always that some are deep in each other.
 SOME_CONTACTS = 16
+# From the depths of so many corners those of the others are bounded.
+TELLING = 200
 
 
 def mesh_apart(a: Placed, b: Placed, calls: Counter) -> Separation | None:
@@ -153,12 +156,17 @@ def _deepest_in_mesh(points: Array, mesh: Placed, calls: Counter) -> Core:
     """
     most = np.full(len(points), math.inf)
     depth, p, q = -1.0, points[0], points[0]
-    while most.max() > depth:
-        point = points[int(most.argmax())]
-        found = nearest_of_surfaces(_at(point), mesh.fine_object, calls)
+    for asked in itertools.count():
+        number = int(most.argmax())
+        if most[number] <= depth:
+            break
+        found = nearest_of_surfaces(_at(points[number]), mesh.fine_object, calls)
         if found[0] > depth:
             depth, p, q = found
-        most = np.minimum(most, found[0] + np.linalg.norm(points - point, axis=1))
+        most[number] = found[0]
+        if asked < TELLING:  # where many are as deep, more would tell nothing
+            off = points - points[number]
+            most = np.minimum(most, found[0] + np.sqrt(np.einsum("ij,ij->i", off, off)))
     if depth <= TOUCH:
         return 0.0, p, p, _facing(mesh, p)[0]
     return -depth, p, q, (q - p) / depth

@@ -22,7 +22,7 @@ ROUND = 0.002
 # Points times directions that are looked at together: 8 MB an array.
 REACHES = 1_000_000
 
-
+# The lower corner and the upper one.
 Box: TypeAlias = list[float]
 
 
@@ -122,7 +122,7 @@ def most_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
     """What `share_inside` says at most: no more of a shape is inside than its box has room for.
 
     Args:
-        around: the lower and the upper corner of a box that the hull is in.
+        around: a box that the hull is in.
         b: the solids, and the box of each; they have a volume, and none is a plane.
     """
     inside = whole = 0.0
@@ -136,7 +136,7 @@ def most_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
 
 
 def most_in_hull(hull: Hull | None, b: Sequence[Placed]) -> float:
-    """The same: what is over a face of the hull of the spheres in the shapes is not inside."""
+    """The same: what a face of the hull cuts off from the sphere in a shape is not inside."""
     if hull is None:
         return 0.0
     inside = whole = 0.0

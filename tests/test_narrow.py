@@ -560,6 +560,17 @@ def test_the_depth_of_meshes_is_that_of_all_corners_and_triangles(seed):
     assert pairs.gap(a, b).gap == pytest.approx(-max(depths), abs=1e-9)
 
 
+def test_many_corners_that_are_as_deep():
+    slab = trimesh.creation.box((1, 1, 0.2))
+    for _ in range(4):
+        slab = slab.subdivide()
+    dent = np.linalg.norm(slab.vertices - [0.5, 0.5, 0.1], axis=1) < 1e-6
+    slab.vertices[dent] *= 0.99
+    tick = two(ell(4, 4, 4), of_trimesh(slab), (-0.5, 0, -1.1))
+    assert tick.penetration(0, 1) == pytest.approx(1.0, abs=1e-9)
+    assert tick.calls.calls < len(slab.vertices)
+
+
 def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
     looked = []
     turns = surfaces._turns
