@@ -21,7 +21,17 @@ from ssduck.broad import Flags
 from ssduck.colliding import Found, Scene, Sorts, all_within, colliding
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
-from ssduck.overlap import Hull, covers, footprint, hull_around, share_inside
+from ssduck.overlap import (
+    Box,
+    Hull,
+    box_around,
+    covers,
+    footprint,
+    hull_around,
+    most_in_box,
+    most_in_hull,
+    share_inside,
+)
 from ssduck.separation import Counter, Placed, Point, Separation, separation
 from ssduck.solids import Solid
 
@@ -31,6 +41,10 @@ COLLIDES = 1e-6
 TOUCHES = 1e-3
 # What boxes and spheres tell of a distance, metres, may be off by as much.
 ROUNDING = 1e-9
+# Of what is contained, at least this share of the volume is inside.
+CONTAINED = 0.95
+# What boxes and spheres tell of a share may be off by as much.
+TOLD = 0.01
 # The normal of what rests on something is at most 30 degrees off the vertical.
 UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
 
@@ -76,6 +90,7 @@ class Narrow:
         self._closest: dict[tuple[int, int], Separation | None] = {}
         self._shares: dict[tuple[int, int], float | None] = {}
         self._hulls: dict[int, Hull | None] = {}
+        self._arounds: dict[int, Box] = {}
         self._footprints: dict[int, Array] = {}
         self._all: Found | None = None
         self._all_within: dict[float, Found] = {}
@@ -186,8 +201,8 @@ class Narrow:
         with self._lock:
             if not (self._are_known[i] and self._are_known[j]):
                 return None
-            meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
-            return max((0.0, *(-self._separation(s, t).gap for s, t in meeting)))
+            found = (self._separation(s, t) for s, t in self._near(i, j, 0.0))
+            return max((0.0, *(-one.gap for one in found)))
 
     def separation(self, i: int, j: int) -> Separation | None:
         """The deepest two shapes if any meet, else the nearest two; None without shapes."""
@@ -205,36 +220,36 @@ class Narrow:
         found = self.separation(i, j)
         return None if found is None else (found.point_a, found.point_b)
 
-    def contacts(self, i: int, j: int, within: float = TOUCHES) -> list[Separation] | None:
-        """Of all pairs of shapes that are no farther apart: the separation of i's from j's."""
-        if i == j:
-            return []
-        with self._lock:
-            if not (self._are_known[i] and self._are_known[j]):
-                return None
-            near = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= within]
-            found = [self._separation(s, t) for s, t in near]
-            return [one for one in found if one.gap <= within]
-
     def on(self, a: int, b: int) -> bool | None:
         """Whether b rests on a.
 
         They are within 1 mm, a normal there from a to b is within 30 degrees of up, and the
         middle of b's box is over the hull of a's footprint.
         """
-        contacts = self.contacts(a, b)
-        if not contacts:
-            return None if contacts is None else False
-        if not any(one.normal is not None and -one.normal[2] >= UPRIGHT for one in contacts):
+        if a == b:
             return False
         with self._lock:
-            rows = self._boxes[self._starts[b] : self._starts[b + 1]]
-            x, y = ((rows[:, :3].min(axis=0) + rows[:, 3:].max(axis=0)) / 2)[:2].tolist()
-            if not (math.isfinite(x) and math.isfinite(y)):
+            if not (self._are_known[a] and self._are_known[b]):
+                return None
+            near = self._near(a, b, TOUCHES)
+            if not near or not self._is_over(a, b):
                 return False
-            if a not in self._footprints:
-                self._footprints[a] = footprint(self._of(a))
-            return covers(self._of(a), self._footprints[a], x, y)
+            found = (self._separation(s, t) for s, t in near)
+            return any(
+                one.gap <= TOUCHES and one.normal is not None and -one.normal[2] >= UPRIGHT
+                for one in found
+            )
+
+    def _is_over(self, a: int, b: int) -> bool:
+        """Whether the middle of b's box is over the hull of a's footprint."""
+        rows = self._boxes[self._starts[b] : self._starts[b + 1]]
+        with np.errstate(invalid="ignore"):  # a plane's box has no middle
+            x, y = ((rows[:, :2].min(axis=0) + rows[:, 3:5].max(axis=0)) / 2).tolist()
+        if not (math.isfinite(x) and math.isfinite(y)):
+            return False
+        if a not in self._footprints:
+            self._footprints[a] = footprint(self._of(a))
+        return covers(self._of(a), self._footprints[a], x, y)
 
     def inside(self, a: int, b: int) -> float | None:
         """The share of b's volume that is inside the convex hull of a, 0..1.
@@ -245,10 +260,40 @@ class Narrow:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             if (a, b) not in self._shares:
-                if a not in self._hulls:
-                    self._hulls[a] = hull_around(self._of(a))
-                self._shares[a, b] = share_inside(self._hulls[a], self._of(b))
+                self._shares[a, b] = share_inside(self._hull(a), self._of(b))
             return self._shares[a, b]
+
+    def contains(self, a: int, b: int) -> bool | None:
+        """Whether a share of b's volume that counts as all is inside the convex hull of a.
+
+        False if b has no volume.
+        """
+        with self._lock:
+            if not (self._are_known[a] and self._are_known[b]):
+                return None
+            volume = self.solid_volume(b)
+            if not volume:
+                return False
+            if volume < math.inf and (a, b) not in self._shares and self._is_surely_out(a, b):
+                return False
+            share = self.inside(a, b)
+            return share is not None and share >= CONTAINED
+
+    def _is_surely_out(self, a: int, b: int) -> bool:
+        """Whether not enough of b, which has a volume, can be inside the hull of a."""
+        if a not in self._arounds:
+            self._arounds[a] = box_around(self._boxed(a))
+        if most_in_box(self._arounds[a], self._boxed(b)) < CONTAINED - TOLD:
+            return True
+        return most_in_hull(self._hull(a), self._of(b)) < CONTAINED - TOLD
+
+    def _hull(self, e: int) -> Hull | None:
+        if e not in self._hulls:
+            self._hulls[e] = hull_around(self._of(e))
+        return self._hulls[e]
+
+    def _boxed(self, e: int) -> list[tuple[Solid, Box]]:
+        return [(self._solids[shape], self._corners[shape]) for shape in self._shapes[e]]
 
     def solid_volume(self, e: int) -> float | None:
         """The volumes of the shapes, m³, those that overlap more than once.
@@ -272,7 +317,7 @@ class Narrow:
     def _collide(self, i: int, j: int) -> bool | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
-        meeting = [(s, t) for bound, s, t in self._pairs(i, j) if bound <= 0.0]
+        meeting = self._near(i, j, 0.0)
         if any(self._surely_collide(s, t) for s, t in meeting):
             return True
         return any(self._are_deep(s, t) for s, t in meeting)
@@ -316,6 +361,10 @@ class Narrow:
             s, t = first[0], second[0]
             return [(bound(s, t), s, t)]
         return sorted((bound(s, t), s, t) for s in first for t in second)
+
+    def _near(self, i: int, j: int, within: float) -> list[tuple[int, int]]:
+        """Those that may be no farther apart."""
+        return [(s, t) for bound, s, t in self._pairs(i, j) if bound <= within]
 
     def _bound(self, s: int, t: int) -> float:
         """The distance of two shapes' boxes, or of the spheres around them if that is more."""

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from ssduck.geometry import Array, Geometry
 from ssduck.separation import Placed
-from ssduck.solids import hull_of, solid_of
+from ssduck.solids import FLAT, Solid, hull_of, solid_of
 from ssduck.surfaces import without_copies
 from ssduck.volumes import common_volume
 
 # What sticks out of a hull by less, metres, is in it; what sticks into it by less is not.
 ROUNDING = 1e-9
+# Corners of polyhedra stick out of what is round by no more, as a share of its radius.
+ROUND = 0.002
 # Points times directions that are looked at together: 8 MB an array.
 REACHES = 1_000_000
+
+# The lower corner and the upper one.
+Box: TypeAlias = list[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,9 @@ def hull_around(a: Sequence[Placed]) -> Hull | None:
     Round shapes are polyhedra: see `share_inside`.
     """
     planes = [one for one in a if one.solid.type == "plane"]
+    own = _own_hull(a[0]) if len(a) == 1 else None
+    if own is not None:
+        return own
     if not planes:
         solid = hull_of(_points(a))
         if solid.offsets is None:
@@ -61,22 +70,30 @@ def hull_around(a: Sequence[Placed]) -> Hull | None:
     return Hull(normal[None], np.array([max(heights)]), endless)
 
 
+def _own_hull(a: Placed) -> Hull | None:
+    """That of a polyhedron that is its own, and surely is not flat."""
+    sharp = a.solid.type in ("box", "hull") and a.solid.inner_radius > FLAT * a.solid.reach
+    if not sharp or a.offsets is None:
+        return None
+    return Hull(a.normals, a.offsets, a.points[a.solid.faces])
+
+
 def share_inside(hull: Hull | None, b: Sequence[Placed]) -> float | None:
     """The share of b's volume that is inside a convex hull, 0..1.
 
     Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, balls and
     the ends of capsules are polyhedra of about 1000 corners, cylinders prisms with 64 sides, of
     the same volume. Their surfaces are off by at most 0.002 of the radius, shares by at most
-    0.005 if b is no thinner than half the radius of what is round in the hull. An open mesh has
-    the volume of its convex hull. Shapes of b count one by one.
+    0.005 if b is no thinner than half the radius of what is round in the hull. Shapes of b count
+    one by one; an open mesh has no volume, and does not count.
 
     Returns:
         None if b has no volume.
     """
     if any(one.solid.type == "plane" for one in b):
         return 1.0 if hull is not None and hull.is_everything else 0.0
-    solid = [one for one in b if one.solid.bulk > 0.0]
-    whole = sum(one.solid.bulk for one in solid)
+    solid = [one for one in b if one.solid.volume > 0.0]
+    whole = sum(one.solid.volume for one in solid)
     if not solid:
         return None
     if hull is None:
@@ -85,12 +102,60 @@ def share_inside(hull: Hull | None, b: Sequence[Placed]) -> float | None:
     for one in solid:
         bottom, top = _span(hull, one)
         if top <= ROUNDING:
-            inside += one.solid.bulk
+            inside += one.solid.volume
         elif bottom < -ROUNDING:
             cut.append(one)
     if cut:
         inside += _volume_inside(hull, cut)
     return min(1.0, max(0.0, inside / whole))
+
+
+def box_around(a: Iterable[tuple[Solid, Box]]) -> Box:
+    """A box that the hull of shapes is in: by the solids, and the box of each."""
+    boxes = np.array([_grown(solid, box) for solid, box in a]).reshape(-1, 6)
+    low, high = boxes[:, :3].min(0, initial=math.inf), boxes[:, 3:].max(0, initial=-math.inf)
+    corners: Box = [*low.tolist(), *high.tolist()]
+    return corners
+
+
+def most_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
+    """What `share_inside` says at most: no more of a shape is inside than its box has room for.
+
+    Args:
+        around: a box that the hull is in.
+        b: the solids, and the box of each; they have a volume, and none is a plane.
+    """
+    inside = whole = 0.0
+    for solid, box in b:
+        own, room = _grown(solid, box), 1.0
+        for k in range(3):
+            room *= max(min(around[k + 3], own[k + 3]) - max(around[k], own[k]), 0.0)
+        inside += min(solid.volume, room)
+        whole += solid.volume
+    return inside / whole
+
+
+def most_in_hull(hull: Hull | None, b: Sequence[Placed]) -> float:
+    """The same: what a face of the hull cuts off from the sphere in a shape is not inside."""
+    if hull is None:
+        return 0.0
+    inside = whole = 0.0
+    for one in b:
+        middle, radius = one.world(*one.solid.inner_centre), one.solid.inner_radius
+        over = float((hull.normals @ middle - hull.offsets).max(initial=-math.inf)) - ROUNDING
+        height = min(max(radius + over, 0.0), 2.0 * radius)
+        inside += one.solid.volume - math.pi * height**2 * (radius - height / 3.0)
+        whole += one.solid.volume
+    return inside / whole
+
+
+def _grown(solid: Solid, box: Box) -> Box:
+    """The box of what stands in for a solid here: of a polyhedron if it is round."""
+    if solid.type == "plane":
+        return [-math.inf] * 3 + [math.inf] * 3
+    off = ROUNDING + ROUND * max(solid.radius, solid.disc)
+    a, b, c, d, e, f = box
+    return [a - off, b - off, c - off, d + off, e + off, f + off]
 
 
 def _points(a: Sequence[Placed]) -> Array:
@@ -133,7 +198,7 @@ def _volume_inside(hull: Hull, cut: Sequence[Placed]) -> float:
         surface = one.solid.filled
         parts.append((surface.vertices @ one.matrix.T + one.position)[surface.faces])
         # A capsule has the volume of its polyhedron only nearly.
-        weights.append(np.full(len(surface.faces), one.solid.bulk / surface.volume))
+        weights.append(np.full(len(surface.faces), one.solid.volume / surface.volume))
     triangles = np.concatenate(parts)
     around = hull.triangles
     if not len(around):

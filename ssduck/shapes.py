@@ -182,6 +182,11 @@ class Shapes:
         i, j = self._pair(a, b)
         return 0.0 if self._narrow.solid_volume(j) == 0.0 else self._narrow.inside(i, j)
 
+    def contains(self, a: int, b: int) -> bool | None:
+        """Whether as much of b's volume is inside a's convex hull as counts as all."""
+        i, j = self._pair(a, b)
+        return False if self._narrow.solid_volume(j) == 0.0 else self._narrow.contains(i, j)
+
     def volume(self, entity: int) -> float | None:
         """The sum of the volumes of its shapes, m³."""
         return self._narrow.solid_volume(self._numbers[entity])
@@ -209,6 +214,7 @@ ANSWERS: dict[str, Answer] = {
         Shapes.points,
         Shapes.on,
         Shapes.inside,
+        Shapes.contains,
         Shapes.volume,
     )
 }

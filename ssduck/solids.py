@@ -118,17 +118,12 @@ class Solid:
 
     @cached_property
     def filled(self) -> Surface:
-        """A closed surface around it: of what is round, and of an open mesh, that of a hull."""
-        if self.radius or not self.closed:
+        """A closed surface around it: of what is round, that of a hull."""
+        if self.radius:
             size = self.reach or 1.0  # qhull takes what is very large or small for flat
             hull = hull_of(self.points / size)
             return Surface(hull.core * size, hull.faces)
         return self.fine_surface
-
-    @cached_property
-    def bulk(self) -> float:
-        """The volume, m³, of an open mesh that of its convex hull."""
-        return self.volume if self.closed else self.filled.volume
 
 
 def solid_of(geometry: Geometry) -> Solid:

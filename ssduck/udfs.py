@@ -391,13 +391,13 @@ _LISTED = (
         "real",
         _narrow(_ask("inside"), otherwise="0.0::DOUBLE"),
         "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
-        "0 if b has no volume.",
+        "0 if b has no volume. Open meshes have none: see solidVolume.",
         far="nothing",
     ),
     _on_shapes(
         "contains",
         "flag",
-        _narrow(f"{_ask('inside')} >= 0.95"),
+        _narrow(_ask("contains")),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a.",
         candidates=Candidates("meeting"),
     ),
@@ -661,6 +661,7 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow points": (_PAIR, "DOUBLE[][]"),
     "narrow on": (_PAIR, "BOOLEAN"),
     "narrow inside": (_PAIR, "DOUBLE"),
+    "narrow contains": (_PAIR, "BOOLEAN"),
     "narrow volume": (_ONE, "DOUBLE"),
 }
 

@@ -17,12 +17,14 @@ from hypothesis import strategies as st
 from pairs import Shape, ell
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck import volumes
+from ssduck import overlap, surfaces, volumes
 from ssduck.geometry import Boxer, Geometry, PlacedGeometry, rotation_matrices
+from ssduck.meshes import triangle_depths
 from ssduck.narrow import Narrow
 from ssduck.overlap import hull_around, share_inside
 from ssduck.separation import Counter, Placed
 from ssduck.solids import solid_of
+from ssduck.surfaces import Surface
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -328,10 +330,10 @@ def test_a_pose_that_is_no_number_is_unknown(over, number):
             tick.nearest_points(0, 1),
         ]
         told += [
-            tick.contacts(0, 1),
             tick.on(0, 1),
             tick.inside(0, 1),
             tick.inside(1, 0),
+            tick.contains(0, 1),
             tick.solid_volume(1),
         ]
         assert told == [None] * 9
@@ -500,6 +502,92 @@ def test_nearest_points_of_a_sphere_and_a_mesh_are_in_the_world():
     assert math.dist(p, q) == pytest.approx(tick.clearance(0, 1))
 
 
+def windings(points, triangles):
+    """How often a surface winds around points: solid angles, van Oosterom and Strackee 1983."""
+    to = triangles[None] - points[:, None, None]
+    a, b, c = (to[:, :, k] for k in range(3))
+    la, lb, lc = (np.linalg.norm(one, axis=2) for one in (a, b, c))
+    above = (a * np.cross(b, c)).sum(2)
+    ab, bc, ca = ((u * v).sum(2) for u, v in ((a, b), (b, c), (c, a)))
+    below = la * lb * lc + ab * lc + bc * la + ca * lb
+    return 2 * np.arctan2(above, below).sum(1) / (4 * math.pi)
+
+
+def meshes():
+    """Closed ones that are not convex; the last has two parts, one inside the other."""
+    torus = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+    inner = frame(1.8, 1.2, 0.5)
+    outer = frame()
+    faces = np.concatenate((outer.faces, inner.faces[:, ::-1] + len(outer.vertices)))
+    shell = Geometry("mesh", (0, 0, 0), np.concatenate((outer.vertices, inner.vertices)), faces)
+    return [ell(1.0, 2.0, 1.0), frame(), of_trimesh(torus), shell]
+
+
+@pytest.mark.parametrize("grid", [True, False])
+def test_what_a_mesh_encloses(grid):
+    """Points over its corners and edges too, and in the planes of its faces."""
+    random = np.random.default_rng(3)
+    for geometry in meshes():
+        surface = solid_of(geometry).fine_surface
+        points = random.integers(-16, 17, (1500, 3)) / 16
+        if not grid:
+            points = surface.vertices[random.integers(0, len(surface.vertices), (300, 4))]
+            points = (points * random.dirichlet(np.ones(4), 300)[:, :, None]).sum(1)
+            points = np.concatenate((points, points * [1, 1, 0] - [0, 0, 2], points[:, ::-1]))
+        off = pairs.points_to_triangles(points, surface.triangles).min(1) > 1e-9
+        around = windings(points[off], surface.triangles)
+        assert 0 < (around > 0.5).sum() < len(around)
+        for turn in (np.eye(3), shape(box(), turn=(1, 0.2, 0.3, 0.4)).matrix):
+            turned = Surface(surface.vertices @ turn.T, surface.faces)
+            assert (turned.encloses(points[off] @ turn.T) == (around > 0.5)).all()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_depth_of_meshes_is_that_of_all_corners_and_triangles(seed):
+    random = np.random.default_rng(seed)
+    a, b = (
+        shape(meshes()[random.integers(4)], random.uniform(-0.5, 0.5, 3), random.normal(size=4))
+        for _ in range(2)
+    )
+    (s, _), (t, _) = pairs.triangles(a), pairs.triangles(b)
+    depths = []
+    for corners, other in ((s.reshape(-1, 3), t), (t.reshape(-1, 3), s)):
+        inside = corners[windings(corners, other) > 0.5]
+        depths += pairs.points_to_triangles(inside, other).min(1).tolist()
+    i, j = np.array(sorted(pairs.crossings(s, t))).reshape(-1, 2).T
+    depths += triangle_depths(s[i], t[j])[0].tolist()
+    assert depths
+    assert pairs.gap(a, b).gap == pytest.approx(-max(depths), abs=1e-9)
+
+
+def test_many_corners_that_are_as_deep():
+    slab = trimesh.creation.box((1, 1, 0.2))
+    for _ in range(4):
+        slab = slab.subdivide()
+    dent = np.linalg.norm(slab.vertices - [0.5, 0.5, 0.1], axis=1) < 1e-6
+    slab.vertices[dent] *= 0.99
+    tick = two(ell(4, 4, 4), of_trimesh(slab), (-0.5, 0, -1.1))
+    assert tick.penetration(0, 1) == pytest.approx(1.0, abs=1e-9)
+    assert tick.calls.calls < len(slab.vertices)
+
+
+def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
+    looked = []
+    turns = surfaces._turns
+    monkeypatch.setattr(
+        surfaces, "_turns", lambda triangles: (looked.append(len(triangles)), turns(triangles))[1]
+    )
+    for count in (16, 64):
+        torus = of_trimesh(trimesh.creation.torus(1.0, 0.3, 2 * count, count))
+        corners = len(torus.vertices)
+        looked.clear()
+        tick = two(torus, torus, (0.5, 0.2, 0.1))
+        assert tick.penetration(0, 1) == pytest.approx(0.29, abs=0.02)
+        assert tick.calls.calls < 300
+        assert sum(looked) < 30 * corners
+        assert max(looked) <= surfaces.TOGETHER
+
+
 def test_an_answer_does_not_depend_on_the_one_before():
     near, far = (box(), (0, 0, 1.2)), (box(), (0, 0, 3.0))
     tick = narrow([(box(), ORIGIN)], [near], [far])
@@ -526,7 +614,7 @@ def test_a_pair_is_asked_once_a_tick():
         assert tick.nearest_points(0, 1) == tick.nearest_points(1, 0)[::-1]
         assert not tick.collides(1, 0)
         assert tick.penetration(0, 1) == 0.0
-        assert tick.contacts(0, 1) == []
+        assert tick.on(0, 1) is False
     assert tick.calls.calls == 1
 
 
@@ -545,7 +633,6 @@ def test_an_entity_is_all_its_shapes():
     assert tick.clearance(0, 1) == pytest.approx(0.05)
     assert tick.penetration(0, 2) == pytest.approx(0.05)
     assert tick.collides(2, 0)
-    assert len(tick.contacts(0, 2)) == 1
     assert tick.solid_volume(0) == pytest.approx(0.41)
 
 
@@ -554,7 +641,7 @@ def test_an_entity_and_itself():
     assert tick.collides(0, 0) is False
     assert tick.clearance(0, 0) == 0.0
     assert tick.penetration(0, 0) == 0.0
-    assert tick.contacts(0, 0) == []
+    assert tick.on(0, 0) is False
     assert tick.nearest_points(0, 0) is None
 
 
@@ -644,6 +731,13 @@ def test_on_the_ground():
     assert wall.on(0, 1) is False
 
 
+def test_what_is_not_over_another_is_not_on_it_however_deep():
+    tick = two(ell(4, 4, 4), ell(4, 4, 4), (1.9, 2.01, -1))
+    assert tick.on(0, 1) is False
+    assert tick.calls.calls == 0
+    assert tick.penetration(0, 1) > 0.0
+
+
 def test_on_a_thin_shelf():
     rail = Geometry.hull([[-1, 0, 0], [1, 0, 0]])
     tick = narrow(
@@ -686,7 +780,7 @@ INSIDE = [
     (box(2, 2, 2), ell(1, 1, 1), (0, 0, 0), 1.0),
     (ell(2, 2, 2), box(0.1, 0.1, 0.1), (0.2, 0, -0.2), 1.0),
     (BOWL, box(), (0, 0, 0.5), 1.0),
-    (box(4, 4, 4), BOWL, (2, 0, 0), 0.5),
+    (box(4, 4, 4), BOWL, (1, 0, 0), None),
     (plane(), box(), (0, 0, 0.25), 0.25),
     (plane(), box(), (0, 0, 0.5), 0.0),
     (box(), plane(), ORIGIN, 0.0),
@@ -766,6 +860,10 @@ def test_inside_of_several_shapes():
     row = [(box(), (x, 0, 0)) for x in (0, 1, 5)]
     assert narrow(posts, row).inside(0, 1) == pytest.approx(1.5 / 3)
     assert narrow(posts, [*row, (floor(), ORIGIN)]).inside(0, 1) == pytest.approx(1.5 / 3)
+    # an open mesh has no volume, however small the rest is
+    speck = (box(1e-3, 1e-3, 1e-3), ORIGIN)
+    assert narrow(posts, [(BOWL, (9, 0, 0))]).inside(0, 1) is None
+    assert narrow(posts, [(BOWL, (9, 0, 0)), speck]).inside(0, 1) == 1.0
     assert narrow(posts, [(box(), (1, 0, 0))] * 2).inside(0, 1) == pytest.approx(0.5)
     beams = [(box(1, 1.5, 1), (x, 0, 0)) for x in (0, 1)]
     assert narrow(beams, posts).inside(0, 1) == pytest.approx(0.25)
@@ -850,7 +948,7 @@ def test_shares_as_by_counting_points(kinds):
         points = random.uniform(low, high, (3000, 3))
         points = points[held(b, points)]
         found = share(a, b)
-        if b.kind in ("plane", "flat"):
+        if b.kind in ("plane", "flat", "open mesh"):
             assert found == (0.0 if b.kind == "plane" else None)
             continue
         off.append(found - held(a, points, whole=True).mean())
@@ -858,7 +956,7 @@ def test_shares_as_by_counting_points(kinds):
     assert abs(sum(off)) <= 0.2
 
 
-SOLID_KINDS = [kind for kind in pairs.KINDS if kind not in ("plane", "flat")]
+SOLID_KINDS = [kind for kind in pairs.KINDS if kind not in ("plane", "flat", "open mesh")]
 SEEDS = st.integers(0, 2**32)
 
 
@@ -930,6 +1028,80 @@ def test_shares_do_not_depend_on_the_unit_of_length(kind, size):
         return share(shape(a), b), share(b, shape(a)), share(shape(plane()), shape(a, at, turn))
 
     assert found(size) == pytest.approx(found(1.0), abs=1e-6)
+
+
+def contained(*entities):
+    """Whether the first contains the second, asked before the share is known."""
+    found = narrow(*entities).contains(0, 1)
+    inside = narrow(*entities).inside(0, 1)
+    assert found is (inside is not None and inside >= 0.95)
+    return found
+
+
+def larger(one, factor):
+    """A shape that many times as large."""
+    geometry = one.geometry
+    size = geometry.size if one.kind == "plane" else tuple(factor * np.array(geometry.size))
+    grown = Geometry(geometry.type, size, factor * geometry.vertices, geometry.faces)
+    return Shape(one.kind, grown, one.position, one.quaternion)
+
+
+@pytest.mark.parametrize("kinds", list(itertools.product(pairs.KINDS, pairs.KINDS)), ids=" ".join)
+def test_what_is_contained_has_as_large_a_share(kinds):
+    for seed, factor in itertools.product(range(3), (1.0, 2.0, 4.0)):
+        a, b = pairs.pair(kinds, seed)
+        a = larger(a, factor)
+        contained(*([(one.geometry, one.position, one.quaternion)] for one in (a, b)))
+
+
+# What sticks out of something that is 1 from its middle, along +x.
+STICKS_OUT = [0.05 - 1e-9, 0.05 + 1e-9, 0.05 - 1e-4, 0.05 + 1e-4, 0.03, 0.06, 0.13, 0.14, 0.3]
+
+
+@pytest.mark.parametrize("out", STICKS_OUT)
+def test_what_is_contained_at_the_edges(out):
+    around = (box(2, 2, 2), cylinder(1.0, 2.0), plane((1, 0, 0)))
+    for b in (box(), sphere(), capsule(0.5, 1e-3), cylinder(), ell(1, 1, 1)):
+        for a, turn in itertools.product(around, (STRAIGHT, (1, 0, 0.3, 0))):
+            contained([(a, ORIGIN)], [(b, (0.5 + out, 0, 0), turn)])
+    assert contained([(box(2, 2, 2), ORIGIN)], [(box(), (0.5 + out, 0, 0))]) is (out < 0.05)
+
+
+def test_small_and_many_shapes_that_are_contained():
+    tiny = (box(1e-9, 1, 1), (1 + 4e-10, 0, 0))
+    assert contained([(box(2, 2, 2), ORIGIN)], [tiny])
+    assert not contained([(box(2, 2, 2), ORIGIN)], [(box(1e-9, 1, 1), (1 + 3e-9, 0, 0))])
+    posts = [(box(0.1, 0.1, 1), (x, y, 0)) for x in (-1, 1) for y in (-1, 1)]
+    assert contained(posts, [(box(), (0.5, 0.5, 0))])
+    assert contained(posts, [(box(0.2, 0.2, 0.2), (x, 0, 0)) for x in (-0.9, 0, 0.9)])
+    assert not contained(posts, [(box(0.2, 0.2, 0.2), (x, 0, 0)) for x in (-0.9, 0, 0.9, 1.1)])
+    assert not contained(posts, [(floor(0.1), ORIGIN)])
+    assert contained(posts, [(floor(9.0), ORIGIN), (box(), ORIGIN)])
+    assert not contained([(floor(), ORIGIN)], [(box(), ORIGIN)])
+    assert not contained([(Geometry.hull(np.zeros((0, 3))), ORIGIN)], [(box(), ORIGIN)])
+    ground = [(plane(), ORIGIN), (box(2, 2, 2), ORIGIN)]
+    assert contained(ground, [(sphere(), (90, 0, 0.5))])
+    assert not contained(ground, [(sphere(), (90, 0, 0.7))])
+    assert not contained(ground, [(plane(), ORIGIN)])
+    assert contained([*ground, (plane((1, 0, 0)), ORIGIN)], [(plane(), ORIGIN)])
+
+
+def test_few_shares_tell_what_is_contained(monkeypatch):
+    cut, volume = [], overlap._volume_inside
+    monkeypatch.setattr(
+        overlap, "_volume_inside", lambda hull, some: (cut.append(some), volume(hull, some))[1]
+    )
+    random = np.random.default_rng(9)
+    boxes = [
+        [(box(*random.uniform(0.3, 1.0, 3)), random.uniform(0, 3.5, 3), random.normal(size=4))]
+        for _ in range(100)
+    ]
+    tick, slow = narrow(*boxes), narrow(*boxes)
+    every = list(itertools.permutations(range(100), 2))
+    found = [tick.contains(i, j) for i, j in every]
+    fast = len(cut)
+    assert found == [slow.inside(i, j) >= 0.95 for i, j in every]
+    assert 0 < 10 * fast < len(cut) - fast
 
 
 def test_large_meshes_are_compared_where_they_meet(monkeypatch):
