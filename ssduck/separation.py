@@ -34,6 +34,8 @@ TOUCH = 1e-9
 ROUND = 1e-7
 # Corners of a face that is as flush, metres, all lie in it.
 FLUSH = 1e-6
+# The same as a share of the sizes, where a cylinder takes part.
+_LEVEL = 2e-5
 ROUNDS = 40
 MOST_POINTS = 400
 STEPS = 100
@@ -166,20 +168,20 @@ class Placed:
             farthest = farthest + self.solid.disc * across @ self.matrix[:, :2].T
         return farthest
 
-    def face(self, direction: Array) -> Array:
-        """The core's points (n, 3) that are farthest in a unit direction, up to 1e-6 m."""
+    def face(self, direction: Array, flush: float) -> Array:
+        """The core's points (n, 3) that are farthest in a unit direction, up to `flush` metres."""
         points = self.points
         heights = points @ direction
-        far: Array = points[heights >= heights.max() - FLUSH]
+        far: Array = points[heights >= heights.max() - flush]
         if not self.solid.disc:
             return far
         across = direction @ self.matrix[:, :2]
         length = float(np.linalg.norm(across))
-        if self.solid.disc * length > FLUSH:
+        if self.solid.disc * length > flush:
             far += self.solid.disc / length * across @ self.matrix[:, :2].T
             return far
         rim = self.solid.fine_surface.vertices @ self.matrix.T + self.position
-        far = rim[rim @ direction >= (rim @ direction).max() - 2 * FLUSH]
+        far = rim[rim @ direction >= (rim @ direction).max() - 2 * flush]
         return np.ascontiguousarray(far)
 
     def reaches(self, directions: Array) -> Array:
@@ -448,7 +450,11 @@ def _deepest(a: Placed, b: Placed, tolerance: float) -> Core | None:
         if expanded is None:
             return None
         depth, normal = expanded
-    return _witnesses(depth, normal, a.face(-normal), b.face(normal))
+    flush = FLUSH
+    if a.solid.disc or b.solid.disc:
+        # The depth is known up to the tolerance, and the direction by as much for their sizes.
+        flush = max(FLUSH, _LEVEL * (a.solid.reach + b.solid.reach))
+    return _witnesses(depth, normal, a.face(-normal, flush), b.face(normal, flush))
 
 
 def _ways(a: Placed, b: Placed) -> Array:

@@ -1160,3 +1160,9 @@ def test_volumes(geometry, expected):
 def test_solids_are_built_once_for_equal_contents():
     assert solid_of(box(1, 2, 3)) is solid_of(box(1, 2, 3))
     assert solid_of(box(1, 2, 3)) is not solid_of(box(1, 2, 4))
+
+
+def test_the_deepest_points_of_cylinders_whose_best_direction_is_a_kink():
+    """A millionth of a radian off it, both ends of a side are not quite as deep."""
+    a, b = pairs.pair(("cylinder", "cylinder"), 20001661)
+    assert pairs.error_of(a, b)[0] < 1e-6
