@@ -84,6 +84,8 @@ class _Translator:
         self.elements = self._sources(query, shapes)
         self.columns: list[exp.Expr] = []
         self.pairs: list[exp.Expr] = []
+        # The sources that are joined with them.
+        self.paired: set[str | None] = set()
         self.texts: dict[str, int] = {}
         resolved = resolve(query, self._known_shapes(), names)
         self.query = self.result.query = resolved.query
@@ -185,6 +187,7 @@ class _Translator:
         if found is None:
             return None
         self.pairs.append(found.table)
+        self.paired |= aliases
         return found.condition
 
     def _condition(self, node: Node) -> exp.Expr | None:
@@ -233,8 +236,10 @@ class _Translator:
         inline = any(not shape.given for shape in self.result.shapes)
         nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
         if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
-            for element in self.elements:
-                ordered.extend(key.copy() for key in element.position)
+            for shape, element in zip(self.result.shapes, self.elements, strict=True):
+                # That sensors come last does not matter where there are none: they have no shapes.
+                keys = element.position[shape.alias in self.paired :]
+                ordered.extend(key.copy() for key in keys)
         return ordered, left
 
     def _limit(self, *, left: bool) -> int | None:
