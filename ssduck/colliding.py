@@ -181,20 +181,17 @@ def _found(
     """
     first, second = candidates
     single = scene.sorts.single
-    compared = scene.owners(first, second)
-    if not single:
-        compared = np.unique(compared)
+    owners = scene.owners(first, second)
+    compared = owners if single else np.unique(owners)
     found = np.zeros(0, np.intp)
     for rule in rules:
         verdicts = rule(scene, first, second, bound)
-        owners = scene.owners(first, second)
         found = np.concatenate((found, owners[verdicts == BELOW]))
         left = verdicts == UNDECIDED
         if not single:
             left &= ~np.isin(owners, found)
-        first, second = first[left], second[left]
+        first, second, owners = first[left], second[left], owners[left]
     more: set[int] = set()
-    owners = scene.owners(first, second)
     for owner, s, t in zip(owners.tolist(), first.tolist(), second.tolist(), strict=True):
         if owner not in more and is_below(s, t):
             more.add(owner)

@@ -12,7 +12,7 @@ from typing import Any
 
 from ssduck.errors import FunctionError, LimitError, SelectScriptError
 from ssduck.hints import Hints, hints_of
-from ssduck.keys import NUMPYS, hashable
+from ssduck.keys import ATOMS, NUMPYS, hashable
 from ssduck.messages import bounded, reason
 from ssduck.operators import apply
 
@@ -63,7 +63,7 @@ class Function:
                 value = self.call(*arguments)
                 return value.item() if isinstance(value, NUMPYS) else value
             value = self.call(*map(_copied, arguments))
-            return value if type(value) in _ATOMS else _given(value)
+            return value if type(value) in ATOMS else _given(value)
         except (LimitError, RecursionError):
             raise
         except SelectScriptError as error:
@@ -77,13 +77,10 @@ class Function:
         return FunctionError(f"{self.name}: {type(error).__name__}: {why}")
 
 
-_ATOMS = frozenset((int, float, str, bool, type(None)))
-
-
 def _copied(value: Any) -> Any:
     """A copy of a list or a dict, and of what is in it; handles stay what they are."""
     if type(value) is list:
-        return [part if type(part) in _ATOMS else _copied(part) for part in value]
+        return [part if type(part) in ATOMS else _copied(part) for part in value]
     if type(value) is dict:
         return {key: _copied(element) for key, element in value.items()}
     return copy.deepcopy(value) if isinstance(value, list | dict) else value
@@ -92,9 +89,9 @@ def _copied(value: Any) -> Any:
 def _given(value: Any) -> Any:
     """What a function gave: copies of lists and dicts, Python's numbers for numpy's."""
     if type(value) is list:
-        return [part if type(part) in _ATOMS else _given(part) for part in value]
+        return [part if type(part) in ATOMS else _given(part) for part in value]
     if type(value) is tuple:
-        return tuple([part if type(part) in _ATOMS else _given(part) for part in value])
+        return tuple([part if type(part) in ATOMS else _given(part) for part in value])
     if type(value) is dict:
         return {_given(key): _given(element) for key, element in value.items()}
     return value.item() if isinstance(value, NUMPYS) else value
@@ -113,7 +110,7 @@ def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
 
 def _uniq(values: list[Any]) -> list[Any]:
     """Without repetitions, in order of first appearance."""
-    if _ATOMS.issuperset(map(type, values)):
+    if ATOMS.issuperset(map(type, values)):
         return list(dict.fromkeys(values))
     kept: dict[Any, Any] = {}
     for value in values:

@@ -30,7 +30,7 @@ def _written(value: Any) -> str:
     return written(value) if isinstance(value, Node) else repr(value)
 
 
-_ATOMS = frozenset((int, float, str, bool, type(None)))
+ATOMS = frozenset((int, float, str, bool, type(None)))
 NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
 
 
@@ -46,7 +46,7 @@ def plain(value: Any) -> Any:
         same = all(map(operator.is_, parts.values(), value.values()))
         return value if same and all(map(operator.is_, parts, value)) else parts
     if kind is list or kind is tuple:
-        if _ATOMS.issuperset(map(type, value)):
+        if ATOMS.issuperset(map(type, value)):
             return value
         elements = kind(map(plain, value))
         return value if all(map(operator.is_, elements, value)) else elements
@@ -60,10 +60,10 @@ def hashable(value: Any) -> Any:
         ArgumentError: values of its type cannot be told apart.
     """
     kind = type(value)
-    if kind in _ATOMS:
+    if kind in ATOMS:
         return value
     if kind is list or kind is tuple:
-        return (kind, *[part if type(part) in _ATOMS else hashable(part) for part in value])
+        return (kind, *[part if type(part) in ATOMS else hashable(part) for part in value])
     if kind is dict:
         return (dict, frozenset((key, hashable(part)) for key, part in value.items()))
     try:
@@ -135,8 +135,8 @@ class Keys:
 
     def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
         """A number for what is selected of a row and what it is called, alike for equal ones."""
-        parts = [value if type(value) in _ATOMS else self._part(value) for value in values]
-        called = names if _ATOMS.issuperset(map(type, names)) else hashable(names)
+        parts = [value if type(value) in ATOMS else self._part(value) for value in values]
+        called = names if ATOMS.issuperset(map(type, names)) else hashable(names)
         return self._numbers.setdefault((*parts, called), len(self._numbers))
 
     def _part(self, value: Any) -> Any:
@@ -144,7 +144,7 @@ class Keys:
             return hashable(value)
         seen = self._seen.get(id(value))
         if seen is None:
-            return (list, *[part if type(part) in _ATOMS else self._part(part) for part in value])
+            return (list, *[part if type(part) in ATOMS else self._part(part) for part in value])
         part = self._equal.get(seen[1])
         if part is None:
             part = self._equal[seen[1]] = hashable(value)

@@ -248,7 +248,12 @@ def test_the_thread_tells_while_the_statement_runs(database, wakeup):
 
 def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
     wakeup.close()
-    database._told("", lambda: signal.raise_signal(signal.SIGTERM))
+
+    def work():
+        signal.raise_signal(signal.SIGTERM)
+        return "done"
+
+    assert database._told("", work) == "done"
 
 
 # -- nothing stays behind -------------------------------------------------------------------
