@@ -9,7 +9,9 @@ import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
+from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
 
 import duckdb
@@ -21,6 +23,7 @@ from ssduck import ctrl_c
 from ssduck.catalog import TABLE_MACROS, described, dropped, looking_up
 from ssduck.errors import (
     ArgumentError,
+    EvaluationError,
     LimitError,
     SelectScriptError,
     Span,
@@ -28,13 +31,18 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
+from ssduck.export import exported
+from ssduck.folder import PART_TICKS, Folder, FolderRecording
 from ssduck.functions import Function
+from ssduck.history import Archive, History, history_name, not_recorded
 from ssduck.limits import Limits, Meter
-from ssduck.shapes import ANSWERS
+from ssduck.past import Record
+from ssduck.recording import FRAMES, RECORDABLE, Recorder, Recording, Ring, unknown_names
+from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.types import Signature, Tag, converter, is_exactly
 from ssduck.udfs import NARROW
-from ssduck.world import UNNAMED, World
+from ssduck.world import UNNAMED, RecordedWorld, World
 
 T = TypeVar("T")
 
@@ -65,6 +73,8 @@ AGAIN = 0.02
 
 # What our prepared statements are called, in front of a number and of the tables that they read.
 _OURS = "ssduck statement "
+# The tables of a world whose buffers may be made anew.
+_KNOWN = frozenset((*TABLES, *map(history_name, ("ticks", *RECORDABLE, FRAMES))))
 # No source can be called so, for it is no name.
 _PARAMETERS = "the parameters"
 
@@ -140,7 +150,7 @@ class Statement:
 
 def _statement_name(number: int, reads: Iterable[str]) -> str:
     """What a prepared statement of ours is called."""
-    return f"{_OURS}{number} {' '.join(sorted(TABLES.keys() & set(reads)))}"
+    return f"{_OURS}{number} {' '.join(sorted(_KNOWN & set(reads)))}"
 
 
 def _check_length(sql: str) -> None:
@@ -203,12 +213,100 @@ class _Bound:
         key: what its buffers are called among DuckDB's temporary views.
         schemas: its names here; the first is the one that ssduck's own statements use.
         versions: those of the tables that DuckDB has been shown.
+        kept: its history; None if its ticks are not recorded.
     """
 
     world: World
     key: str
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
+    kept: _Kept | None = None
+
+    def shapes(self, tick: int | None) -> Shapes:
+        """The shapes at a tick, or at the present one.
+
+        Raises:
+            EvaluationError: the tick is not recorded.
+        """
+        snapshot = self.world.snapshot
+        if tick is None or tick == snapshot.number:
+            return snapshot.shapes()
+        if self.kept is None:
+            raise UnsupportedError(
+                f"the shapes of {self.world.name!r} are known of its tick {snapshot.number} only: "
+                "its ticks are not recorded, so that rows of another one cannot be compared"
+            )
+        return self.kept.record.at(tick).shapes()
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """The history of a world: who keeps it, where, and how it is told."""
+
+    history: Archive
+    record: Record
+    recorder: Recorder | None = None
+
+
+class Writer:
+    """A connection of its own to the same database, for what is kept of a world.
+
+    It writes while the world is held, whatever other connections do.
+    """
+
+    def __init__(self, connection: duckdb.DuckDBPyConnection) -> None:
+        self._connection = connection.cursor()
+        self._lock = threading.RLock()
+
+    def run(self, sql: str) -> None:
+        """Run a statement.
+
+        Raises:
+            SqlError: DuckDB cannot, for the disk is full, say.
+        """
+        with self._lock:
+            try:
+                self._connection.execute(sql).fetchall()
+            except duckdb.Error as error:
+                raise SqlError(f"what is recorded cannot be stored: {error}") from error
+
+    def insert(self, place: str, rows: pa.Table) -> None:
+        """Add rows to a table, by the names of its columns."""
+        with self._lock:
+            self._connection.register(_INCOMING, rows)
+            try:
+                self.run(f'INSERT INTO {place} BY NAME SELECT * FROM "{_INCOMING}"')  # noqa: S608
+            finally:
+                self._connection.unregister(_INCOMING)
+
+    def insert_new(self, place: str, rows: pa.Table) -> None:
+        """Make a table of rows."""
+        with self._lock:
+            self._connection.register(_INCOMING, rows)
+            try:
+                self.run(f'CREATE TABLE {place} AS SELECT * FROM "{_INCOMING}"')  # noqa: S608
+            finally:
+                self._connection.unregister(_INCOMING)
+
+    def rows(self, sql: str, parameters: Sequence[Any] = ()) -> pa.Table:
+        """All rows of a SELECT."""
+        with self._lock:
+            try:
+                return self._connection.sql(sql, params=parameters).to_arrow_table()
+            except duckdb.Error as error:
+                raise SqlError(f"what was recorded cannot be read: {error}") from error
+
+    def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
+        """All rows of a SELECT, as tuples."""
+        with self._lock:
+            return self._connection.execute(sql).fetchall()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
+
+_INCOMING = "rows to be stored"
 
 
 class Database:
@@ -224,14 +322,22 @@ class Database:
     """
 
     def __init__(
-        self, path: str, tracer: Callable[[str], None] | None, limits: Limits | None = None
+        self,
+        path: str,
+        tracer: Callable[[str], None] | None,
+        limits: Limits | None = None,
+        recording: Recording | None = None,
     ) -> None:
+        self._path = path
         try:
             self._connection = duckdb.connect(path)
         except duckdb.Error as error:
-            raise SqlError(f"{path} cannot be opened: {str(error).strip()}") from error
+            raise _unopened(path, error) from error
+        self._recording = recording
+        # What waits is stored at the end, too.
+        self._recorders: list[Recorder] = []
         # Left open until Python ends, it would print complaints there.
-        self._finalizer = weakref.finalize(self, self._connection.close)
+        self._finalizer = weakref.finalize(self, _finish, self._connection, self._recorders)
         self._tracer = tracer
         self._lock = threading.RLock()
         self.meter = Meter(limits or Limits())
@@ -240,10 +346,10 @@ class Database:
         self._raised: list[BaseException] = []
         self._bound: list[_Bound] = []
         # The functions of the narrow phase know the worlds by their names, and not this object.
-        self._narrow_worlds: dict[str, World] = {}
+        self._narrow_worlds: dict[str, _Bound] = {}
         self._numbers = count(1)
         # Counts up, by table, when prepared statements that read it lose their validity.
-        self._generations = dict.fromkeys(TABLES, 0)
+        self._generations = dict.fromkeys(_KNOWN, 0)
         self._asked_for_good: set[str] = set()
         self._first_changes = False
         # The data are small and the queries many: a second thread costs more than it gives.
@@ -277,6 +383,7 @@ class Database:
             if not self._finalizer.alive:
                 return
             for bound in self._bound:
+                self._stop(bound)
                 for schema in bound.schemas:
                     has_macros = schema in (self._told_of or ())
                     for statement in dropped(schema, described=has_macros):
@@ -429,7 +536,7 @@ class Database:
             raise cause from None
         if interrupted:
             raise KeyboardInterrupt from error
-        if isinstance(cause, LimitError | UnknownNameError | UnsupportedError):
+        if isinstance(cause, LimitError | UnknownNameError | UnsupportedError | EvaluationError):
             raise cause from None
         if not self._finalizer.alive:
             raise SqlError("the interpreter is closed", is_final=True) from error
@@ -447,7 +554,7 @@ class Database:
         """Make a user's function one of SQL; replaces one of that signature."""
         if signature.name in self._functions:
             self._connection.remove_function(signature.name)
-        converters = [converter(tag, self.worlds) for tag in signature.parameters]
+        converters = [converter(tag, self.worlds, self.records) for tag in signature.parameters]
         raised = self._raised  # the function must not keep this object alive
 
         def call(*arguments: Any) -> Any:
@@ -479,13 +586,14 @@ class Database:
             try:
                 if world not in worlds:
                     raise UnknownNameError(f"there is no world {world!r} here any more")
-                snapshot = worlds[world].snapshot
-                if any(tick != snapshot.number for tick in arguments[:entities:2]):
+                ticks = set(arguments[:entities:2])
+                if len(ticks) > 1:
                     raise UnsupportedError(
-                        f"the shapes of {world!r} are known of its tick {snapshot.number} only: "
-                        "rows that were kept of another tick cannot be compared"
+                        "shapes are compared at one tick: these rows are of the ticks "
+                        f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
                     )
-                return answer(snapshot.shapes(), *arguments[1:entities:2], *arguments[entities:])
+                shapes = worlds[world].shapes(*ticks) if ticks else worlds[world].shapes(None)
+                return answer(shapes, *arguments[1:entities:2], *arguments[entities:])
             except BaseException as error:
                 raised[:] = [error]
                 raise
@@ -520,7 +628,7 @@ class Database:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
             self._set_search_path()
-            names = {schema: bound.world for bound in self._bound for schema in bound.schemas}
+            names = {schema: bound for bound in self._bound for schema in bound.schemas}
             self._narrow_worlds.clear()
             self._narrow_worlds.update(names)
 
@@ -532,8 +640,9 @@ class Database:
             other.schemas.remove(name)
             if not other.schemas:
                 self._bound.remove(other)
-                for table in other.versions:
-                    self.unshow(_live(other.key, table))
+                self._stop(other)
+                for shown in other.versions:
+                    self.unshow(shown)
 
     def _check_schema(self, name: str) -> None:
         ((database,),) = self.rows("SELECT current_database()")
@@ -555,6 +664,10 @@ class Database:
                 return bound
         bound = _Bound(world, f"world {next(self._numbers)}")
         self._bound.append(bound)
+        if isinstance(world, RecordedWorld):
+            bound.kept = _Kept(world.archive, world.own_record)
+        if self._recording is not None and not world.is_final:
+            self._keep(bound, self._recording)
         self._show(bound)
         return bound
 
@@ -568,9 +681,146 @@ class Database:
             view = exp.table_(table, db=name, quoted=True)
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
+        self._make_history_views(name, bound)
         if self._told_of is not None:
             self._told_of.discard(name)
         self._forget_plans()
+
+    # -- what is kept -----------------------------------------------------------------------
+
+    def record(self, world: World, recording: Recording | None) -> None:
+        """Keep the ticks of a world from now on, in a history of their own; None keeps none.
+
+        What was kept before is dropped, unless it is in a file.
+        """
+        with self._lock:
+            bound = self._entry(world)
+            with world.held():
+                self._stop(bound)
+            if recording is not None:
+                self._keep(bound, recording)
+            self._show(bound)
+            for schema in bound.schemas:
+                self._make_history_views(schema, bound)
+            self._forget_plans()
+
+    def _keep(self, bound: _Bound, recording: Recording) -> None:
+        world = bound.world
+        for error in unknown_names(recording, world.snapshot.members):
+            raise error
+        schema = self._free_schema(world.name)
+        history = History(schema, Writer(self._connection), recording, world.name)
+        recorder = Recorder(recording, history)
+        tables = tuple(recorder.rings)
+        record = Record(world, recorder.ticks, recorder.members, tables, recorder.fetch)
+        bound.kept = _Kept(history, record, recorder)
+        self._recorders.append(recorder)
+        world.record(recorder)
+
+    def _stop(self, bound: _Bound) -> None:
+        """Keep no more ticks of a world; what waits is stored."""
+        if bound.kept is None:
+            return
+        kept, bound.kept = bound.kept, None
+        if kept.recorder is None:
+            kept.history.close(forget=False)
+            return
+        bound.world.forget(kept.recorder)
+        self._recorders.remove(kept.recorder)
+        kept.recorder.flush()
+        kept.history.close(forget=self._path == ":memory:")
+        for table in kept.recorder.rings:
+            name = _waiting(bound.key, table)
+            if bound.versions.pop(name, None) is not None:
+                self.unshow(name)
+
+    def _free_schema(self, world: str) -> str:
+        taken = {
+            name.casefold() for (name,) in self.rows("SELECT schema_name FROM duckdb_schemas()")
+        }
+        names = (f"{world}_record_{number}" for number in count(1))
+        return next(name for name in names if name.casefold() not in taken)
+
+    def _make_history_views(self, name: str, bound: _Bound) -> None:
+        for table in ("ticks", *RECORDABLE):
+            rows = None
+            if bound.kept is not None:
+                waits = bound.kept.recorder is not None
+                ring = partial(_waiting, bound.key) if waits else None
+                rows = bound.kept.history.select(table, ring)
+            if rows is None:
+                refused = exp.select("*").from_(exp.table_(_live(bound.key, table), quoted=True))
+                _refuse(refused, not_recorded(table, bound.world.name))
+                rows = refused.sql("duckdb")
+            self._make_view(name, history_name(table), rows)
+        for table, rows in bound.kept.history.models().items() if bound.kept is not None else ():
+            self._make_view(name, table, rows)
+
+    def _make_view(self, schema: str, name: str, rows: str) -> None:
+        view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
+        self.run(f"CREATE OR REPLACE VIEW {view} AS {rows}")
+
+    def record_to(self, world: World, recording: Recording, path: Path) -> FolderRecording:
+        """Write the ticks of a world to a folder from now on, too."""
+        with self._lock:
+            for error in unknown_names(recording, world.snapshot.members):
+                raise error
+            folder = Folder(path, world.name, recording)
+            recorder = Recorder(recording, folder, waits=PART_TICKS)
+            self._recorders.append(recorder)
+            world.record(recorder)
+            return FolderRecording(world, recorder, folder, self._recorders)
+
+    def writer(self) -> Writer:
+        """A connection of its own, for what is kept of a world."""
+        return Writer(self._connection)
+
+    def record_of(self, world: World) -> Record:
+        """What is kept of a world.
+
+        Raises:
+            EvaluationError: nothing is.
+        """
+        with self._lock:
+            kept = self._entry(world).kept
+            if kept is None:
+                raise EvaluationError(
+                    f"the ticks of {world.name!r} are not recorded; record(…) lets them be"
+                )
+            return kept.record
+
+    def keeps(self, world: World) -> bool:
+        """Whether the ticks of a world are recorded."""
+        return self._entry(world).kept is not None
+
+    def export(
+        self,
+        world: World,
+        path: Path,
+        names: tuple[str, ...] | None,
+        between: tuple[float | None, float | None],
+    ) -> Path:
+        """Write what is kept of a world as a new episode in a folder; gives that of its ticks.
+
+        Raises:
+            RecordError: the folder has something else in it, or cannot be written.
+            EvaluationError: nothing is kept of it, or nothing of that time.
+        """
+        record = self.record_of(world)
+        with self._lock, world.held():
+            return exported(record, path, names, between)
+
+    def flush(self) -> dict[str, int]:
+        """Store what waits; tells up to which tick of each world, by its schema."""
+        with self._lock:
+            found = {}
+            for bound in self._bound:
+                if bound.kept is not None and bound.kept.recorder is not None and bound.schemas:
+                    with bound.world.held():
+                        bound.kept.recorder.flush()
+                        numbers = bound.kept.recorder.ticks.numbers
+                        found[bound.schemas[0]] = int(numbers[-1])
+            return found
 
     def schema_of(self, world: World) -> str:
         """The schema of a world's tables; one is made for a world that has none here."""
@@ -609,11 +859,19 @@ class Database:
     def _show(self, bound: _Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         for table, live in bound.world.snapshot.tables.items():
-            if bound.versions.get(table) != live.version:
-                if table in bound.versions:
-                    self._forget_plans(table)
-                self.show(_live(bound.key, table), live.arrow)
-                bound.versions[table] = live.version
+            self._show_buffers(bound, table, _live(bound.key, table), live)
+        if bound.kept is not None and bound.kept.recorder is not None:
+            for table, ring in bound.kept.recorder.rings.items():
+                self._show_buffers(bound, history_name(table), _waiting(bound.key, table), ring)
+
+    def _show_buffers(
+        self, bound: _Bound, table: str, name: str, buffers: LiveTable | Ring
+    ) -> None:
+        if bound.versions.get(name) != buffers.version:
+            if name in bound.versions:
+                self._forget_plans(table)
+            self.show(name, buffers.arrow)
+            bound.versions[name] = buffers.version
 
     def show(self, name: str, table: pa.Table) -> None:
         """Let DuckDB see a table under a name."""
@@ -640,6 +898,15 @@ class Database:
         """The worlds by the schema that ssduck's statements use, the first one first."""
         return {bound.schemas[0]: bound.world for bound in self._bound if bound.schemas}
 
+    @property
+    def records(self) -> dict[str, Record]:
+        """What is kept of those that are recorded, by the same."""
+        return {
+            bound.schemas[0]: bound.kept.record
+            for bound in self._bound
+            if bound.schemas and bound.kept is not None
+        }
+
 
 def _is_duckdbs(error: Exception) -> bool:
     """Whether DuckDB raised it; of Ctrl-C it tells by a RuntimeError."""
@@ -662,6 +929,28 @@ def _refuse(rows: exp.Select, why: str) -> None:
     rows.join(exp.select(failing).subquery("untold"), join_type="cross", copy=False)
     rows.set("expressions", [exp.Star(except_=[exp.column("why")])])
     rows.where(exp.column("why").is_(exp.null()), copy=False)
+
+
+def _unopened(path: str, error: duckdb.Error) -> SqlError:
+    """What to raise where a file cannot be opened."""
+    if "lock" in str(error).lower():
+        return SqlError(
+            f"{path} is in use by another process, and DuckDB lets one at a time: close it there, "
+            f"or export it there as Parquet, which any number can read: {str(error).strip()}"
+        )
+    return SqlError(f"{path} cannot be opened: {str(error).strip()}")
+
+
+def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder]) -> None:
+    """Store what waits, and close."""
+    for recorder in recorders:
+        recorder.flush()
+    connection.close()
+
+
+def _waiting(key: str, table: str) -> str:
+    """What the rows are called that wait to be stored, among DuckDB's temporary views."""
+    return f"{key}: {table} that wait"
 
 
 def _live(key: str, table: str) -> str:

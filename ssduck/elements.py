@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sqlglot import exp
 
 from ssduck.relations import Candidates
 from ssduck.sqlvalues import NotSqlError, SqlValue
-from ssduck.types import ANY, Tag
+from ssduck.types import ANY, IDS, Tag
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,31 @@ def world_table(schema: str, name: str) -> Element:
     )
 
 
+def past_table(schema: str, name: str, first: exp.Expr, last: exp.Expr) -> Element:
+    """The entities of a world at recorded ticks."""
+    rows = exp.select("*").from_(exp.table_("entities_history", db=schema))
+    rows = rows.where(exp.Between(this=exp.column("tick"), low=first, high=last))
+    return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
+
+
+def present_table(schema: str, name: str) -> Element:
+    """The entities of a world at its present tick, beside its past."""
+    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name, quoted=True))
+    return replace(_past(schema, name), table=table)
+
+
+def _past(schema: str, name: str) -> Element:
+    live = world_table(schema, name)
+    position = (ascending(column_of(name, "tick")), *live.position)
+    return Element(past_value(schema, name), live.table, position)
+
+
+def past_value(schema: str, name: str) -> SqlValue:
+    """The current row of a table of entities at recorded ticks."""
+    tag = Tag("entity", schema=schema, past=True)
+    return SqlValue(None, tag, lambda column: column_of(name, column))
+
+
 def entity_value(schema: str | None, name: str) -> SqlValue:
     """The current row of a table of entities."""
     tag = Tag("entity", schema=schema)
@@ -77,9 +102,47 @@ def unnested(name: str, values: SqlValue) -> Element:
     if tag.type != "entity":
         value = SqlValue(column_of(name, "value"), tag, extent=values.extent)
         return Element(value, table.subquery(alias), position)
+    if tag.past:
+        return _unnested_past(table, tag, name, position)
     entities = exp.table_("entities", db=tag.schema, alias="e")
     joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
     return Element(entity_value(tag.schema, name), joined.subquery(alias), position)
+
+
+@dataclass(frozen=True)
+class Follower:
+    """An entity at the tick of another row: its row, and how that is joined."""
+
+    value: SqlValue
+    join: exp.Join
+
+
+def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> Follower:
+    """An entity at the tick of a row; unknown where it was not there."""
+    table = exp.table_("entities_history", db=schema, alias=exp.to_identifier(name, quoted=True))
+    same_tick = exp.EQ(this=column_of(name, "tick"), expression=tick.copy())
+    same_id = exp.EQ(this=column_of(name, "id"), expression=id.copy())
+    join = exp.Join(this=table, side="LEFT", on=exp.and_(same_tick, same_id))
+    return Follower(past_value(schema, name), join)
+
+
+def _unnested_past(
+    keys: exp.Select, tag: Tag, name: str, position: tuple[exp.Ordered, ...]
+) -> Element:
+    """Entities at recorded ticks, by their keys."""
+    assert tag.schema is not None
+    entities = exp.table_("entities_history", db=tag.schema, alias="e")
+    ids = exp.Literal.number(IDS)
+    tick = exp.IntDiv(this=exp.column("id"), expression=ids)
+    id = exp.Mod(this=exp.column("id"), expression=ids.copy())
+    parts = exp.select(exp.alias_(tick, "tick"), exp.alias_(id, "id"), "n").from_(
+        keys.subquery("k")
+    )
+    joined = (
+        exp.select("e.*", "i.n").from_(parts.subquery("i")).join(entities, using=["tick", "id"])
+    )
+    table = joined.subquery(exp.to_identifier(name, quoted=True))
+    return Element(past_value(tag.schema, name), table, position)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from ssduck.sensors import SENSOR_TYPES
 from ssduck.simulators import Body, Kind
 
 if TYPE_CHECKING:
+    from ssduck.past import Record
     from ssduck.world import World
 
 T = TypeVar("T")
@@ -57,25 +58,51 @@ class JointState:
     upper: float | None
 
 
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A recorded tick that a handle stays at."""
+
+    record: Record
+    tick: int
+
+
 class Entity(EntitySpellings):
     """A handle of a robot, kinbody or sensor: what it tells is of its world's last tick.
 
-    Two handles are equal when they are of the same entity of the same world.
+    One that a query of the past gave, `FROM kitchen{12.5}`, stays at the tick that it is of.
+    Two handles are equal when they are of the same entity of the same world, at whatever tick.
 
     Attributes:
         world: the world that it is in.
         id: ssduck's own number, never used again in this world.
         name: unique in the world.
         kind: `"robot"`, `"kinbody"` or `"sensor"`.
+        moment: the recorded tick that it stays at; None for the world's last one.
     """
 
-    __slots__ = ("id", "kind", "name", "world")
+    __slots__ = ("id", "kind", "moment", "name", "world")
 
-    def __init__(self, world: World, id: int, name: str, kind: Kind) -> None:
+    def __init__(
+        self, world: World, id: int, name: str, kind: Kind, moment: Moment | None = None
+    ) -> None:
         self.world = world
         self.id = id
         self.name = name
         self.kind = kind
+        self.moment = moment
+
+    @property
+    def state(self) -> World:
+        """The world as it is at the tick that the handle tells of."""
+        moment = self.moment
+        if moment is None or moment.tick == self.world.snapshot.number:
+            return self.world
+        return moment.record.at(moment.tick)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its world has it, at the tick that it tells of."""
+        return self.id in self.state.snapshot.rows
 
     @property
     def position(self) -> list[float]:
@@ -166,7 +193,7 @@ class Entity(EntitySpellings):
                 finite(place, 3, f"{self.name}: position"),
                 unit(finite(turn, 4, f"{self.name}: orientation"), self.name),
             )
-        self.world.place(self, pose, joints)
+        self.state.place(self, pose, joints)
 
     @property
     def enabled(self) -> bool:
@@ -184,7 +211,7 @@ class Entity(EntitySpellings):
 
     @enabled.setter
     def enabled(self, on: bool) -> None:
-        self.world.enable(self, on)
+        self.state.enable(self, on)
 
     @property
     def visible(self) -> bool:
@@ -199,7 +226,7 @@ class Entity(EntitySpellings):
 
     @visible.setter
     def visible(self, on: bool) -> None:
-        self.world.show(self, on)
+        self.state.show(self, on)
 
     def body_of(self, member: Member, verb: str) -> Body:
         """What it is made of, by its entry in the world; `verb` says what for.
@@ -213,10 +240,10 @@ class Entity(EntitySpellings):
 
     def column(self, name: str) -> Any:
         """Its value in a column of the table of entities; None for an unknown one."""
-        return self.world.snapshot.value(self._row(), name)
+        return self.state.snapshot.value(self._row(), name)
 
     def _row(self) -> int:
-        row = self.world.snapshot.rows.get(self.id)
+        row = self.state.snapshot.rows.get(self.id)
         if row is None:
             raise self.removed()
         return row
@@ -226,17 +253,17 @@ class Entity(EntitySpellings):
         return RemovedEntityError(f"{self.name!r} is no longer in world {self.world.name!r}")
 
     def _numbers(self, first: str, last: str) -> list[float]:
-        with self.world.lock:
-            column = self.world.snapshot.tables["entities"].reals(first, last)[:, self._row()]
+        with self.state.lock:
+            column = self.state.snapshot.tables["entities"].reals(first, last)[:, self._row()]
             values: list[float] = column.tolist()
         return values
 
     def _table(self, name: str) -> list[dict[str, Any]]:
-        with self.world.lock:
+        with self.state.lock:
             self._row()
-            self.world.ask([name])
+            self.state.ask([name])
             self._row()  # asking may have taken a tick
-            table = self.world.snapshot.tables[name]
+            table = self.state.snapshot.tables[name]
             own = table.arrow.filter(pa.array(table["entity"] == self.id))
             rows: list[dict[str, Any]] = own.to_pylist()
         return rows
@@ -267,18 +294,18 @@ class Sensor(SensorSpellings, Entity):
 
     def power(self, on: bool) -> None:
         """Switch it on or off; the next query sees it. It perceives nothing while it is off."""
-        self.world.switch(self, on=on)
+        self.state.switch(self, on=on)
 
     @property
     def powered(self) -> bool:
         """Whether it is switched on."""
         self._row()
-        return self.world.snapshot.sensing.is_on(self.id)
+        return self.state.snapshot.sensing.is_on(self.id)
 
     @property
     def reading(self) -> Reading | None:
         """All that it measured last, and when; None while it is switched off."""
-        return self.world.reading(self)
+        return self.state.reading(self)
 
     @property
     def rays(self) -> int:
@@ -319,7 +346,7 @@ class Sensor(SensorSpellings, Entity):
         return self._measured("forces")  # type: ignore[no-any-return]
 
     def _measured(self, what: str) -> Any:
-        reading = self.world.reading(self, picture=what == "image" and self._has_picture())
+        reading = self.state.reading(self, picture=what == "image" and self._has_picture())
         if reading is None:
             raise SelectScriptError(
                 f"{self.name!r} measures nothing: it is switched off, or nowhere; "
@@ -337,6 +364,6 @@ class Sensor(SensorSpellings, Entity):
     @property
     def spec(self) -> SensorSpec:
         """What the sensor is, and where it sits."""
-        spec = self.world.snapshot.members[self._row()].sensor
+        spec = self.state.snapshot.members[self._row()].sensor
         assert spec is not None
         return spec

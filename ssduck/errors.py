@@ -153,6 +153,10 @@ class SimulatorError(SelectScriptError, RuntimeError):
     """The simulator does not answer: its client was disconnected, say."""
 
 
+class RecordError(SelectScriptError, OSError):
+    """What was recorded cannot be opened, read or written."""
+
+
 class SqlError(SelectScriptError, RuntimeError):
     """DuckDB refused a statement; its own error is the cause.
 

@@ -16,6 +16,7 @@ from sqlglot import exp
 from ssduck import subqueries, tree
 from ssduck.arithmetic import arithmetic, double_of
 from ssduck.dependencies import IMPURE, free_aliases, is_impure
+from ssduck.elements import Follower, follower
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formulas import expanded, looked_up
 from ssduck.messages import shown
@@ -81,6 +82,8 @@ class Expressions:
         self.only: str | None = None
         self.locals: Mapping[str, SqlValue] = around.locals if around else {}
         self._are_constant: dict[Node, bool] = {}
+        # Handles at the ticks of rows of the past, by both.
+        self.followers: dict[tuple[str, str], Follower] = {}
 
     def inside(self) -> Expressions:
         """The expressions of a query nested in this one."""
@@ -331,6 +334,7 @@ class Expressions:
             parameter.name: self._argument(parameter, argument)
             for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
         }
+        self._follow(values)
         formula = relation.expressions[count]
         if relation.result == "entity":
             (entity,) = values.values()
@@ -352,6 +356,44 @@ class Expressions:
             element = Tag(relation.element)
             tag = Tag("list", Tag("list", REAL) if relation.element == "list" else element)
         return SqlValue(sql, tag, extent=extent)
+
+    def _follow(self, values: dict[str, SqlValue]) -> None:
+        """Take entities as they were at the tick of those that are of a recorded one.
+
+        A handle goes with its world; beside a row of the past it goes with that.
+        """
+        entities = {name: value for name, value in values.items() if value.tag.type == "entity"}
+        rows = [value for value in entities.values() if value.tag.past]
+        handles = {name: value for name, value in entities.items() if not value.tag.past}
+        if not rows or not handles:
+            return
+        row = rows[0]
+        for name, handle in handles.items():
+            if handle.tag.schema != row.tag.schema:
+                continue
+            if row.column is None or handle.column is None or handle.tag.nullable:
+                raise NotSqlError
+            tick, id = row.column("tick"), handle.column("id")
+            is_constant = isinstance(id, exp.Parameter)
+            if not is_constant or not self._is_of_own_row(tick):
+                raise NotSqlError
+            values[name] = self._follower(str(row.tag.schema), tick, id).value
+
+    def _is_of_own_row(self, tick: exp.Expr) -> bool:
+        """Whether a tick is that of a source of this query, and not of one around it."""
+        own = {
+            value.column("tick").sql()
+            for value in self.rows.values()
+            if value.tag.past and value.column
+        }
+        return self.around is None and tick.sql() in own
+
+    def _follower(self, schema: str, tick: exp.Expr, id: exp.Expr) -> Follower:
+        key = tick.sql(), id.sql()
+        if key not in self.followers:
+            name = self.context.alias("handle then")
+            self.followers[key] = follower(schema, name, tick, id)
+        return self.followers[key]
 
     def _argument(self, parameter: Parameter, node: Node) -> SqlValue:
         value = self.value(node)
@@ -441,11 +483,17 @@ class Expressions:
         if not alike:
             raise NotSqlError
         kind = _COMPARISONS[sign]
+        if kinds == ("entity", "entity"):
+            return SqlValue(kind(this=left.identity, expression=right.identity), FLAG)
         sides = (wrapped(self.certain(value).sql) for value in (left, right))
         return SqlValue(kind(this=next(sides), expression=next(sides)), FLAG)
 
     def _may_be_equal(self, left: Tag, right: Tag) -> bool:
+        if left.type == right.type == "entity" and left.schema == right.schema:
+            return True
         both = merged((left, right))
+        if any(tag.element and tag.element.past for tag in (left, right)):
+            return False  # equal are those of one entity, their keys or not
         return both is not None and both.type in ("entity", "flag", "list") and both.is_sql
 
     def _membership(self, left: SqlValue, right: SqlValue) -> SqlValue:
@@ -463,7 +511,7 @@ class Expressions:
             found = [self.comparison("==", left, element).sql for element in right.elements]
             return SqlValue(exp.paren(exp.or_(*found)), FLAG)
         both = merged((left.tag, right.tag.element))
-        if both is None or not both.is_sql or left.wide:
+        if both is None or not both.is_sql or left.wide or both.past:
             raise NotSqlError
         if left.tag.is_number != right.tag.element.is_number:
             raise NotSqlError

@@ -47,4 +47,53 @@ def looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlVal
         raise NotSqlError
     if len(schemas) > 1:
         return relation.when_apart
-    return in_schema(formula, str(schemas.pop()))
+    schema = str(schemas.pop())
+    past = [value.column("tick") for value in values.values() if value.tag.past and value.column]
+    if past:
+        return _then(formula, schema, past)
+    return in_schema(formula, schema)
+
+
+def _existing(part: exp.Expr) -> exp.Expr:
+    """`(x, y) IN (SELECT …)` as EXISTS: DuckDB has no such IN with what depends on rows."""
+    query = part.args.get("query") if isinstance(part, exp.In) else None
+    if query is None or not isinstance(part.this, exp.Tuple):
+        return part
+    columns = [f"c{place}" for place in range(len(part.this.expressions))]
+    alias = exp.TableAlias(
+        this=exp.to_identifier("found then", quoted=True),
+        columns=[exp.to_identifier(column) for column in columns],
+    )
+    inner = query.this if isinstance(query, exp.Subquery) else query
+    rows = exp.select("1").from_(exp.Subquery(this=inner.copy(), alias=alias))
+    equal = [
+        exp.EQ(this=exp.column(column, table="found then", quoted=True), expression=value.copy())
+        for column, value in zip(columns, part.this.expressions, strict=True)
+    ]
+    return exp.Exists(this=rows.where(*equal))
+
+
+# What is the same at each tick is in a table of its own.
+_FIXED = {"shapes": "shapes_model", "geometries": "geometries_model"}
+
+
+def _then(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
+    """A formula with the tables of a world at the tick of its entities."""
+    found = in_schema(formula, schema)
+    tables = list(found.find_all(exp.Table))
+    for table in tables:
+        alias = exp.to_identifier(table.alias_or_name)
+        if table.name in _FIXED:
+            table.set("this", exp.to_identifier(_FIXED[table.name]))
+            table.set("alias", exp.TableAlias(this=alias))
+            continue
+        history = exp.table_(f"{table.name}_history", db=schema, alias="ticks then", quoted=True)
+        own = exp.column("tick", table="ticks then", quoted=True)
+        rows = exp.select("*").from_(history).where(exp.EQ(this=own, expression=ticks[0].copy()))
+        table.replace(rows.subquery(alias))
+    found = found.transform(_existing)
+    if not tables or len(ticks) == 1:
+        return found
+    same = exp.and_(*(exp.EQ(this=ticks[0].copy(), expression=tick.copy()) for tick in ticks[1:]))
+    apart = exp.func("error", exp.Literal.string("entities are of two ticks"))
+    return exp.case().when(same, exp.paren(found)).else_(apart)

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
 
 from ssduck.adapters import ADAPTERS, Adapter, Rows
@@ -28,18 +28,24 @@ from ssduck.errors import (
     ArgumentError,
     EvaluationError,
     LimitError,
+    RecordError,
     SelectScriptError,
     UnknownNameError,
     nearest,
 )
 from ssduck.evaluate import Frame
 from ssduck.explain import told
+from ssduck.folder import FolderRecording, chosen_episode, episodes, is_folder
 from ssduck.functions import BUILTINS, Function
 from ssduck.keys import plain
 from ssduck.language import is_reserved, parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
+from ssduck.opened import chosen_runs, stored_runs, world_of, world_of_run
+from ssduck.past import Past
+from ssduck.past import together as entities_together
 from ssduck.planner import Planner
+from ssduck.recording import RECORDABLE, Recording
 from ssduck.relations import Relation
 from ssduck.result import Result
 from ssduck.rows import check_columns, formed
@@ -49,6 +55,9 @@ from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
+
+# Seconds of simulated time whose ticks are kept in memory, if nothing else is asked for.
+KEPT = 60.0
 
 
 def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
@@ -73,6 +82,43 @@ def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
         interpreter.close()
         raise
     return interpreter
+
+
+def open_record(
+    path: str | Path, world: str | None = None, episode: int | None = None
+) -> Interpreter:
+    """An interpreter on what was recorded, without a simulation: the same programs run.
+
+    Each world is bound to its name, as it was at its last tick; `kitchen{12.5}` and the tables
+    of its history tell of the others.
+
+    Args:
+        path: a folder that `Interpreter.export` or `ssduck record` wrote, or a DuckDB file that
+            was recorded into.
+        world: the world that is opened; None for all.
+        episode: the number of the run; None for the last one of each world.
+
+    Raises:
+        RecordError: there is no such record, it is damaged, or of a newer version.
+        SqlError: the DuckDB file is in use by another process.
+    """
+    if is_folder(path):
+        found = episodes(path)
+        names = sorted({each.world for each in found}) if world is None else [world]
+        runs = [chosen_episode(found, name, episode) for name in names]
+        interpreter = Interpreter(recording=None)
+        return interpreter._opened(  # noqa: SLF001  # one room
+            lambda database: [world_of(run, database.writer()) for run in runs]
+        )
+    if not Path(path).is_file():
+        raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
+    interpreter = Interpreter(str(path), recording=None)
+    return interpreter._opened(  # noqa: SLF001  # one room
+        lambda database: [
+            world_of_run(run, database.writer())
+            for run in chosen_runs(stored_runs(database.writer()), world, episode)
+        ]
+    )
 
 
 @dataclass(frozen=True)
@@ -126,6 +172,9 @@ class Interpreter:
         limits: what programs and SQL may use; for what comes from elsewhere,
             `Limits.strict()`.
         row_by_row: whether every query runs row by row in Python, to compare with.
+        recording: what is kept of the ticks of each world, None for nothing; by default the
+            entities at each tick, in memory those of the last 60 s, in a file all of them. See
+            `record`.
     """
 
     def __init__(
@@ -135,9 +184,12 @@ class Interpreter:
         tracer: Callable[[str], None] | None = None,
         limits: Limits | None = None,
         row_by_row: bool = False,
+        recording: Recording | Literal["default"] | None = "default",
     ) -> None:
         self._limits = limits or Limits()
-        self._database = Database(database, tracer, self._limits)
+        if recording == "default":
+            recording = Recording(seconds=KEPT) if database == ":memory:" else Recording()
+        self._database = Database(database, tracer, self._limits, recording)
         self._lock = threading.RLock()
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
@@ -330,6 +382,142 @@ class Interpreter:
 
     def _known_functions(self) -> list[str]:
         return [*RELATIONS, *self._functions]
+
+    # -- what is kept -----------------------------------------------------------------------
+
+    def _opened(self, worlds: Callable[[Database], Iterable[World]]) -> Self:
+        """With worlds that are only recorded."""
+        try:
+            for world in worlds(self._database):
+                self.add_variable(world.name, world)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def record(self, world: str | World, recording: Recording | None) -> None:
+        """Keep the ticks of a world from now on: what of them, and for how long.
+
+        It begins with the present tick. What was kept of the world before is dropped, but for
+        that in a file.
+
+        Args:
+            world: the world, or the name of its variable.
+            recording: what is kept; None for nothing.
+
+        Raises:
+            ArgumentError: it is no world of this interpreter, or has no entity of a name.
+        """
+        with self._lock:
+            self._database.record(self._world(world), recording)
+            self._planner.forget()
+
+    def past(self, world: str | World, age: float | None = None) -> Past:
+        """What `kitchen{age}` is: a source for queries.
+
+        Args:
+            world: the world, or the name of its variable.
+            age: seconds: from 0 up a simulated time, below 0 the time until now, None for all
+                that is kept.
+
+        Raises:
+            EvaluationError: nothing is kept of it, or nothing of that time.
+            ArgumentError: it is no world of this interpreter, or that is no number.
+        """
+        with self._lock:
+            return self._database.record_of(self._world(world)).past(age)
+
+    def record_to(
+        self,
+        path: str | Path,
+        world: str | World | None = None,
+        recording: Recording | None = None,
+    ) -> FolderRecording:
+        """Write the ticks of a world to a folder of Parquet files from now on, as a new episode.
+
+        What is written is sealed in parts: whatever ends the recording, all but the last part is
+        there, and it is whole.
+
+        Args:
+            path: the folder; it is made if it is not there, and may hold other episodes.
+            world: the world, or the name of its variable; None for the first one.
+            recording: what is written; None for all tables.
+
+        Returns:
+            What writes them, until it is closed: `with ss.record_to("run/"): …`.
+
+        Raises:
+            RecordError: the folder has something else in it, or cannot be written.
+            ArgumentError: it is no world of this interpreter, or has no entity of a name.
+        """
+        recording = recording or Recording(tables=RECORDABLE)
+        if recording.is_bounded:
+            raise ArgumentError("a folder keeps all: seconds and ticks are for a history in memory")
+        with self._lock:
+            worlds = list(self._database.worlds.values())
+            if world is None and not worlds:
+                raise ArgumentError("there is no world to be recorded")
+            chosen = worlds[0] if world is None else self._world(world)
+            return self._database.record_to(chosen, recording, Path(path))
+
+    def export(
+        self,
+        path: str | Path,
+        world: str | World | None = None,
+        *,
+        entities: Iterable[str | Entity] | str | Compiled | None = None,
+        start: float | None = None,
+        end: float | None = None,
+    ) -> dict[str, Path]:
+        """Write what is kept of worlds to a folder of Parquet files, each as a new episode.
+
+        Args:
+            path: the folder; it is made if it is not there, and may hold other episodes.
+            world: the world, or the name of its variable; None for all that are recorded.
+            entities: those that are written, by name or as handles, or a program that yields
+                them; None for all. A sensor brings the body that it sits on.
+            start: simulated time from which on ticks are written, s.
+            end: and until which.
+
+        Returns:
+            The folder of each episode's ticks, by the name of its world.
+
+        Raises:
+            RecordError: the folder has something else in it, or cannot be written.
+            EvaluationError: nothing is kept of a world, or nothing of that time.
+        """
+        chosen = self.eval(entities) if isinstance(entities, str | Compiled) else entities
+        names = None if chosen is None else _names(chosen)
+        with self._lock:
+            worlds = (
+                [w for w in self._database.worlds.values() if self._database.keeps(w)]
+                if world is None
+                else [self._world(world)]
+            )
+            if not worlds:
+                raise EvaluationError("no world is recorded here")
+            return {
+                each.name: self._database.export(each, Path(path), names, (start, end))
+                for each in worlds
+            }
+
+    def flush(self) -> dict[str, int]:
+        """Store what is recorded; in a file it survives whatever happens then.
+
+        Returns:
+            The last tick of each world, by its name.
+
+        Raises:
+            SqlError: it cannot be stored, for the disk is full, say; nothing is lost by that.
+        """
+        with self._lock:
+            return self._database.flush()
+
+    def _world(self, world: str | World) -> World:
+        found = self.variable(world) if isinstance(world, str) else world
+        if not isinstance(found, World) or found not in self._database.worlds.values():
+            raise ArgumentError(f"{shown(world)} is no world of this interpreter")
+        return found
 
     # The tutorial's spellings.
     addVariable = add_variable  # noqa: N815
@@ -545,11 +733,14 @@ class Interpreter:
             names = [Given(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
             asked = Call(node.span, node.name, tuple(names), node.name_span)
             query = self._relations[node] = Query(node.span, (asked,), ())
-        given = {f"argument_{index}": value for index, value in enumerate(values)}
+        together = entities_together(values)
+        if together is None:
+            return None
+        given = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
         with self._database.held(RELATIONS[node.name].tables, worlds):
-            for argument, value in zip(node.arguments, values, strict=True):
-                if isinstance(value, Entity) and value not in value.world:
+            for argument, value in zip(node.arguments, together, strict=True):
+                if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()
                     error.span = argument.span
                     raise error
@@ -562,6 +753,16 @@ def _tree(program: str | Compiled) -> Program:
     if not isinstance(program, str):
         raise ArgumentError(f"a program is a text or what compile gave, not {shown(program)}")
     return parse(program)
+
+
+def _names(entities: Iterable[str | Entity]) -> tuple[str, ...]:
+    """The names of entities that are given by name or as handles."""
+    found = []
+    for entity in entities:
+        if not isinstance(entity, str | Entity):
+            raise ArgumentError(f"entities are to be names or entities, not {shown(entity)}")
+        found.append(entity if isinstance(entity, str) else entity.name)
+    return tuple(dict.fromkeys(found))
 
 
 def _plain(value: Any) -> Any:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeAlias
 
 from sqlglot import exp
 
 from ssduck.rows import Column, Rest
 from ssduck.tree import Call, Node, Query
 from ssduck.types import Signature, Tag
+
+Moments: TypeAlias = Literal["", "instant", "window", "now"]
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,8 @@ class Shape:
     Attributes:
         alias: what it is called.
         schema: of a world, its schema.
+        moments: of a world's past, whether it is one tick, or several, or the present one beside
+            its past.
         tag: of values, what they are.
         given: whether its values are known before the query runs; else it is a part of it.
         dicts: whether some of its elements are dicts.
@@ -32,6 +36,7 @@ class Shape:
     given: bool = True
     dicts: bool = False
     known: bool = True
+    moments: Moments = ""
 
 
 class Names(Protocol):
@@ -71,7 +76,8 @@ class Binding:
         name: of the parameter.
         node: the expression that it is the value of,
         column: or the column of the entity that the expression is.
-        source: instead, the source that it lists the elements of.
+        source: instead, the source that it lists the elements of,
+        end: or the past of a world that it is the first or the last tick of.
         tag: of the value.
     """
 
@@ -79,6 +85,7 @@ class Binding:
     node: Node | None = None
     column: str | None = None
     source: str | None = None
+    end: Literal["", "first", "last"] = ""
     tag: Tag = field(default_factory=lambda: Tag("list"))
 
 
@@ -150,6 +157,8 @@ class Plan:
         """The types of those of its parameters that are numbers."""
         types: dict[str, Literal["real", "integer"]] = {}
         for binding in self.bindings:
+            if binding.end:  # by what is written in a statement, DuckDB leaves out what is older
+                continue
             match binding.tag.type:
                 case "real" | "integer" as kind:
                     types[binding.name] = kind

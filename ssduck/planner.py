@@ -17,7 +17,7 @@ from ssduck.plan import Plan, Shape
 from ssduck.queries import Planned, RowByRow, SqlFailedError, is_small
 from ssduck.resolve import resolve
 from ssduck.rows import Selected
-from ssduck.sources import INLINE, shapes_of
+from ssduck.sources import INLINE, beside_past, shapes_of
 from ssduck.sqlvalues import NotSqlError
 from ssduck.subqueries import is_inline
 from ssduck.translate import NotInlineError, translate
@@ -168,7 +168,7 @@ class Planner:
         if any(mentions(source.value, states(query)) for source in query.sources):
             raise NotSqlError
         while True:
-            values = self._values(query, frame)
+            values = beside_past(self._values(query, frame))
             shapes = shapes_of(query, values, self._database.schema_of)
             if quickest and query.sources and is_small(query, shapes, values):
                 raise _SmallError(values, shapes)
@@ -221,6 +221,7 @@ class Planner:
             [] if mentions(source.value, changed) else frame.value(source.value)
             for source in query.sources
         ]
+        values = beside_past(values)
         shapes = shapes_of(query, values, self._database.schema_of)
         return self._rows_of(query, shapes, frame, check).run(frame, values)
 

@@ -29,7 +29,7 @@ from ssduck.hierarchy import Hierarchy
 from ssduck.plan import Graph, Output, Plan, Shape
 from ssduck.resolve import Resolved
 from ssduck.rows import Clauses, Column, Paths, Rest, Selected, combinations, row_frames
-from ssduck.sources import arrow_of, elements_of
+from ssduck.sources import all_elements, arrow_of, elements_of
 from ssduck.sqlvalues import written
 from ssduck.tree import Call, Given, Literal, Name, Node, Query, This
 from ssduck.types import Tag, converter, to_sql
@@ -69,7 +69,7 @@ class Planned:
         self._texts: dict[str, Any] | None = None
         worlds = database.worlds
         self._converters = {
-            output.tag: converter(output.tag, worlds)
+            output.tag: converter(output.tag, worlds, database.records)
             for output in (*plan.known.values(), *plan.elements.values(), *(plan.outputs or ()))
         }
         self._clauses: Clauses | None = None
@@ -270,7 +270,9 @@ def _parameters(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[st
     """The values of the SQL's parameters."""
     bound = {}
     for binding in plan.bindings:
-        if binding.source is not None:
+        if binding.source is not None and binding.end:
+            bound[binding.name] = getattr(sources[binding.source], binding.end)
+        elif binding.source is not None:
             bound[binding.name] = _listed(elements_of(sources[binding.source]), binding.tag)
         elif binding.node is not None:
             bound[binding.name] = _bound_value(outer, binding.node, binding.column)
@@ -350,7 +352,7 @@ class RowByRow:
             outer: what is around the query.
             values: those of the sources.
         """
-        elements = [elements_of(value) for value in values]
+        elements = all_elements(values)
         kept = dict(outer.kept)
         if self._search is None:
             return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)

@@ -126,7 +126,7 @@ class _Search:
         if tag.type != "entity":
             return SqlValue(self._state_column(name), tag, extent=Extent.INFINITE)
         if name not in self.entities:
-            if tag.schema is None or tag.nullable:
+            if tag.schema is None or tag.nullable or tag.past:
                 raise NotSqlError
             alias = self.sql.context.alias(f"state {name}")
             self.entities[name] = world_table(tag.schema, alias)

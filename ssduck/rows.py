@@ -268,13 +268,57 @@ def _unsigned(value: Any) -> Any:
     return [_unsigned(part) for part in value] if type(value) is list else value
 
 
+class Tied(Sequence[Any]):
+    """Entities at recorded ticks, which go through their ticks together with another source.
+
+    Args:
+        elements: the entities, tick by tick.
+        to: the place of the other source, before this one.
+    """
+
+    def __init__(self, elements: Sequence[Any], to: int) -> None:
+        self.to = to
+        self._elements = elements
+        self._by_tick: dict[int, list[Any]] = {}
+        for element in elements:
+            self._by_tick.setdefault(element.moment.tick, []).append(element)
+
+    def __len__(self) -> int:
+        return len(self._elements)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._elements[place]
+
+    def beside(self, other: Any) -> Sequence[Any]:
+        """Those of the tick of another one."""
+        return self._by_tick.get(other.moment.tick, ())
+
+
+def _products(values: Sequence[Iterable[Any]]) -> Iterator[tuple[Any, ...]]:
+    if not any(isinstance(elements, Tied) for elements in values):
+        yield from product(*values)
+        return
+    listed = [elements if isinstance(elements, Tied) else list(elements) for elements in values]
+
+    def following(row: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+        if len(row) == len(listed):
+            yield row
+            return
+        elements = listed[len(row)]
+        chosen = elements.beside(row[elements.to]) if isinstance(elements, Tied) else elements
+        for element in chosen:
+            yield from following((*row, element))
+
+    yield from following(())
+
+
 def combinations(
     aliases: Sequence[str], values: Sequence[Iterable[Any]], outer: Frame
 ) -> Iterator[dict[str | None, Any]]:
     """The elements of the sources by alias, for each combination of them, the last fastest."""
     around: dict[str | None, Any] = dict(outer.elements)
     around.pop(None, None)
-    for elements in product(*values):
+    for elements in _products(values):
         row: dict[str | None, Any] = {**around, **dict(zip(aliases, elements, strict=True))}
         if len(aliases) == 1:
             row[None] = elements[0]

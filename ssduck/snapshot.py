@@ -57,7 +57,9 @@ class Snapshot:
         self.time = 0.0
         self.listed: list[Member] = []
         self.untold: Mapping[str, str] = {}
+        # Whether all ticks to be taken are one: poses that were given, or recorded.
         self._is_final = False
+        self._is_past = False
         self._layout = Layout((), watched=False)
         # What cannot move is read once; None if that has to be done (again).
         self._still: Frames | None = None
@@ -66,6 +68,8 @@ class Snapshot:
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
         self._asked: dict[str, int] = {}
+        # Tables that are read with every tick, asked for or not.
+        self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
         self._geometries: dict[str, int] = {}
         self.sensing = Sensing()
@@ -86,6 +90,16 @@ class Snapshot:
     def rows(self) -> dict[int, int]:
         """The row of each entity's id."""
         return self._layout.rows
+
+    @property
+    def layout(self) -> Layout:
+        """Where the entities go in the tables; the same object as long as they are the same."""
+        return self._layout
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all numbers of all entities are known."""
+        return all(table.whole for table in self.tables.values())
 
     @property
     def parts(self) -> Iterator[tuple[Part, Frames]]:
@@ -129,8 +143,16 @@ class Snapshot:
         twin.sensing = self.sensing.twin()
         twin._is_final = True  # noqa: SLF001  # one class
         twin._asked, twin._read = {}, frozenset()  # noqa: SLF001
+        twin.recorded = frozenset()
         twin._asked_sensors, twin._read_sensors = {}, frozenset()  # noqa: SLF001
         twin._warned = set(self._warned)  # noqa: SLF001
+        return twin
+
+    def past(self, number: int, untold: Mapping[str, str]) -> Snapshot:
+        """A twin, to be taken of a tick that was before."""
+        twin = self.twin(untold)
+        twin.number, twin._is_past = number, True  # noqa: SLF001  # one class
+        twin.read_all_anew()
         return twin
 
     # -- what is in the world -------------------------------------------------------------
@@ -187,7 +209,7 @@ class Snapshot:
 
     def _fill_shapes(self, bodies: Sequence[tuple[int, Body]]) -> None:
         shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]
-        geometries = [self._geometry_id(shape.geometry) for _, _, shape in shapes]
+        geometries = [self.geometry_id(shape.geometry) for _, _, shape in shapes]
         self.tables["shapes"].fill(
             len(shapes),
             {
@@ -212,7 +234,8 @@ class Snapshot:
             },
         )
 
-    def _geometry_id(self, geometry: Geometry) -> int:
+    def geometry_id(self, geometry: Geometry) -> int:
+        """The number of a geometry in the table of geometries: equal ones have one."""
         return self._geometries.setdefault(geometry.key, len(self._geometries) + 1)
 
     def shapes(self) -> Shapes:
@@ -265,7 +288,7 @@ class Snapshot:
         """Note that these tables are asked for; tells whether this tick lacks any of them."""
         wanted = ON_DEMAND.intersection(tables).difference(self.untold)
         self._asked |= dict.fromkeys(wanted, self.number)
-        return not wanted <= self._read
+        return not (wanted | self.recorded) <= self._read
 
     def ask_sensor(self, sensor: int, *, picture: bool) -> bool:
         """Note that a sensor is asked for; tells whether this tick lacks it, or its colours.
@@ -302,6 +325,7 @@ class Snapshot:
         layout = self._layout if same else Layout(members, simulator.watched)
         coming = self.number + (not self._is_final)
         wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
+        wanted |= self.recorded
         still = self._still if same else None
         if still is None:
             still = simulator.read_frames(layout.still.bodies, links_move=True)
@@ -382,7 +406,8 @@ class Snapshot:
             table["time"].fill(self.time)
             if name != "ticks":  # whose numbers are known
                 table.written()
-        if not self.tables["entities"].whole:
+        # Of what was a tick before, it was said then.
+        if not self.tables["entities"].whole and not self._is_past:
             self._warn_of_unknown(self.tables["entities"].reals("x", "zmax"))
 
     def _warn_of_unknown(self, numbers: Array) -> None:

@@ -14,8 +14,10 @@ import pyarrow as pa
 from ssduck.dependencies import aliases_of
 from ssduck.entities import Entity
 from ssduck.errors import ArgumentError
-from ssduck.plan import Shape
+from ssduck.past import Now, Past
+from ssduck.plan import Moments, Shape
 from ssduck.result import Result, values_of
+from ssduck.rows import Tied
 from ssduck.tree import Query
 from ssduck.types import ANY, INTEGER, SchemaOf, Tag, tag_of_any, to_sql
 from ssduck.world import World
@@ -37,13 +39,26 @@ def elements_of(value: Any) -> Sequence[Any]:
     """
     if isinstance(value, list | tuple):
         return value
-    if isinstance(value, World):
+    if isinstance(value, World | Past | Now):
         return list(value)
     if isinstance(value, np.ndarray) and value.ndim:
         rows: list[Any] = value.tolist()
         return rows
     table = _table(value)
     return [value] if table is None else table.rows()
+
+
+def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
+    """The elements of all sources of a query, those of several ticks of one world tied."""
+    found: list[Sequence[Any]] = []
+    first: dict[World, int] = {}
+    for place, value in enumerate(values):
+        elements = elements_of(value)
+        if isinstance(value, Past) and value.is_window:
+            to = first.setdefault(value.world, place)
+            elements = elements if to == place else Tied(elements, to)
+        found.append(elements)
+    return found
 
 
 @dataclass(frozen=True)
@@ -131,6 +146,11 @@ def _shape(alias: str, value: Any, schema_of: SchemaOf) -> Shape:
         return Shape(alias, given=False)
     if isinstance(value, World):
         return Shape(alias, schema_of(value))
+    if isinstance(value, Past):
+        moments: Moments = "window" if value.is_window else "instant"
+        return Shape(alias, schema_of(value.world), moments=moments)
+    if isinstance(value, Now):
+        return Shape(alias, schema_of(value.world), moments="now")
     elements = elements_of(value)
     tag = _common(elements, schema_of)
     dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
@@ -176,11 +196,24 @@ _ARROW_TYPES = {
 }
 
 
+def beside_past(values: Sequence[Any]) -> list[Any]:
+    """The values of sources; a world whose past is one as well, as it is at its present tick."""
+    records = {value.world: value.record for value in values if isinstance(value, Past)}
+    return [
+        Now(records[value], value.snapshot.number)
+        if isinstance(value, World) and value in records
+        else value
+        for value in values
+    ]
+
+
 def within(value: Any) -> list[World] | None:
     """The worlds that a value is of: a world, an entity, a list of such; None if nobody knows."""
     match value:
         case World():
             return [value]
+        case Past() | Now():
+            return [value.world]
         case Entity():
             return [value.world]
         case None | str() | int() | float() | Result():

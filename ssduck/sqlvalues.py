@@ -14,7 +14,7 @@ from ssduck.plan import Binding, Names
 from ssduck.relations import ValueType
 from ssduck.tables import TABLES
 from ssduck.tree import Node
-from ssduck.types import Signature, Tag
+from ssduck.types import IDS, Signature, Tag
 
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type
@@ -49,7 +49,8 @@ class SqlValue:
     """A part as SQL, its type, and how to get at what it is made of.
 
     Attributes:
-        given: the value; of an entity its id is taken if there is none.
+        given: the value; of an entity its id is taken if there is none, and at a recorded tick
+            its key.
         tag: its type.
         column: of an entity, its columns.
         elements: of a list that is written out, its elements.
@@ -70,12 +71,22 @@ class SqlValue:
 
     @property
     def sql(self) -> exp.Expr:
-        """The value; of an entity its id."""
+        """The value; of an entity its id, at a recorded tick its key."""
         if self.given is not None:
             return self.given
         if self.column is None:
             raise NotSqlError
-        return self.column("id")
+        if not self.tag.past:
+            return self.column("id")
+        ticks = exp.Mul(this=self.column("tick"), expression=exp.Literal.number(IDS))
+        return exp.paren(exp.Add(this=ticks, expression=self.column("id")))
+
+    @property
+    def identity(self) -> exp.Expr:
+        """What is compared: of an entity its id, at whatever tick it is."""
+        if self.tag.type == "entity" and self.tag.past and self.column is not None:
+            return self.column("id")
+        return self.sql
 
 
 @dataclass

@@ -246,6 +246,8 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
         )
     columns = item.column
     assert columns is not None
+    if item.tag.past:
+        raise NotSqlError
     return SqlValue(None, item.tag, lambda name: first(columns(name), column_tag(name)))
 
 
@@ -493,7 +495,7 @@ def _derived_items(rows: Subquery, name: str) -> Element:
     assert item.column is not None
     columns = {column: item.column(column) for column in ENTITY_COLUMNS}
     value = entity_value(item.tag.schema, name)
-    if item.tag.nullable:
+    if item.tag.nullable or item.tag.past:
         raise NotSqlError
     return _derived_element(rows, name, value, columns)
 

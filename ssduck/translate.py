@@ -10,6 +10,7 @@ database.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Literal
 
 from sqlglot import exp
 
@@ -18,6 +19,8 @@ from ssduck.dependencies import changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
     counted_rows,
+    past_table,
+    present_table,
     product_of,
     record_table,
     unnested,
@@ -33,10 +36,11 @@ from ssduck.resolve import resolve
 from ssduck.rows import Rest, aggregates
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
 from ssduck.tree import Binary, Call, Key, Node, Query
-from ssduck.types import Tag
+from ssduck.types import INTEGER, Tag
 from ssduck.udfs import RELATIONS
 
 _MOST_ROWS = 2**62
+_ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
 
 
 class NotInlineError(Exception):
@@ -109,6 +113,7 @@ class _Translator:
             self._item(node)
         self._having()
         found = [condition for condition in conditions if condition is not None]
+        found.extend(self._together())
         order, keys = self._order(found)
         limit = self._limit(left=bool(left or keys))
         plan.rest = Rest(
@@ -143,6 +148,8 @@ class _Translator:
                 return subqueries.element(Expressions(self.context), shape.alias, node)
             except NotSqlError as error:
                 raise NotInlineError(shape.alias) from error
+        if shape.moments:
+            return self._past(shape)
         name = self.context.alias(shape.alias)
         if shape.tag is None:
             assert shape.schema is not None
@@ -158,6 +165,29 @@ class _Translator:
         if tag.element is None:
             return counted_rows(name, given)
         return unnested(name, SqlValue(given, tag))
+
+    def _past(self, shape: Shape) -> Element:
+        """The past of a world; its name is none that a column could have."""
+        name = self.context.alias(f"{shape.alias} then")
+        assert shape.schema is not None
+        if shape.moments == "now":
+            return present_table(shape.schema, name)
+        first, last = (
+            self.context.parameter(end, Binding("", source=shape.alias, end=end, tag=INTEGER))
+            for end in _ENDS
+        )
+        return past_table(shape.schema, name, first, last)
+
+    def _together(self) -> Iterator[exp.Expr]:
+        """Sources that are several ticks of one world go through them together."""
+        before: dict[str | None, exp.Expr] = {}
+        for shape in self.result.shapes:
+            if shape.moments == "window":
+                column = self.sql.rows[shape.alias].column
+                assert column is not None
+                if shape.schema in before:
+                    yield exp.EQ(this=before[shape.schema].copy(), expression=column("tick"))
+                before[shape.schema] = column("tick")
 
     def _known_shapes(self) -> list[Shape]:
         return [
@@ -175,7 +205,8 @@ class _Translator:
         sides = sides_of(node)
         if sides is None:
             return None
-        worlds = {s.alias: s.schema for s in self.result.shapes if s.given and s.tag is None}
+        live = (s for s in self.result.shapes if s.given and s.tag is None and not s.moments)
+        worlds = {shape.alias: shape.schema for shape in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
         others = [part for part in _conjuncts(self.query.where) if part is not node]
@@ -259,7 +290,7 @@ class _Translator:
 
     def _recursive(self) -> Plan:
         plan = self.result
-        if is_impure(self.query):
+        if is_impure(self.query) or any(shape.moments for shape in plan.shapes):
             raise NotSqlError
         found = searched(self.sql, self.query, self.selected, self.elements)
         plan.paths = True
@@ -289,6 +320,8 @@ class _Translator:
         select = product_of(self.elements)
         for table in self.pairs:
             select.append("joins", exp.Join(this=table, kind="CROSS"))
+        for follower in self.sql.followers.values():
+            select.append("joins", follower.join)
         select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
         if order:
             select = select.order_by(*order)

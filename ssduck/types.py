@@ -11,11 +11,14 @@ from operator import itemgetter
 from typing import Any, TypeAlias
 
 from ssduck.entities import Entity
+from ssduck.past import Record
 from ssduck.relations import ValueType
 from ssduck.world import World
 
 # Larger integers are not all numbers that a DOUBLE can be.
 EXACT = 2**53
+# The key of an entity at a recorded tick is tick * IDS + id: ids are fewer than this.
+IDS = 2**25
 # More keys than this make no columns.
 MOST_FIELDS = 200
 
@@ -31,6 +34,7 @@ class Tag:
         element: of a list, what its elements are; None for a list without elements.
         length: of a list, 3 if it may be a point.
         schema: of an entity, the world that it is in.
+        past: of an entity, whether it is one at a recorded tick.
         nullable: whether there may be none.
         fields: of a record, its keys and what they hold.
     """
@@ -39,6 +43,7 @@ class Tag:
     element: Tag | None = None
     length: int | None = None
     schema: str | None = None
+    past: bool = False
     nullable: bool = False
     fields: tuple[tuple[str, Tag], ...] = ()
 
@@ -135,8 +140,11 @@ def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
             return _text((value,))
         case None:
             return Tag("nothing")
-        case Entity():  # of one that is gone SQL knows nothing
-            return Tag("entity", schema=schema_of(value.world)) if value in value.world else ANY
+        case Entity() if not value.is_there:  # of one that is gone SQL knows nothing
+            return ANY
+        case Entity():
+            past = value.moment is not None
+            return Tag("entity", schema=schema_of(value.world), past=past)
         case list():
             return _list((value,), schema_of)
         case dict():
@@ -258,14 +266,16 @@ def _both(a: Tag, b: Tag) -> Tag:
     if a.type == b.type == "record" and [k for k, _ in a.fields] == [k for k, _ in b.fields]:
         pairs = zip(a.fields, b.fields, strict=True)
         return Tag("record", fields=tuple((k, _both(t, u)) for (k, t), (_, u) in pairs))
-    if a.type == b.type != "record" and a.schema == b.schema:
+    if a.type == b.type != "record" and (a.schema, a.past) == (b.schema, b.past):
         return replace(a, nullable=a.nullable or b.nullable)
     return ANY
 
 
 def to_sql(value: Any) -> Any:
-    """A value as SQL takes it: entities by their ids."""
+    """A value as SQL takes it: entities by their ids, at a recorded tick by their keys."""
     if isinstance(value, Entity):
+        if value.moment is not None:
+            return value.moment.tick * IDS + value.id
         return value.column("id")
     if isinstance(value, list):
         return [to_sql(element) for element in value]
@@ -275,12 +285,23 @@ def to_sql(value: Any) -> Any:
 Converter: TypeAlias = Callable[[Any], Any]
 
 
-def converter(tag: Tag, worlds: Mapping[str, World]) -> Converter | None:
-    """What makes values of those that SQL gives back: entities of ids; None if they are."""
+def converter(
+    tag: Tag, worlds: Mapping[str, World], records: Mapping[str, Record]
+) -> Converter | None:
+    """What makes values of those that SQL gives back: entities of ids; None if they are.
+
+    Args:
+        tag: the type of the values.
+        worlds: by schema.
+        records: what is kept of those that are recorded.
+    """
     if tag.type == "entity" and tag.schema is not None:
+        if tag.past:
+            entity_then = records[tag.schema].entity
+            return lambda key: None if key is None else entity_then(*divmod(key, IDS))
         entity = worlds[tag.schema].entity
         return lambda value: None if value is None else entity(value)
     if tag.type == "list" and tag.element is not None:
-        inner = converter(tag.element, worlds)
+        inner = converter(tag.element, worlds, records)
         return None if inner is None else lambda values: [inner(value) for value in values]
     return None

@@ -190,6 +190,16 @@ _LISTED = (
     _of_entity(
         "type", "text", "object.kind", "Returns the kind of an object: robot, kinbody or sensor."
     ),
+    _of_entity(
+        "tick", "integer", "object.tick", "Returns the number of the tick that object is of."
+    ),
+    _of_entity(
+        "time",
+        "real",
+        "object.time",
+        "Returns the simulated time of the tick that object is of.",
+        "s",
+    ),
     _of_entity("obj", "entity", "object.name", "Returns the object itself."),
     *(
         _of_entity(

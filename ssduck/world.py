@@ -12,12 +12,12 @@ import weakref
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.entities import Entity, Sensor
+from ssduck.entities import Entity, Moment, Sensor
 from ssduck.errors import (
     ArgumentError,
     SceneError,
@@ -28,17 +28,27 @@ from ssduck.errors import (
 from ssduck.kinematics import JointValues, Pose, pose_of, positions_of
 from ssduck.layout import Member
 from ssduck.openrave import WorldSpellings
+from ssduck.recording import Recorder
 from ssduck.scenes import Camera, Scene, SensorSpec, read_sensor
 from ssduck.sensing import Reading
+from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Kind, Simulator
+from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
 from ssduck.what_if import imagined
+
+if TYPE_CHECKING:
+    from ssduck.history import Archive
+    from ssduck.past import Record
 
 T = TypeVar("T")
 
 # What a world is called before it gets a name.
 UNNAMED = "world"
 _serials = count()
+# Tables that are worked out of poses, and those that nobody but a simulator knows.
+_AS_READ = frozenset(("links", "joints", "shapes"))
+_AS_RECORDED = frozenset(("contacts", "sensings"))
 # Seconds that a step waits while another thread wants to ask.
 _TURN = 1e-4
 
@@ -90,6 +100,7 @@ class World(WorldSpellings):
         self._simulator = simulator
         self._ids = count(1)
         self._members = snapshot.listed
+        self._recorders: list[weakref.ref[Recorder]] = []
 
     @classmethod
     def load(cls, scene: Scene) -> World:
@@ -170,9 +181,44 @@ class World(WorldSpellings):
         """
         with self.lock:
             self._check_not_held()
-            self._update_members()
-            self.snapshot.take(self._simulator, self._members)
+            self._take()
             return self
+
+    def _take(self) -> None:
+        self._update_members()
+        self.snapshot.take(self._simulator, self._members)
+        for reference in self._recorders:
+            recorder = reference()
+            if recorder is not None:
+                recorder.note(self.snapshot)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether no other tick of it will come: it is a what-if world, or a past one."""
+        return isinstance(self._simulator, Posed)
+
+    def record(self, recorder: Recorder) -> None:
+        """Let a recorder keep this tick and those to come, as long as anyone else holds it."""
+        with self.lock:
+            self._check_not_held()
+            self._recorders.append(weakref.ref(recorder))
+            self._read_recorded()
+            if self.snapshot.ask(()):
+                self._take()
+            else:
+                recorder.note(self.snapshot)
+
+    def forget(self, recorder: Recorder) -> None:
+        """Let a recorder keep no more ticks."""
+        with self.lock:
+            self._recorders = [r for r in self._recorders if r() not in (None, recorder)]
+            self._read_recorded()
+
+    def _read_recorded(self) -> None:
+        """See to it that each tick has the tables that are recorded."""
+        recorders = [recorder for reference in self._recorders if (recorder := reference())]
+        tables = frozenset(table for r in recorders for table in r.recording.tables)
+        self.snapshot.recorded = tables - {"entities"}
 
     def ask(self, tables: Iterable[str]) -> None:
         """See to it that the current tick has these tables; takes a fresh one if it has not."""
@@ -184,8 +230,7 @@ class World(WorldSpellings):
         if self._simulator.watched:
             self._check_not_held()
         # Under a query nothing has moved in a world that ssduck alone steps.
-        self._update_members()
-        self.snapshot.take(self._simulator, self._members)
+        self._take()
 
     @contextmanager
     def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
@@ -494,6 +539,72 @@ class World(WorldSpellings):
                 Member(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
             )
         return sensors
+
+
+class PastWorld(World):
+    """A world as it was at a recorded tick: it never changes, and knows what was recorded.
+
+    Args:
+        record: what is kept of the world.
+        posed: where its bodies were.
+        snapshot: of that tick.
+    """
+
+    def __init__(self, record: Record, posed: Posed, snapshot: Snapshot) -> None:
+        self._begin(posed, snapshot, record.world.name, record.world.camera)
+        self._record = record
+        for table in _AS_RECORDED & record.tables:
+            rows = record.rows(table, snapshot.number)
+            columns = {name: rows[name].to_pylist() for name in rows.column_names}
+            snapshot.tables[table].fill(rows.num_rows, columns)
+
+    def ask(self, tables: Iterable[str]) -> None:
+        """See to it that there are these tables; what was recorded is there."""
+        super().ask(_AS_READ.intersection(tables))
+
+    def shapes(self) -> Shapes:
+        """The shapes of this tick, to be compared."""
+        self.ask(("shapes",))
+        return self.snapshot.shapes()
+
+    def entity(self, id: int) -> Entity:
+        """The handle of an entity at this tick, by its id."""
+        member = self.snapshot.members[self.snapshot.rows[id]]
+        kind = Sensor if member.kind == "sensor" else Entity
+        moment = Moment(self._record, self.snapshot.number)
+        return kind(self._record.world, id, member.name, member.kind, moment)
+
+    def __contains__(self, thing: object) -> bool:
+        """Whether it has an entity of that name, or that entity."""
+        if isinstance(thing, Entity):
+            return thing.world is self._record.world and thing.id in self.snapshot.rows
+        return super().__contains__(thing)
+
+
+class RecordedWorld(PastWorld):
+    """A world of which there is only what was recorded: its present is the last tick.
+
+    Args:
+        name: what it is called.
+        record: what is kept of it; it is told of this world.
+        archive: where that is stored.
+    """
+
+    def __init__(self, name: str, record: Record, archive: Archive) -> None:
+        self.name, self.camera = name, Camera()
+        record.world = self
+        posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
+        super().__init__(record, posed, snapshot)
+        self.archive = archive
+
+    @property
+    def own_record(self) -> Record:
+        """What is kept of it."""
+        return self._record
+
+    def entity(self, id: int) -> Entity:
+        """The handle of an entity that is there, by its id."""
+        return World.entity(self, id)
 
 
 def _unique(name: str, taken: Container[str]) -> str:

@@ -23,6 +23,7 @@ class Posed:
         joints: position, velocity and effort of each body's joints, (joints, 3).
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
+        called: what such a world is called in errors.
     """
 
     time: float
@@ -30,6 +31,7 @@ class Posed:
     joints: Mapping[Body, Array]
     disabled: frozenset[Body]
     hidden: frozenset[Body]
+    called: str = "a what-if world"
     watched: bool = False
 
     def describe(self) -> None:
@@ -50,13 +52,13 @@ class Posed:
     def step(self, count: int) -> None:  # noqa: ARG002
         """Refuse."""
         raise UnsupportedError(
-            "a what-if world is not simulated: it cannot be stepped; step the world that it was "
-            "taken of, and take another"
+            f"{self.called} is not simulated: it cannot be stepped; step the world that it was "
+            "taken of"
         )
 
     def _refuse(self, *_: Any) -> NoReturn:
         raise UnsupportedError(
-            "a what-if world does not change: take another of it, "
+            f"{self.called} does not change: ask what if, "
             "world.what_if({name: pose}, joints={name: {joint: value}})"
         )
 
@@ -64,14 +66,14 @@ class Posed:
 
     def _perceive(self, *_: Any) -> NoReturn:
         raise UnsupportedError(
-            "sensors perceive nothing in a what-if world: no simulation casts their rays"
+            f"sensors perceive nothing in {self.called}: no simulation casts their rays"
         )
 
     cast_rays = photograph = _perceive
 
     def render(self, *_: Any) -> NoReturn:
         """Refuse."""
-        raise UnsupportedError("a what-if world has no picture: no simulator draws it")
+        raise UnsupportedError(f"{self.called} has no picture: no simulator draws it")
 
     def close(self) -> None:
         """It holds nothing."""

@@ -1,0 +1,93 @@
+"""Writing what is kept of a world to a folder of Parquet files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.errors import EvaluationError
+from ssduck.folder import Folder
+from ssduck.geometry import Geometry
+from ssduck.past import Record
+from ssduck.recording import Recording, chosen_members, unknown_names
+
+# So many rows of entities make a part, about: ten megabytes.
+PART_ROWS = 1 << 18
+
+
+def exported(
+    record: Record,
+    path: Path,
+    names: tuple[str, ...] | None,
+    between: tuple[float | None, float | None],
+) -> Path:
+    """Write ticks of a world as a new episode; gives the folder of its ticks.
+
+    Args:
+        record: what is kept of the world, which the caller holds.
+        path: the folder of episodes.
+        names: of the entities that are written; None for all.
+        between: simulated times from which and until which, s; None without end.
+
+    Raises:
+        RecordError: the folder has something else in it, or cannot be written.
+        EvaluationError: nothing is kept of that time.
+        ArgumentError: no entity has one of the names.
+    """
+    numbers = _ticks(record, between)
+    tables = [table for table in record.tables if table not in ("ticks", "frames")]
+    recording = Recording(tables=tuple(sorted(tables)), entities=names)
+    members = list(record.members.values())
+    for error in unknown_names(recording, members):
+        raise error
+    kept = members if names is None else chosen_members(members, names)
+    ids = pa.array([member.id for member in kept])
+    folder = Folder(path, record.world.name, recording)
+    folder.add_members(kept, _numbered())
+    for first, last in _parts(numbers, max(len(kept), 1)):
+        folder.add(
+            {
+                table: _of(record.fetch(table, first, last), table, None if names is None else ids)
+                for table in folder.tables
+            }
+        )
+    return folder.episode.place("ticks")
+
+
+def _ticks(record: Record, between: tuple[float | None, float | None]) -> list[int]:
+    numbers, times = record.ticks.numbers, record.ticks.times
+    low = -np.inf if between[0] is None else between[0]
+    high = np.inf if between[1] is None else between[1]
+    found: list[int] = numbers[(times >= low - 1e-9) & (times <= high + 1e-9)].tolist()
+    if not found:
+        name = record.world.name
+        told = f"from {times[0]:g} s to {times[-1]:g} s" if len(times) else "nothing"
+        raise EvaluationError(f"no tick of {name!r} of that time is recorded, but {told}")
+    return found
+
+
+def _parts(numbers: list[int], rows: int) -> list[tuple[int, int]]:
+    """The first and the last tick of each part."""
+    step = max(PART_ROWS // rows, 1)
+    parts = [numbers[start : start + step] for start in range(0, len(numbers), step)]
+    return [(part[0], part[-1]) for part in parts]
+
+
+def _of(rows: pa.Table, table: str, ids: pa.Array | None) -> pa.Table:
+    """The rows of some entities."""
+    if ids is None or table == "ticks":
+        return rows
+    sides = {"entities": ("id",), "contacts": ("a", "b"), "sensings": ("sensor", "entity")}
+    kept = np.ones(rows.num_rows, dtype=bool)
+    for side in sides.get(table, ("entity",)):
+        kept &= np.isin(rows[side].to_numpy(), ids.to_numpy())
+    return rows.filter(pa.array(kept))
+
+
+def _numbered() -> Callable[[Geometry], int]:
+    """What gives geometries numbers, equal ones the same."""
+    numbers: dict[str, int] = {}
+    return lambda geometry: numbers.setdefault(geometry.key, len(numbers) + 1)

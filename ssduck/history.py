@@ -1,0 +1,378 @@
+"""The history of a world in DuckDB: where its ticks are stored, and the views that show them.
+
+What differs from tick to tick is stored in tables of numbers, what an entity is once, beside
+them. The views `<table>_history` join the two, and what waits in the rings with what is stored.
+
+A world's history is a schema of its own. Its rows are written by a connection of their own:
+the world is held meanwhile, so that no query of it sees the one half and not the other. Where
+older ticks are dropped, the tables are as many `SLOTS`: the oldest is dropped as a whole, which
+takes no time and gives its memory back.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import numpy as np
+import pyarrow as pa
+from sqlglot import exp
+
+from ssduck.errors import RecordError
+from ssduck.geometry import Geometry
+from ssduck.layout import Member
+from ssduck.models import KEYS, MODELS, members_of, models_of
+from ssduck.recording import FRAME_REALS, FRAMES, RECORDABLE, STORED, Recording, Ticks
+from ssduck.tables import TABLES
+
+SLOTS = 5
+# The version of what is stored, and the table that tells it.
+VERSION = 1
+_ABOUT = "ssduck record"
+
+
+class Writer(Protocol):
+    """A connection to DuckDB of a history's own."""
+
+    def run(self, sql: str) -> None:
+        """Run a statement."""
+
+    def insert(self, place: str, rows: pa.Table) -> None:
+        """Add rows to a table, by the names of its columns."""
+
+    def insert_new(self, place: str, rows: pa.Table) -> None:
+        """Make a table of rows."""
+
+    def rows(self, sql: str, parameters: Sequence[Any] = ()) -> pa.Table:
+        """All rows of a SELECT."""
+
+    def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
+        """All rows of a SELECT, as tuples."""
+
+    def close(self) -> None:
+        """Close the connection."""
+
+
+class Archive(Protocol):
+    """Where ticks are stored that can be read."""
+
+    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:
+        """What the view of a table's history selects; None for what is not recorded."""
+
+    def models(self) -> dict[str, str]:
+        """What the views select that tell what entities are, by their names."""
+
+    def fetch(self, table: str, first: int, last: int) -> pa.Table:
+        """The rows of a table at ticks from first to last."""
+
+    def close(self, *, forget: bool) -> None:
+        """Let go of it; what is stored is dropped, or not."""
+
+
+class History:
+    """The stored ticks of a world.
+
+    Args:
+        schema: what holds them.
+        writer: a connection of its own.
+        recording: what is kept of each tick.
+        world: what the world is called; None to read what is stored there already.
+    """
+
+    def __init__(
+        self, schema: str, writer: Writer, recording: Recording, world: str | None = None
+    ) -> None:
+        self.schema = schema
+        self.recording = recording
+        self._writer = writer
+        self._slots = SLOTS if recording.is_bounded else 1
+        # Of each slot in use, the oldest first: its number, and its first tick.
+        self._used: list[tuple[int, int]] = [(0, 0)]
+        self._geometries: set[int] = set()
+        self.tables = ("ticks", *(t for t in RECORDABLE if t in recording.tables))
+        if "links" not in recording.tables:
+            self.tables += (FRAMES,)
+        if world is not None:
+            self._make(world)
+
+    def close(self, *, forget: bool) -> None:
+        """Write no more.
+
+        Args:
+            forget: whether what is stored is dropped.
+        """
+        if forget:
+            self._writer.run(f"DROP SCHEMA {_quoted(self.schema)} CASCADE")
+        self._writer.close()
+
+    def _make(self, world: str) -> None:
+        self._writer.run(f"CREATE SCHEMA {_quoted(self.schema)}")
+        about = {"version": VERSION, "world": world, "recording": asdict(self.recording)}
+        self._writer.insert_new(self._place(_ABOUT), pa.table({"about": [json.dumps(about)]}))
+        for table, columns in MODELS.items():
+            self._writer.run(_create(self._place(f"{table} model"), columns))
+        for table in self.tables:
+            for slot in range(self._slots):
+                self._writer.run(_create(self._slot(table, slot), self._columns(table)))
+
+    @classmethod
+    def stored(cls, schema: str, writer: Writer) -> History:
+        """What is stored in a schema.
+
+        Raises:
+            RecordError: it is of a newer version, or damaged.
+        """
+        place = f"{_quoted(schema)}.{_quoted(_ABOUT)}"
+        ((text,),) = writer.fetchall(f"SELECT about FROM {place}")  # noqa: S608
+        about = json.loads(text)
+        if about["version"] > VERSION:
+            raise RecordError(
+                f"{schema} is a record of version {about['version']}; this ssduck reads those up "
+                f"to {VERSION}: install a newer one"
+            )
+        return cls(schema, writer, Recording(**about["recording"]))
+
+    def ticks(self) -> Ticks:
+        """The ticks that are stored."""
+        found = Ticks()
+        rows = f"SELECT tick, time FROM ({self._stored('ticks')}) AS ticks ORDER BY tick"  # noqa: S608
+        for number, time in self._writer.fetchall(rows):
+            found.append(number, time)
+        return found
+
+    def members(self) -> dict[int, Member]:
+        """The entities that they tell of, by id."""
+        return members_of(
+            {
+                table: self._writer.rows(f"SELECT * FROM {self._model(table)}")  # noqa: S608
+                for table in MODELS
+            }
+        )
+
+    def _columns(self, table: str) -> dict[str, str]:
+        columns = columns_of(table)
+        return columns | {"until": "BIGINT"} if self._is_changed(table) else columns
+
+    def _is_changed(self, table: str) -> bool:
+        """Whether rows of a table are stored only where they changed."""
+        return self.recording.changed and table in (*KEYS, FRAMES)
+
+    def _place(self, name: str) -> str:
+        return f"{_quoted(self.schema)}.{_quoted(name)}"
+
+    def _slot(self, table: str, slot: int) -> str:
+        return self._place(f"{table} {slot}")
+
+    # -- writing (ssduck.recording.Store) ---------------------------------------------------
+
+    def add_members(
+        self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
+    ) -> None:
+        """Keep what entities are, before rows of theirs; geometries by their numbers."""
+        for table, rows in models_of(members, geometry_id, self._geometries).items():
+            if rows.num_rows:
+                self._writer.insert(self._place(f"{table} model"), rows)
+                if table == "geometries":
+                    self._geometries |= set(rows["id"].to_pylist())
+
+    def add(self, rows: Mapping[str, pa.Table]) -> None:
+        """Keep the rows of whole ticks, all or none of them."""
+        self._turn(int(rows["ticks"]["tick"][0].as_py()))
+        slot, _ = self._used[-1]
+        self._writer.run("BEGIN")
+        try:
+            for table, own in rows.items():
+                kept = _changes(table, own) if self._is_changed(table) else own
+                self._writer.insert(self._slot(table, slot), kept)
+        except BaseException:
+            self._writer.run("ROLLBACK")
+            raise
+        self._writer.run("COMMIT")
+
+    def _turn(self, tick: int) -> None:
+        """Take the next slot, if a quarter of what is kept is in this one."""
+        if self._slots == 1:
+            return
+        number, _ = self._used[-1]
+        ((count, seconds),) = self._writer.fetchall(
+            f"SELECT count(*), max(time) - min(time) FROM {self._slot('ticks', number)}"  # noqa: S608
+        )
+        if not count:
+            self._used[-1] = number, tick
+            return
+        recording = self.recording
+        full = recording.ticks is not None and count >= recording.ticks / (SLOTS - 1)
+        if recording.seconds is not None and seconds >= recording.seconds / (SLOTS - 1):
+            full = True
+        free = set(range(SLOTS)) - {number for number, _ in self._used}
+        if full and free:
+            self._used.append((free.pop(), tick))
+
+    def drop_before(self, tick: int) -> int:
+        """Drop slots whose ticks are all older; tells the first tick that is still there."""
+        while len(self._used) > 1 and self._used[1][1] <= tick:
+            slot, _ = self._used.pop(0)
+            for table in self.tables:
+                place = self._slot(table, slot)
+                self._writer.run(_create(place, self._columns(table), replace=True))
+        return self._used[0][1]
+
+    # -- reading ----------------------------------------------------------------------------
+
+    def fetch(self, table: str, first: int, last: int) -> pa.Table:
+        """The stored rows of a table at ticks from first to last, what waits left out."""
+        rows = self._stored(table)
+        return self._writer.rows(
+            f"SELECT * FROM ({rows}) AS stored WHERE tick BETWEEN ? AND ?",  # noqa: S608
+            (first, last),
+        )
+
+    def _stored(self, table: str) -> str:
+        """A SELECT of the stored rows of a table."""
+        return " UNION ALL ".join(self._of_slot(table, slot) for slot in range(self._slots))
+
+    def _of_slot(self, table: str, slot: int) -> str:
+        place, columns = self._slot(table, slot), columns_of(table)
+        if not self._is_changed(table):
+            return f"SELECT {_listed(columns)} FROM {place}"  # noqa: S608
+        told = _listed(columns, lambda name: "ticks" if name in ("tick", "time") else "rows")
+        return (
+            f"SELECT {told} FROM (SELECT *, unnest(range(tick, until + 1)) AS at "  # noqa: S608
+            f"FROM {place}) AS rows JOIN {self._slot('ticks', slot)} AS ticks "
+            "ON ticks.tick = rows.at"
+        )
+
+    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:
+        """What the view of a table's history selects; None for what is not recorded.
+
+        Args:
+            table: a table of a world.
+            ring: the name of the table in which the rows of a table wait, if any do.
+        """
+        if table not in self.tables:
+            return None
+        return history_of(table, self._all(table, ring), self._all("entities", ring), self._model)
+
+    def models(self) -> dict[str, str]:
+        """What the views select that tell what entities are, by their names."""
+        return {f"{table}_model": f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
+
+    def _all(self, table: str, ring: Callable[[str], str] | None) -> str:
+        """A SELECT of all rows of a table, those that wait among them."""
+        if ring is None:
+            return self._stored(table)
+        columns = _listed(columns_of(table))
+        waiting = f"SELECT {columns} FROM {_quoted(ring(table))} WHERE tick >= 0"  # noqa: S608
+        return f"{self._stored(table)} UNION ALL {waiting}"
+
+    def _model(self, table: str) -> str:
+        return self._place(f"{table} model")
+
+
+def abouts(writer: Writer) -> list[tuple[str, str]]:
+    """The schemas that hold histories, and what each one tells of itself."""
+    schemas = writer.fetchall(
+        "SELECT schema_name FROM duckdb_tables() WHERE table_name = "  # noqa: S608
+        f"{exp.Literal.string(_ABOUT).sql('duckdb')} AND NOT temporary"
+    )
+    places = [(schema, f"{_quoted(schema)}.{_quoted(_ABOUT)}") for (schema,) in schemas]
+    return [
+        (schema, writer.fetchall(f"SELECT about FROM {place}")[0][0])  # noqa: S608
+        for schema, place in places
+    ]
+
+
+def history_name(table: str) -> str:
+    """What the view of a table with all recorded ticks is called."""
+    return f"{table}_history"
+
+
+def not_recorded(table: str, world: str) -> str:
+    """Why there is no history of a table."""
+    return (
+        f"the table of {table} of {world!r} is not recorded: record it with "
+        f"tables=('entities', '{table}')"
+    )
+
+
+def columns_of(table: str) -> dict[str, str]:
+    """The columns of a table that differ from tick to tick, with DuckDB's types."""
+    if table == FRAMES:
+        return {**dict.fromkeys(("tick", "entity", "link"), "BIGINT"), **_reals(FRAME_REALS)}
+    stored = STORED[table]
+    return {
+        **dict.fromkeys(stored.integers, "BIGINT"),
+        **_reals(stored.names_of_reals(table)),
+        **dict.fromkeys(stored.flags, "BOOLEAN"),
+    }
+
+
+def _reals(names: Sequence[str]) -> dict[str, str]:
+    return dict.fromkeys(names, "DOUBLE")
+
+
+def history_of(table: str, rows: str, entities: str, model: Callable[[str], str]) -> str:
+    """What a table's history selects: its columns as at a tick, in their order.
+
+    Args:
+        table: a table of a world.
+        rows: a SELECT of what differs from tick to tick.
+        entities: the same of the table of entities.
+        model: the name of the table of what is fixed of a table.
+    """
+    columns = [column.name for column in TABLES[table]]
+    if table not in KEYS:
+        return f"SELECT {_listed(columns)} FROM ({rows}) AS rows"  # noqa: S608
+    varying = columns_of(table)
+    told = _listed(columns, lambda name: "rows" if name in varying else "model")
+    if table == "links":  # of a body of one link, that is the body
+        reals = _listed(STORED["links"].names_of_reals("links"))
+        rows += (
+            f" UNION ALL SELECT tick, id, 0, {reals} FROM ({entities}) AS entities "  # noqa: S608
+            f"WHERE id IN (SELECT id FROM {model('entities')} WHERE links = 1)"
+        )
+    keys = _listed(KEYS[table])
+    return f"SELECT {told} FROM ({rows}) AS rows JOIN {model(table)} AS model USING ({keys})"  # noqa: S608
+
+
+def _listed(names: Iterable[str], table: Callable[[str], str] | None = None) -> str:
+    """Columns in SQL, each with the table that it is of."""
+    return ", ".join(
+        _quoted(name) if table is None else f"{table(name)}.{_quoted(name)}" for name in names
+    )
+
+
+def _create(place: str, columns: Mapping[str, str], *, replace: bool = False) -> str:
+    told = ", ".join(f"{_quoted(name)} {type}" for name, type in columns.items())
+    return f"CREATE {'OR REPLACE ' if replace else ''}TABLE {place} ({told})"
+
+
+def _quoted(name: str) -> str:
+    return exp.to_identifier(name, quoted=True).sql("duckdb")
+
+
+def _changes(table: str, rows: pa.Table) -> pa.Table:
+    """The rows that differ from those of the tick before, each with the last tick it holds at."""
+    if not rows.num_rows:
+        return rows.append_column("until", rows["tick"])
+    keys = ("entity", "link") if table == FRAMES else KEYS[table]
+    order = np.lexsort([rows[name].to_numpy() for name in ("tick", *reversed(keys))])
+    sorted_rows = rows.take(order)
+    ticks = sorted_rows["tick"].to_numpy()
+    same = np.ones(len(ticks) - 1, dtype=bool)
+    for name in sorted_rows.column_names:
+        if name in ("tick", "time"):
+            continue
+        values = sorted_rows[name].to_numpy()
+        before, now = values[:-1], values[1:]
+        unknown = np.isnan(before) & np.isnan(now) if values.dtype == np.float64 else False
+        same &= (before == now) | unknown
+    # A run ends where something is missing in between, as well.
+    present = np.unique(ticks)
+    place = np.searchsorted(present, ticks)
+    same &= place[1:] == place[:-1] + 1
+    starts = np.concatenate(([0], np.flatnonzero(~same) + 1))
+    ends = np.concatenate((starts[1:] - 1, [len(ticks) - 1]))
+    return sorted_rows.take(starts).append_column("until", pa.array(ticks[ends]))

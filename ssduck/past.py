@@ -1,0 +1,419 @@
+"""The past of a world: its recorded ticks, and the world as it was at each of them.
+
+A `Record` is what is kept of one world. `Record.at` gives the world at one tick, as what was
+recorded tells; the simulator is never asked. A `Past` is what `kitchen{12.5}`, `kitchen{-2.0}`
+and `kitchen{}` are: some ticks of a record, whose entities are handles that stay at their tick.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.entities import Entity, Moment, Sensor
+from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.geometry import Array, Indices, rotation_matrices
+from ssduck.layout import Layout, Member, Part
+from ssduck.messages import shown
+from ssduck.recording import FRAMES, STORED, Ticks
+from ssduck.separation import Counter
+from ssduck.simulators import Body, Frames
+from ssduck.simulators.posed import Posed
+from ssduck.snapshot import Snapshot
+from ssduck.world import World
+
+if TYPE_CHECKING:
+    from ssduck.world import PastWorld
+
+# So many ticks are fetched at once, and kept as worlds.
+BLOCK = 64
+MOST_BLOCKS = 8
+MOST_WORLDS = 256
+
+_NAN = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class _Placing:
+    """The entities of a tick, and where the frames of their bodies are found.
+
+    Attributes:
+        template: a snapshot of such entities.
+        sources: of each part, the rows of its frames: those of entities, then those of links.
+        bases: of bodies of several links, the row of the base, and that of the entity, which
+            knows how fast it is, (n, 2).
+    """
+
+    template: Snapshot
+    sources: tuple[tuple[Part, Indices], ...]
+    bases: Indices
+
+
+class Record:
+    """What is kept of a world's ticks.
+
+    Args:
+        world: whose ticks they are; None if it is made of them, and told later.
+        ticks: their numbers and times.
+        members: the entities that they tell of, by id.
+        tables: which tables are recorded.
+        fetch: gives the rows of a table at the ticks from one to another.
+    """
+
+    world: World
+
+    def __init__(
+        self,
+        world: World | None,
+        ticks: Ticks,
+        members: Mapping[int, Member],
+        tables: Sequence[str],
+        fetch: Callable[[str, int, int], pa.Table],
+    ) -> None:
+        if world is not None:
+            self.world = world
+        self.ticks = ticks
+        self.tables = frozenset(tables)
+        self.members = members
+        self.fetch = fetch
+        self._worlds: OrderedDict[int, PastWorld] = OrderedDict()
+        self._blocks: OrderedDict[tuple[int, int], dict[str, pa.Table]] = OrderedDict()
+        self._placings: dict[tuple[int, ...], _Placing] = {}
+        # How often the narrow phase is called counts for the world, at whatever tick.
+        self.calls = Counter()
+
+    # -- which ticks ------------------------------------------------------------------------
+
+    def past(self, age: float | None) -> Past:
+        """Some ticks: the one at a time, those of the last seconds, or all.
+
+        Args:
+            age: seconds; from 0 up a simulated time, of which the last tick until then is taken;
+                below 0 so long ago at most; None for all that are kept.
+
+        Raises:
+            EvaluationError: nothing is kept, or nothing of that time.
+            ArgumentError: it is no number.
+        """
+        numbers, times = self.ticks.numbers, self.ticks.times
+        name = self.world.name
+        if age is not None and (isinstance(age, bool) or not isinstance(age, int | float)):
+            raise ArgumentError(f"{name}{{…}} takes a time in seconds, not {shown(age)}")
+        if age is not None and not np.isfinite(age):
+            raise ArgumentError(f"{name}{{…}} takes a time in seconds, not {shown(age)}")
+        if not len(numbers):
+            raise EvaluationError(f"no tick of {name!r} is recorded")
+        if age is None:
+            return Past(self, int(numbers[0]), int(numbers[-1]), is_window=True)
+        if age < 0:
+            first = int(np.searchsorted(times, self.world.time + age - _ROUNDING))
+            if first == len(numbers):
+                raise EvaluationError(
+                    f"of the last {-age:g} s of {name!r} no tick is recorded; the last one is of "
+                    f"{times[-1]:g} s, and it is {self.world.time:g} s"
+                )
+            return Past(self, int(numbers[first]), int(numbers[-1]), is_window=True)
+        place = int(np.searchsorted(times, age + _ROUNDING, side="right")) - 1
+        if place < 0 or age > max(self.world.time, float(times[-1])) + _ROUNDING:
+            raise EvaluationError(
+                f"{name!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is no tick "
+                f"at {age:g} s"
+            )
+        tick = int(numbers[place])
+        return Past(self, tick, tick, is_window=False)
+
+    # -- a tick -----------------------------------------------------------------------------
+
+    def entity(self, tick: int, id: int) -> Entity:
+        """The handle of an entity at a tick."""
+        member = self.members[id]
+        kind = Sensor if member.kind == "sensor" else Entity
+        return kind(self.world, id, member.name, member.kind, Moment(self, tick))
+
+    def at(self, tick: int) -> PastWorld:
+        """The world at a tick.
+
+        Raises:
+            EvaluationError: the tick is not kept, or not any more.
+        """
+        from ssduck.world import PastWorld
+
+        if tick not in self._worlds:
+            while len(self._worlds) >= MOST_WORLDS:
+                self._worlds.popitem(last=False)
+            self._worlds[tick] = PastWorld(self, *self.taken(tick))
+        self._worlds.move_to_end(tick)
+        return self._worlds[tick]
+
+    def taken(self, tick: int) -> tuple[Posed, Snapshot]:
+        """What stands for a simulator at a tick, and the snapshot of it.
+
+        Raises:
+            EvaluationError: the tick is not kept, or not any more.
+        """
+        place = int(np.searchsorted(self.ticks.numbers, tick))
+        if place == len(self.ticks) or self.ticks.numbers[place] != tick:
+            raise EvaluationError(
+                f"tick {tick} of {self.world.name!r} is not recorded, or is kept no longer"
+            )
+        rows = self.rows("entities", tick)
+        ids = rows["id"].to_numpy()
+        placing = self._placing(tuple(np.sort(ids).tolist()))
+        snapshot = placing.template.past(tick, _untold(self))
+        layout = snapshot.layout
+        order = np.argsort(ids)[np.searchsorted(np.sort(ids), [m.id for m in layout.members])]
+        reals = np.array(
+            [_numbers(rows[name]) for name in STORED["entities"].names_of_reals("entities")]
+        )
+        states = np.concatenate((reals[1:14, order].T, self._states_of_links(tick)))
+        states[placing.bases[:, 0], 7:] = states[placing.bases[:, 1], 7:]
+        flags = {
+            name: frozenset(
+                member.body
+                for member, row in zip(layout.members, order.tolist(), strict=True)
+                if member.body is not None and not rows[name][row].as_py()
+            )
+            for name in ("enabled", "visible")
+        }
+        posed = Posed(
+            time=float(self.ticks.times[place]),
+            frames={part.bodies: _frames(states[source]) for part, source in placing.sources},
+            joints=self._joints(tick, layout),
+            disabled=flags["enabled"],
+            hidden=flags["visible"],
+            called="a recorded tick",
+        )
+        snapshot.take(posed, placing.template.listed)
+        # To the last digit as it was.
+        entities = snapshot.tables["entities"]
+        entities.reals("time", "zmax")[:] = reals[:, order]
+        entities.written()
+        snapshot.calls = self.calls
+        return posed, snapshot
+
+    def rows(self, table: str, tick: int) -> pa.Table:
+        """The rows of a table at a tick."""
+        number = tick // BLOCK
+        # What is recorded meanwhile makes a block another one.
+        last = min((number + 1) * BLOCK - 1, int(self.ticks.numbers[-1]))
+        key = number, last
+        if key not in self._blocks:
+            while len(self._blocks) >= MOST_BLOCKS:
+                self._blocks.popitem(last=False)
+            self._blocks[key] = {}
+        self._blocks.move_to_end(key)
+        block = self._blocks[key]
+        if table not in block:
+            found = self.fetch(table, number * BLOCK, last)
+            block[table] = found.sort_by("tick")
+        ticks = block[table]["tick"].to_numpy()
+        first, end = np.searchsorted(ticks, tick), np.searchsorted(ticks, tick, side="right")
+        return block[table].slice(int(first), int(end - first))
+
+    def _placing(self, ids: tuple[int, ...]) -> _Placing:
+        if ids not in self._placings:
+            members = [self.members[id] for id in ids]
+            template = Snapshot()
+            layout = Layout(members, watched=False)
+            posed = Posed(
+                0.0,
+                {part.bodies: _nowhere(part) for part in (layout.still, layout.moving)},
+                {body: np.zeros((len(body.joints), 3)) for _, body in layout.bodies},
+                frozenset(),
+                frozenset(),
+            )
+            template.take(posed, members)
+            laid = template.layout
+            starts = _starts(laid)
+            sources = tuple(_sources(part, laid, starts) for part in (laid.still, laid.moving))
+            bases = [(start, laid.rows[id]) for id, start in starts.items()]
+            self._placings[ids] = _Placing(
+                template, sources, np.array(bases, dtype=np.intp).reshape(-1, 2)
+            )
+        return self._placings[ids]
+
+    def _states_of_links(self, tick: int) -> Array:
+        """Of the links of bodies that have several: pose and velocities, (n, 13)."""
+        table = "links" if "links" in self.tables else FRAMES
+        rows = self.rows(table, tick)
+        keys = np.array([_numbers(rows[name]) for name in ("entity", "link")])
+        names = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
+        unknown = np.full(rows.num_rows, _NAN)
+        reals = [_numbers(rows[name]) if name in rows.column_names else unknown for name in names]
+        return np.array(reals)[:, np.lexsort(keys[::-1])].T
+
+    def _joints(self, tick: int, layout: Layout) -> dict[Body, Array]:
+        if "joints" not in self.tables:
+            return {b: np.full((len(b.joints), 3), _NAN) for _, b in layout.bodies}
+        rows = self.rows("joints", tick)
+        owners = rows["entity"].to_numpy()
+        states = np.array([_numbers(rows[name]) for name in ("position", "velocity", "effort")])
+        links = rows["link"].to_numpy()
+        found = {}
+        for id, body in layout.bodies:
+            own = np.flatnonzero(owners == id)
+            found[body] = states[:, own[np.argsort(links[own])]].T.copy()
+        return found
+
+
+_ROUNDING = 1e-9
+_REALS = STORED["entities"].names_of_reals("entities")
+
+
+def _untold(record: Record) -> dict[str, str]:
+    """Tables whose rows nobody knows at a past tick, and why."""
+    name = record.world.name
+    reason = "the table of {0} of {1!r} is not recorded: record it with tables=('entities', '{0}')"
+    tables = ("joints", "contacts", "sensings")
+    return {table: reason.format(table, name) for table in tables if table not in record.tables}
+
+
+def _numbers(column: pa.ChunkedArray) -> Array:
+    """A column of numbers; NaN for what is not known."""
+    return np.asarray(column.to_numpy(), dtype=np.float64)
+
+
+def _frames(states: Array) -> Frames:
+    positions = np.ascontiguousarray(states[:, :3])
+    with np.errstate(invalid="ignore"):
+        matrices = rotation_matrices(states[:, 3:7])
+    return Frames(positions, matrices, states)
+
+
+def _nowhere(part: Part) -> Frames:
+    count = sum(run.stop - run.start for run in part.runs.values())
+    states = np.zeros((count, 13))
+    states[:, 3] = 1.0
+    return _frames(states)
+
+
+def _starts(layout: Layout) -> dict[int, int]:
+    """The row of the base of each body of several links, behind the rows of all entities."""
+    first = len(layout.members)
+    found: dict[int, int] = {}
+    for id, body in sorted(layout.bodies, key=lambda entry: entry[0]):
+        if len(body.links) > 1:
+            found[id] = first
+            first += len(body.links)
+    return found
+
+
+def _sources(part: Part, layout: Layout, starts: Mapping[int, int]) -> tuple[Part, Indices]:
+    """Where the frames of a part are: among the entities' rows, and behind them."""
+    ids = {body: id for id, body in layout.bodies}
+    places: list[int] = []
+    for body in part.bodies:
+        id = ids[body]
+        start = starts.get(id, layout.rows[id])
+        places += range(start, start + len(body.links))
+    return part, np.array(places, dtype=np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """Some ticks of a world: a source of queries, whose elements are its entities at each.
+
+    Attributes:
+        record: what is kept of the world.
+        first: the number of the first tick,
+        last: and of the last one.
+        is_window: whether there may be several; sources of one world that are so go through
+            their ticks together.
+    """
+
+    record: Record
+    first: int
+    last: int
+    is_window: bool
+
+    @property
+    def world(self) -> World:
+        """The world whose past it is."""
+        return self.record.world
+
+    @property
+    def ticks(self) -> list[int]:
+        """The numbers of the ticks."""
+        return self._chosen[0]
+
+    @property
+    def times(self) -> list[float]:
+        """The simulated time of each tick, s."""
+        return self._chosen[1]
+
+    @property
+    def _chosen(self) -> tuple[list[int], list[float]]:
+        numbers = self.record.ticks.numbers
+        chosen = slice(
+            np.searchsorted(numbers, self.first), np.searchsorted(numbers, self.last, "right")
+        )
+        return numbers[chosen].tolist(), self.record.ticks.times[chosen].tolist()
+
+    def __iter__(self) -> Iterator[Entity]:
+        """The entities at each tick, tick by tick."""
+        for tick in self.ticks:
+            yield from self.record.at(tick)
+
+    def at(self, tick: int) -> PastWorld:
+        """The entities at one of the ticks."""
+        return self.record.at(tick)
+
+    def __getitem__(self, name: str) -> Entity:
+        """The entity of that name at the last of the ticks.
+
+        Raises:
+            UnknownNameError: there is none, with the nearest names.
+        """
+        return self.record.at(self.ticks[-1])[name]
+
+    def __repr__(self) -> str:
+        times = self.times
+        told = f"t={times[0]:g} s" if not self.is_window else f"{len(times)} ticks"
+        if self.is_window and times:
+            told += f" from {times[0]:g} s to {times[-1]:g} s"
+        return f"<Past of {self.world.name!r}: {told}>"
+
+
+def together(values: Sequence[Any]) -> Sequence[Any] | None:
+    """Entities as they were at the tick of the first that stays at one; None if one was not there.
+
+    A handle goes with its world; beside one of the past it goes with that.
+    """
+    first = next((v for v in values if isinstance(v, Entity) and v.moment is not None), None)
+    if first is None:
+        return values
+    moment = first.moment
+    assert moment is not None
+    found: list[Any] = []
+    for value in values:
+        if isinstance(value, Entity) and value.moment is None and value.world is first.world:
+            there = moment.record.entity(moment.tick, value.id)
+            if not there.is_there:
+                return None
+            found.append(there)
+        else:
+            found.append(value)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Now:
+    """A world at its present tick, beside its past in one query: its entities stay at it."""
+
+    record: Record
+    tick: int
+
+    @property
+    def world(self) -> World:
+        """The world."""
+        return self.record.world
+
+    def __iter__(self) -> Iterator[Entity]:
+        """The entities."""
+        for entity in self.world:
+            yield self.record.entity(self.tick, entity.id)

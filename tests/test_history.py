@@ -1,0 +1,423 @@
+"""What is kept of a world's ticks: the tables of history, and queries of the past."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import weakref
+from typing import Any
+
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import ArgumentError, EvaluationError, SqlError, UnsupportedError
+
+ALL = ("entities", "links", "joints", "shapes", "contacts", "sensings")
+
+
+def _falling(balls: int = 2) -> tuple[int, list[int]]:
+    """A client of PyBullet with a table that stands still and balls that fall on it."""
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -9.81, client)
+    board = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[2, 2, 0.05], physicsClientId=client
+    )
+    pybullet.createMultiBody(0, board, basePosition=[0, 0, 0.45], physicsClientId=client)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    bodies = [
+        pybullet.createMultiBody(1, ball, basePosition=[i - 0.5, 0, 1], physicsClientId=client)
+        for i in range(balls)
+    ]
+    return client, bodies
+
+
+@pytest.fixture
+def falling() -> Any:
+    """An interpreter on such a world; its name is `lab`, the board's `board`."""
+    client, bodies = _falling()
+    names = {0: "board", **{body: f"ball_{i}" for i, body in enumerate(bodies)}}
+    world = ssduck.World.attach(client, names=names)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        yield ss
+    pybullet.disconnect(client)
+
+
+def _step(ss: ssduck.Interpreter, count: int, world: str = "lab") -> None:
+    for _ in range(count):
+        ss.call_variable(world).step()
+
+
+def _both(ss: ssduck.Interpreter, program: str) -> list[Any]:
+    """What a program gives as SQL, and row by row, on the same ticks."""
+    rows = ssduck.Interpreter(row_by_row=True, recording=None)
+    try:
+        rows._database = ss._database
+        rows._planner._database = ss._database
+        rows._variables = ss._variables
+        return [ss.eval(program), rows.eval(program)]
+    finally:
+        rows._finalized = True
+
+
+# -- the tables -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [1, 239, 240, 241, 500], ids=str)
+def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps: int) -> None:
+    _step(falling, steps)
+    rows = falling.sql(
+        "SELECT tick, count(*), min(time), max(time) FROM entities_history GROUP BY tick ORDER BY 1"
+    ).fetchall()
+    assert [row[0] for row in rows] == list(range(1, steps + 2))
+    assert {row[1] for row in rows} == {3}
+    assert all(row[2] == row[3] for row in rows)
+    assert falling.sql("SELECT count(*) FROM ticks_history").fetchall() == [(steps + 1,)]
+
+
+@pytest.mark.parametrize("changed", [False, True], ids=["all", "changed"])
+def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(tables=ALL, changed=changed))
+        _step(ss, 30, "kitchen")
+        ss.flush()
+        _step(ss, 5, "kitchen")
+        for table in (*ALL, "ticks"):
+            live = ss.sql(f"SELECT * FROM {table} ORDER BY ALL").fetchall()
+            past = ss.sql(
+                f"SELECT * FROM {table}_history WHERE tick = (SELECT tick FROM ticks) ORDER BY ALL"
+            ).fetchall()
+            assert live, table
+            assert past == live, table
+
+
+def test_what_changed_is_all_there_is_to_store(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(changed=True))
+    _step(falling, 50)
+    falling.flush()
+    _step(falling, 50)
+    falling.flush()
+    schema = falling.sql(
+        "SELECT schema_name FROM duckdb_schemas() WHERE schema_name LIKE 'lab_record%'"
+    ).fetchall()[-1][0]
+    stored = falling.sql(f'SELECT count(*) FROM "{schema}"."entities 0" WHERE id = 1').fetchall()
+    assert stored == [(2,)]  # the board, once each time
+    rows = falling.sql("SELECT count(*), count(DISTINCT tick) FROM entities_history WHERE id = 1")
+    assert rows.fetchall() == [(101, 101)]
+
+
+def test_changes_are_found_of_entities_that_come_and_go() -> None:
+    client, bodies = _falling()
+    world = ssduck.World.attach(client)
+    with ssduck.Interpreter() as plain, ssduck.Interpreter() as sparse:
+        plain.add_variable("lab", world)
+        sparse.add_variable("lab", world)
+        sparse.record("lab", Recording(changed=True))
+        for tick in range(40):
+            if tick == 10:
+                pybullet.removeBody(bodies[0], client)
+            if tick == 20:
+                ball = pybullet.createCollisionShape(
+                    pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client
+                )
+                pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
+            if tick == 30:
+                sparse.flush()
+            world.step()
+        query = "SELECT * FROM entities_history WHERE tick > 1 ORDER BY tick, id"
+        assert sparse.sql(query).fetchall() == plain.sql(query).fetchall()
+        assert len(plain.sql(query).fetchall()) == 10 * 3 + 10 * 2 + 20 * 3 - 0
+    pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize("every", [1, 2, 7])
+def test_every_nth_tick_is_kept(falling: ssduck.Interpreter, every: int) -> None:
+    falling.record("lab", Recording(every=every))
+    first = falling.call_variable("lab").snapshot.number
+    _step(falling, 20)
+    ticks = [row[0] for row in falling.sql("SELECT tick FROM ticks_history").fetchall()]
+    assert ticks == list(range(first, first + 21, every))
+
+
+def test_some_entities_are_kept(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(entities=("ball_1",), tables=("contacts", "shapes")))
+    _step(falling, 100)
+    assert falling.sql("SELECT DISTINCT name FROM entities_history").fetchall() == [("ball_1",)]
+    assert falling.sql("SELECT count(*) FROM contacts_history").fetchall() == [(0,)]
+    assert falling.sql("SELECT DISTINCT entity FROM shapes_history").fetchall() == [(3,)]
+
+
+def test_a_sensor_brings_what_it_sits_on() -> None:
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(entities=("fridge_webcam",)))
+        _step(ss, 3, "kitchen")
+        names = ss.sql("SELECT DISTINCT name FROM entities_history ORDER BY 1").fetchall()
+        assert names == [("fridge",), ("fridge_webcam",)]
+
+
+@pytest.mark.parametrize(
+    ("recording", "least", "most"),
+    [
+        (Recording(ticks=100), 100, 125 + 240),
+        (Recording(seconds=0.5), 120, 150 + 240),
+        (Recording(seconds=0.5, ticks=50), 120, 150 + 240),
+    ],
+    ids=["ticks", "seconds", "both"],
+)
+def test_old_ticks_are_dropped(
+    falling: ssduck.Interpreter, recording: Recording, least: int, most: int
+) -> None:
+    falling.record("lab", recording)
+    for _ in range(10):
+        _step(falling, 130)
+        ((count, first, last),) = falling.sql(
+            "SELECT count(*), min(tick), max(tick) FROM ticks_history"
+        ).fetchall()
+        assert count == last - first + 1
+        assert count <= most
+    assert count >= min(least, recording.ticks or least)
+    past = falling.past("lab")
+    assert past.ticks == list(range(first, last + 1))
+    assert falling.sql("SELECT min(tick) FROM entities_history").fetchall() == [(first,)]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"tables": ("entitys",)}, "there is no table 'entitys'"),
+        ({"tables": "entities"}, "tables is to be a list of names"),
+        ({"every": 0}, "every is to be a whole number above 0"),
+        ({"every": 1.5}, "every is to be a whole number above 0"),
+        ({"ticks": 0}, "ticks is to be a whole number above 0"),
+        ({"seconds": 0.0}, "seconds is to be a number above 0"),
+        ({"seconds": float("nan")}, "seconds is to be a number above 0"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_recordings_that_are_none(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(ArgumentError, match=told):
+        Recording(**given)
+
+
+def test_entities_that_are_recorded_are_there(falling: ssduck.Interpreter) -> None:
+    with pytest.raises(ArgumentError, match="no entity 'bal_1'.*\n?.*ball_1"):
+        falling.record("lab", Recording(entities=("bal_1",)))
+
+
+@pytest.mark.parametrize("table", ["links", "joints", "shapes", "contacts", "sensings"])
+def test_what_is_not_recorded_is_said_to_be_so(falling: ssduck.Interpreter, table: str) -> None:
+    with pytest.raises(SqlError, match=f"the table of {table} of 'lab' is not recorded"):
+        falling.sql(f"SELECT * FROM {table}_history")
+
+
+def test_nothing_is_kept_where_nothing_is_asked_for() -> None:
+    client, _ = _falling()
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("lab", ssduck.World.attach(client))
+        with pytest.raises(SqlError, match="not recorded"):
+            ss.sql("SELECT * FROM entities_history")
+        with pytest.raises(EvaluationError, match="the ticks of 'lab' are not recorded"):
+            ss.past("lab")
+        ss.record("lab", Recording())
+        _step(ss, 2)
+        assert ss.sql("SELECT count(*) FROM ticks_history").fetchall() == [(3,)]
+        ss.record("lab", None)
+        with pytest.raises(EvaluationError, match="not recorded"):
+            ss.past("lab")
+    pybullet.disconnect(client)
+
+
+def test_a_position_that_is_no_number_is_unknown_in_the_history() -> None:
+    client, bodies = _falling()
+    world = ssduck.World.attach(client, names={bodies[0]: "lost"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        _step(ss, 2)
+        pybullet.resetBasePositionAndOrientation(
+            bodies[0], [float("nan"), 0, 0], [0, 0, 0, 1], client
+        )
+        with pytest.warns(UserWarning, match="lost"):
+            world.tick()
+        rows = ss.sql("SELECT tick, x FROM entities_history WHERE name = 'lost' ORDER BY 1")
+        assert [x is None for _, x in rows.fetchall()] == [False, False, False, True]
+    pybullet.disconnect(client)
+
+
+def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
+    client, _ = _falling()
+    world = ssduck.World.attach(client)
+    ss = ssduck.Interpreter()
+    ss.add_variable("lab", world)
+    world.step()
+    gone = weakref.ref(ss._database)
+    del ss
+    gc.collect()
+    assert gone() is None
+    world.step()
+    pybullet.disconnect(client)
+
+
+def test_ticks_are_taken_while_another_thread_asks(falling: ssduck.Interpreter) -> None:
+    world = falling.call_variable("lab")
+    ends = threading.Event()
+
+    def steps() -> None:
+        while not ends.is_set():
+            world.step()
+
+    thread = threading.Thread(target=steps)
+    thread.start()
+    try:
+        for _ in range(30):
+            counts = falling.sql(
+                "SELECT tick, count(*) AS n FROM entities_history GROUP BY tick HAVING n <> 3"
+            ).fetchall()
+            gaps = falling.sql(
+                "SELECT max(tick) - min(tick) + 1 - count(*) FROM ticks_history"
+            ).fetchall()
+            assert (counts, gaps) == ([], [(0,)])
+    finally:
+        ends.set()
+        thread.join()
+
+
+# -- the past as a source ---------------------------------------------------------------------
+
+PAST = [
+    "SELECT id, tick, time, z FROM lab{0.1} AS list;",
+    "SELECT id(this), tick(this) FROM lab{-0.1} WHERE id(this) == 'ball_0' AS list;",
+    "SELECT tick(this) FROM lab{} WHERE this == ball AND z(this) < 0.8 AS list;",
+    "SELECT tick(this) FROM lab{} WHERE this == ball AND near(board, this, 0.05) AS list;",
+    "SELECT clearance(this, board) FROM lab{0.2} WHERE this == ball AS value;",
+    "SELECT id(this), collides(this, board), on(board, this) FROM lab{0.9} AS list;",
+    "SELECT id(a.this), distance(a.this, b.this) FROM a=lab, b=lab{0.0} WHERE a.this == b.this;",
+    "SELECT id(a.this), id(b.this), tick(a.this) FROM a=lab{-0.05}, b=lab{-0.05} "
+    "WHERE near(a.this, b.this, 0.01) AS list;",
+    "SELECT this FROM lab{0.5} ORDER BY z(this) DESC LIMIT 2 AS list;",
+    "x = SELECT this FROM lab{-0.02} AS list; SELECT id, tick, position FROM x AS list;",
+    "count(SELECT this FROM lab{} WHERE above(board, this) AS list);",
+    "SELECT id(this), count(SELECT x.this FROM x=lab{0.3} WHERE above(x.this, board) AS list) "
+    "FROM lab{0.2} AS list;",
+    "SELECT avg(z) FROM lab{} GROUP BY id(this);",
+    "SELECT tick(this), velocity(this), mass, aabb FROM lab{-0.01} AS list;",
+    "SELECT isSphere(this), isEnabled(this), obj FROM lab{0.3} AS list;",
+]
+
+
+@pytest.mark.parametrize("program", PAST)
+def test_both_evaluators_see_one_past(falling: ssduck.Interpreter, program: str) -> None:
+    _step(falling, 300)
+    falling.eval("board = SELECT obj FROM lab WHERE id(this) == 'board' AS value;")
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    as_sql, row_by_row = _both(falling, program)
+    assert repr(as_sql) == repr(row_by_row)
+    assert as_sql not in ([], None)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    heights=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=12),
+    age=st.floats(-0.1, 0.1),
+)
+def test_the_past_is_what_was(heights: list[float], age: float) -> None:
+    client, (ball, _) = _falling()
+    world = ssduck.World.attach(client, names={ball: "ball"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        seen = [(world.time, world["ball"].position[2])]
+        for height in heights:
+            world["ball"].move(position=[0, 0, height])
+            seen.append((world.time, height))
+            world.step()
+            seen.append((world.time, world["ball"].position[2]))
+        now = world.time
+        if age < 0:
+            wanted = [z for time, z in seen if time >= now + age - 1e-9]
+        else:
+            before = [z for time, z in seen if time <= age + 1e-9]
+            wanted = [before[-1]]
+            if age > now:
+                with pytest.raises(EvaluationError, match="there is no tick at"):
+                    ss.past("lab", age)
+                return
+        ss.add_variable("then", ss.past("lab", age))
+        assert ss.eval("SELECT z FROM then WHERE id(this) == 'ball' AS list;") == wanted
+    pybullet.disconnect(client)
+
+
+def test_handles_of_the_past_stay(falling: ssduck.Interpreter) -> None:
+    _step(falling, 20)
+    then = falling.eval("SELECT this FROM lab{0.05} WHERE id(this) == 'ball_0' AS value;")
+    height = then.position[2]
+    _step(falling, 50)
+    now = falling.call_variable("lab")["ball_0"]
+    assert then == now
+    assert then.position[2] == height > now.position[2]
+    assert then.state.time == pytest.approx(0.05)
+    assert [link.name for link in then.links] == [link.name for link in now.links]
+    with pytest.raises(UnsupportedError, match="a recorded tick does not change"):
+        then.move([0, 0, 0])
+
+
+def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> None:
+    _step(falling, 5)
+    world = falling.call_variable("lab")
+    client = world._simulator._client
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
+    world.step()
+    (new,) = [entity for entity in world if entity.id == 4]
+    falling.add_variable("new", new)
+    program = "SELECT tick(this) FROM lab{} WHERE id(this) == 'board' AND above(this, new) AS list;"
+    for found in _both(falling, program):
+        assert found == [world.snapshot.number]
+
+
+def test_shapes_of_two_ticks_are_not_compared(falling: ssduck.Interpreter) -> None:
+    _step(falling, 30)
+    program = "SELECT collides(a.this, b.this) FROM a=lab{0.02}, b=lab{0.1} AS list;"
+    with pytest.raises(UnsupportedError, match="shapes are compared at one tick"):
+        falling.eval(program)
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [
+        ("SELECT z FROM lab{9.0};", "'lab' is recorded from 0 s to 0.0"),
+        ("SELECT z FROM lab{'now'};", "takes a time in seconds, not 'now'"),
+        ("SELECT z FROM lab{True};", "takes a time in seconds, not True"),
+    ],
+)
+def test_ticks_that_are_not_kept(falling: ssduck.Interpreter, program: str, told: str) -> None:
+    _step(falling, 12)
+    with pytest.raises((EvaluationError, ArgumentError), match=told) as caught:
+        falling.eval(program)
+    assert "line 1, column 15" in str(caught.value)
+
+
+def test_no_statement_reads_ticks_that_are_not_asked_for(falling: ssduck.Interpreter) -> None:
+    _step(falling, 480)
+    falling.flush()
+    told: list[str] = []
+    falling._database._tracer = told.append
+    falling.eval("SELECT z FROM lab{-0.1} WHERE id(this) == 'ball_0' AS list;")
+    (query,) = [sql for sql in told if "entities_history" in sql]
+    assert "BETWEEN" in query
+
+
+def test_raw_sql_compares_shapes_of_the_past(falling: ssduck.Interpreter) -> None:
+    _step(falling, 200)
+    rows = falling.sql(
+        "SELECT a.tick FROM entities_history a JOIN entities_history b ON a.tick = b.tick "
+        "WHERE a.name = 'board' AND b.name = 'ball_0' AND near(a, b, 0.001) ORDER BY 1"
+    ).fetchall()
+    heights = dict(
+        falling.sql("SELECT tick, z FROM entities_history WHERE name = 'ball_0'").fetchall()
+    )
+    wanted = [tick for tick, z in sorted(heights.items()) if z - 0.6 <= 0.001]
+    assert [tick for (tick,) in rows] == wanted
+    assert wanted
