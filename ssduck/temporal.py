@@ -67,16 +67,17 @@ class History:
         """The history of a variable that had none."""
         return cls(value, horizon, Log([now], [value]), 0, 1)
 
-    def added(self, value: Any, horizon: float, now: float) -> Self:
+    def added(self, value: Any, horizon: float, now: float) -> History:
         """With one more value, and its horizon from now on."""
         known = self.until(now).recent(now)
-        known = replace(known, horizon=horizon).recent(now)
+        if horizon != self.horizon:
+            known = replace(known, horizon=horizon).recent(now)
         log, first, end = known.log, known.first, known.end
         if len(log.times) != end:  # another one has grown from here
             log, first, end = log.part(first, end), 0, end - first
         log.times.append(now)
         log.values.append(value)
-        return replace(known, last=value, log=log, first=first, end=end + 1)
+        return History(value, horizon, log, first, end + 1)
 
     def recent(self, now: float) -> Self:
         """Without what nobody can ask for any more.

@@ -159,6 +159,8 @@ KEPT = [
     # each run adds one, of the same time too; the last of them is in force
     (["v{0} = 1; v{0} = 2; v{0} = 3;"], "[v{}, v{0}];", [[1, 2, 3], 3]),
     (["v{0} = 1;", 0.25], "[v{}, v, v{0.25}];", [[], 1, 1]),
+    # 0, however it is written, is the beginning of simulated time
+    (["v{} = 1;", 1, "v{} = 2;"], "[v{0}, v{0.0}, v{-0.0}, v{-0}, v{1 - getTime()}];", [1, 1, 1, 1, 1]),
     (["v{} = 1; v{} = 1;", 0.25, "v{} = 1;"], "v{};", [1, 1, 1]),
     (["v{} = u{} = 1; v{} = (u{} = 2) + 1;"], "[u{}, v{}];", [[1, 2], [1, 3]]),
     # a plain assignment makes a plain variable, and begins anew
