@@ -8,7 +8,7 @@ from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import ArgumentError
-from ssduck.tree import Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
+from ssduck.tree import Aged, Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
 from ssduck.udfs import RELATIONS
 
 T = TypeVar("T")
@@ -115,7 +115,7 @@ def mentions(node: Node, names: Collection[str]) -> bool:
 @known
 def variables_of(node: Node) -> frozenset[str]:
     """The variables that a part reads."""
-    own = (node.name,) if isinstance(node, Name) else ()
+    own = (node.name,) if isinstance(node, Name | Aged) else ()
     return frozenset(own).union(*map(variables_of, node.children()))
 
 

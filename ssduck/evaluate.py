@@ -6,6 +6,7 @@ evaluated. Variables, functions and nested queries are looked up through the fra
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
@@ -33,12 +34,14 @@ from ssduck.operators import (
     indexed,
     truth,
 )
+from ssduck.temporal import horizon_of
 from ssduck.tree import (
     Aged,
     Assignment,
     Bare,
     Binary,
     Call,
+    Endless,
     Given,
     If,
     Index,
@@ -68,6 +71,12 @@ class Scope(Protocol):
 
     def assign(self, name: str, value: Any) -> None:
         """Set a variable."""
+
+    def keep(self, name: str, value: Any, horizon: float) -> None:
+        """Set a variable that keeps its values of so many seconds."""
+
+    def aged(self, name: str, *age: Any) -> Any:
+        """What a variable was; all that it keeps if no age is given."""
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
@@ -262,17 +271,15 @@ class Compiler:
                 return self._binary(node)
             case If():
                 return self._choice(node)
-            case Assignment(horizon=None):
+            case Assignment():
                 return self._assignment(node)
+            case Aged():
+                return self._aged(node)
             case Query():
                 for part in node.walk():
                     if isinstance(part, Query):
                         aliases_of(part)  # is an error whether a row comes to it or not
                 return _placed(node, lambda frame: frame.scope.query(node, frame))
-            case Aged() | Assignment():
-                raise UnsupportedError(
-                    "variables with a history, name{…}, are not supported yet", span=node.span
-                )
         raise UnsupportedError(f"{type(node).__name__} is not supported here", span=node.span)
 
     def _name(self, node: Node, name: str) -> Thunk:
@@ -283,6 +290,15 @@ class Compiler:
             return local[name] if name in local else placed(frame)
 
         return value
+
+    def _aged(self, node: Aged) -> Thunk:
+        name, age = node.name, None if node.age is None else self.thunk(node.age)
+
+        def value(frame: Frame) -> Any:
+            _refuse_state(name, frame)
+            return frame.scope.aged(name, *(() if age is None else (age(frame),)))
+
+        return _placed(node, value)
 
     def _list(self, node: Node, items: Sequence[Node]) -> Thunk:
         thunks = [self.thunk(item) for item in items]
@@ -437,21 +453,38 @@ class Compiler:
 
     def _assignment(self, node: Assignment) -> Thunk:
         name, value = node.name, self.thunk(node.value)
+        horizon = None if node.horizon is None else self._horizon(node.horizon)
         seen = free_aliases(node.value) if isinstance(node.value, ListOf) else frozenset()
 
         def assign(frame: Frame) -> Any:
+            seconds = None if horizon is None else horizon(frame)
             if seen and None not in seen and not frame.elements:
                 assigned: Any = frame.scope.deferred(node.value)
             else:
                 assigned = value(frame)
             check_size(assigned, node.span)
-            if name in frame.local:
+            if seconds is not None:
+                _refuse_state(name, frame)
+                frame.scope.keep(name, assigned, seconds)
+            elif name in frame.local:
                 frame.local[name] = assigned
             else:
                 frame.scope.assign(name, assigned)
             return assigned
 
-        return assign
+        return assign if horizon is None else _placed(node, assign)
+
+    def _horizon(self, node: Node) -> Thunk:
+        """How long an assignment keeps values, in seconds."""
+        if isinstance(node, Endless):
+            return lambda _: math.inf
+        value = self.thunk(node)
+        return _placed(node, lambda frame: horizon_of(value(frame)))
+
+
+def _refuse_state(name: str, frame: Frame) -> None:
+    if name in frame.local:
+        raise ArgumentError(f"{name} is a state variable here, and these have no history")
 
 
 def _is_written_out(node: Node) -> bool:

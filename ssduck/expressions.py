@@ -35,6 +35,7 @@ from ssduck.sqlvalues import (
     wrapped,
 )
 from ssduck.tree import (
+    Aged,
     Assignment,
     Bare,
     Binary,
@@ -125,6 +126,8 @@ class Expressions:
                 if deferred is not None:
                     return self.is_constant(deferred)
                 return name not in self.context.changing
+            case Aged(name=name) if name in self.context.changing:
+                return False
             case Query():
                 return (
                     all(self._sees_nothing(alias) for alias in free_aliases(node))
@@ -151,7 +154,7 @@ class Expressions:
         return alias is not None and self.element(alias) is None
 
     def _is_changing(self, node: Node) -> bool:
-        if not isinstance(node, Name):
+        if not isinstance(node, Name | Aged):
             return False
         return node.name in self.context.changing or self.context.list_in(node.name) is not None
 

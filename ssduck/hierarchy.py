@@ -26,7 +26,7 @@ from ssduck.graphs import Vertex, simple_paths
 from ssduck.keys import Keys
 from ssduck.operators import check_size, truth
 from ssduck.rows import Clauses, Paths, Selected, checked_count
-from ssduck.tree import Assignment, Name, Node, Query, Recursion
+from ssduck.tree import Aged, Assignment, Name, Node, Query, Recursion
 
 # So many states keep their rows, so that a state that is reached again costs nothing.
 MOST_STATES = 10_000
@@ -400,7 +400,7 @@ def _read(
     nodes: Sequence[Node], names: frozenset[str], compiler: Compiler
 ) -> frozenset[str] | None:
     """Those of some variables that parts read; None if nobody knows."""
-    read = [part for node in nodes for part in node.walk() if isinstance(part, Name)]
+    read = [part for node in nodes for part in node.walk() if isinstance(part, Name | Aged)]
     if any(compiler.is_deferred(part) for part in read):
         return None
     return names & {part.name for part in read}

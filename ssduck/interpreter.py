@@ -9,6 +9,7 @@ it is evaluated in Python on the rows that come back (`ssduck.queries`).
 from __future__ import annotations
 
 import inspect
+import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -51,6 +52,7 @@ from ssduck.result import Result
 from ssduck.rows import check_columns, formed
 from ssduck.scenes import find_scene
 from ssduck.sources import within
+from ssduck.temporal import History, aged, history_of, kept
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS
@@ -253,6 +255,7 @@ class Interpreter:
     def _running(self, program: Program) -> Iterator[None]:
         """Whatever fails in here leaves the variables as they were, and says where it failed."""
         with self._lock:
+            self._forget()
             before = dict(self._variables)
             outermost = not self._texts
             if outermost:
@@ -330,6 +333,7 @@ class Interpreter:
             if isinstance(value, World):
                 self._database.bind(name, value)
                 self._planner.forget()
+                self._forget()  # the time may be an earlier one now
             self._variables[name] = _plain(value)
         return value
 
@@ -340,6 +344,38 @@ class Interpreter:
             UnknownNameError: there is none, with the nearest names.
         """
         return self.variable(name)
+
+    def history(self, name: str) -> list[tuple[float, Any]]:
+        """What `name{}` gives, with the simulated times.
+
+        Args:
+            name: of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
+
+        Returns:
+            The time of each assignment, in seconds, and its value, the oldest first.
+
+        Raises:
+            UnknownNameError: there is no such variable, with the nearest names.
+            ArgumentError: it has no history.
+        """
+        with self._lock:
+            self.variable(name)
+            return history_of(name, self._variables[name]).within(math.inf, self._now())
+
+    def _now(self) -> float:
+        """The simulated time in seconds, that of the first world."""
+        worlds = self._database.worlds.values()
+        for world in worlds:
+            return world.time
+        raise UnknownNameError("there is no world, so no simulated time; add one with add_variable")
+
+    def _forget(self) -> None:
+        """Drop what is out of its horizon, or later than now."""
+        temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, History)]
+        if temporal:
+            now = self._now()
+            for name, history in temporal:
+                self._variables[name] = history.until(now).recent(now)
 
     def add_function(
         self, name: str, function: Callable[..., Any], help: str | None = None
@@ -567,12 +603,6 @@ class Interpreter:
             self._variables = kept
             return True
 
-        def get_time() -> float:
-            worlds = list(self._database.worlds.values())
-            if not worlds:
-                raise UnknownNameError("there is no world, so no simulated time")
-            return worlds[0].time
-
         def show(*values: Any) -> Any:
             print(*values)  # noqa: T201  # it is what the language's print is for
             return values[-1]
@@ -582,7 +612,7 @@ class Interpreter:
             _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
             _command("var", self.variable, "Returns the variable of that name.", "name"),
             _command("clear", clear, "Forgets a variable, or all but the worlds.", "[name]"),
-            _command("getTime", get_time, "Returns the simulated time in seconds.", ""),
+            _command("getTime", self._now, "Returns the simulated time in seconds.", ""),
             _command("print", show, "Prints its arguments and returns the last.", "value, ..."),
             _command("eval", lambda text: text, "Runs a program that is given as text.", "text"),
         ]
@@ -610,7 +640,8 @@ class Interpreter:
     def variable(self, name: str) -> Any:
         """The value of a variable, or an UnknownNameError with the nearest names."""
         if name in self._variables:
-            return self._variables[name]
+            value = self._variables[name]
+            return value.last if isinstance(value, History) else value
         if name in RELATIONS or name in self._functions:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
@@ -630,6 +661,16 @@ class Interpreter:
     def assign(self, name: str, value: Any) -> None:
         """Set a variable."""
         self._variables[name] = value
+
+    def keep(self, name: str, value: Any, horizon: float) -> None:
+        """Set a variable that keeps its values of so many seconds."""
+        before = self._variables.get(name)
+        self._variables[name] = kept(before, value, horizon, self._now())
+
+    def aged(self, name: str, *age: Any) -> Any:
+        """What a variable was; all that it keeps if no age is given."""
+        self.variable(name)
+        return aged(name, self._variables[name], age, self._now)
 
     def deferred(self, node: Node) -> Deferred:
         """A list of the running program for the query that uses it."""
@@ -709,9 +750,10 @@ class Interpreter:
                 return None
             values = [self._variables.get(name) for name in variables_of(node)]
             for value in values:
-                inner = (
-                    self._worlds_of([value.node]) if isinstance(value, Deferred) else within(value)
-                )
+                if isinstance(value, Deferred):
+                    inner = self._worlds_of([value.node])
+                else:
+                    inner = within(value.values if isinstance(value, History) else value)
                 if inner is None:
                     return None
                 worlds += inner

@@ -23,6 +23,7 @@ from ssduck.tree import (
     Assignment,
     Binary,
     Call,
+    Endless,
     If,
     Index,
     Key,
@@ -227,22 +228,38 @@ class _Parser:
             return False
         offset = 1
         if _is(self.ahead(offset), TokenType.L_BRACE):
-            while (token := self.ahead(offset)) and token.token_type != TokenType.R_BRACE:
+            depth = 0
+            while token := self.ahead(offset):
+                depth += _is(token, TokenType.L_BRACE) - _is(token, TokenType.R_BRACE)
                 offset += 1
-            offset += 1
+                if depth == 0:
+                    break
         token = self.ahead(offset)
         return _is(token, TokenType.EQ) and token is not None and token.text == "="
 
     def assignment(self) -> Assignment:
         start = self.here()
         name = self.expect_name("a variable's name")
-        horizon = None
+        horizon: Node | None = None
+        opening = self.here()
         if self.take(TokenType.L_BRACE):
-            horizon = None if self.at(TokenType.R_BRACE) else self.expression()
-            self.expect(TokenType.R_BRACE, "'}'")
+            endless = self.take(TokenType.R_BRACE)
+            horizon = Endless(self.since(opening)) if endless else self.expression()
+            if not endless:
+                self.expect(TokenType.R_BRACE, "'}'")
         self.expect(TokenType.EQ, "'='")
         value = self.statement()
         return Assignment(self.since(start), name.text, horizon, value)
+
+    def plain_assignment(self, what: str) -> Assignment:
+        """An assignment to what has no history."""
+        if _is(self.ahead(), TokenType.L_BRACE):
+            self.index += 1
+            self.fail(f"expected '=' ({what} has no history)")
+        return self.assignment()
+
+    def state(self) -> Assignment:
+        return self.plain_assignment("a state variable")
 
     # -- queries --------------------------------------------------------------------------
 
@@ -289,7 +306,7 @@ class _Parser:
         if self.at_assignment():
             alias = self.expect_name("a source's name").text
             if self.at(TokenType.L_BRACE):
-                self.fail("expected '=' (a source has no horizon)")
+                self.fail("expected '=' (a source has no history)")
             self.index += 1
         value = self.query() if self.at_word("SELECT") else self.expression()
         if alias is None and isinstance(value, Name | Aged):
@@ -308,7 +325,7 @@ class _Parser:
         start = self.here()
         initial: tuple[Assignment, ...] = ()
         if self.take_words("START", "WITH"):
-            initial = self.separated(self.assignment)
+            initial = self.separated(self.state)
         elif not self.at_word("CONNECT"):
             return None
         if not self.take_words("CONNECT", "BY"):
@@ -319,7 +336,7 @@ class _Parser:
         bounded = memorizes and not (self.at_assignment() or self.at_word("MAXIMUM"))
         memorize = self.primary() if bounded else None
         maximum = self.primary() if self.take_words("MAXIMUM") else None
-        step = self.separated(self.assignment)
+        step = self.separated(self.state)
         if not self.take_words("STOP", "WITH"):
             self.fail("expected STOP WITH")
         stop = self.expression()
@@ -335,7 +352,7 @@ class _Parser:
         if self.take(TokenType.L_PAREN):
             while not self.at(TokenType.R_PAREN):
                 if self.at_assignment():
-                    named.append(self.assignment())
+                    named.append(self.plain_assignment("an argument"))
                 else:
                     arguments.append(self.statement())
                 if not self.take(TokenType.COMMA):

@@ -21,7 +21,7 @@ from ssduck.sources import INLINE, beside_past, shapes_of
 from ssduck.sqlvalues import NotSqlError
 from ssduck.subqueries import is_inline
 from ssduck.translate import NotInlineError, translate
-from ssduck.tree import Call, Given, Name, Node, Query
+from ssduck.tree import Aged, Call, Given, Name, Node, Query
 from ssduck.types import Signature, Tag, tag_of
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
@@ -303,7 +303,7 @@ class Typed:
 
     def world(self, node: Node) -> str | None:
         """The schema of the world that a constant part is."""
-        if not isinstance(node, Name):
+        if not isinstance(node, Name | Aged):
             return None
         self.tag(node)
         value = self._values.get(node)

@@ -9,7 +9,7 @@ from ssduck.dependencies import states
 from ssduck.errors import ArgumentError
 from ssduck.plan import Names, Shape
 from ssduck.rows import Column
-from ssduck.tree import Bare, Call, Index, Key, Literal, Name, Node, Query, This
+from ssduck.tree import Aged, Bare, Call, Index, Key, Literal, Name, Node, Query, This
 
 
 @dataclass
@@ -79,7 +79,7 @@ class _Resolver:
                     yield Column(self._meant(value), self._meant(name_node))
                 case Call(name="to"):
                     raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
-                case Call(name=name) | Name(name=name):
+                case Call(name=name) | Name(name=name) | Aged(name=name):
                     yield Column(self._meant(node), name)
                 case This(alias=alias):
                     yield Column(node, alias or "this")

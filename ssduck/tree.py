@@ -103,7 +103,7 @@ class Given(Node):
 
 @dataclass(frozen=True, eq=False)
 class Aged(Node):
-    """`v{5.0}`: a variable's history; `v{}` has no age."""
+    """`v{5.0}`: of a variable's history; `v{}`, all of it, has no age."""
 
     name: str
     age: Node | None
@@ -157,6 +157,11 @@ class If(Node):
     condition: Node
     then: tuple[Node, ...]
     otherwise: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Endless(Node):
+    """`{}` in `name{} = value`: a horizon without end."""
 
 
 @dataclass(frozen=True, eq=False)

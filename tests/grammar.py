@@ -107,6 +107,20 @@ VARIABLES: dict[str, tuple[Any, Type]] = {
         list_of(RECORD),
     ),
 }
+# Variables with a history, and how it comes about: of a second after another, what is assigned.
+HISTORIES = (
+    ("past{} = 3;", "trail{2.5} = 'a';"),
+    ("past{} = 1;", "trail{2.5} = 'b';"),
+    ("past{} = 2;", "trail{2.5} = 'ab';"),
+)
+AGED: tuple[tuple[str, Type], ...] = (
+    ("past", INT),
+    ("past{1.5}", INT),
+    ("past{}", INTS),
+    ("past{-2.0}", INTS),
+    ("trail{getTime() - 1}", TEXT),
+    ("trail{}", TEXTS),
+)
 LITERALS: dict[str, tuple[str, ...]] = {
     "int": ("1", "0", "2", "3", "5", "(-1)", "(-2)", "7"),
     "real": ("0.5", "1.0", "2.0", "0.0", "1.5", "(-0.25)", "3.75", "0.1", "1e3"),
@@ -231,7 +245,13 @@ class Grammar:
 
     def program(self) -> str:
         """Statements, the last of them a query or an expression."""
-        scope = Scope(variables=tuple((name, t) for name, (_, t) in VARIABLES.items()))
+        variables = ((name, type_) for name, (_, type_) in VARIABLES.items())
+        scope = Scope(variables=(*variables, *(AGED if self.c.chance(25) else ())))
+        if self.c.chance(5):
+            name, type_ = self.c.pick((("past", INT), ("trail", TEXT)))
+            horizon = self.c.pick(("", "2.0", "0", "n"))
+            value = self.expression(type_, scope, 2, 1)
+            self.before.append(f"{name}{{{horizon}}} = {value}")
         kind = self.c.below(100)
         if kind < 62:
             last = self.query(scope, 0)
@@ -422,7 +442,9 @@ class Grammar:
         if kind < 76:
             return Source(alias, "records", RECORD)
         if kind < 84 or depth >= self.deepest:
-            name, type_ = self.c.pick((("ints", INT), ("words", TEXT), ("pairs", INTS)))
+            lists = (("ints", INT), ("words", TEXT), ("pairs", INTS))
+            aged = (("past{}", INT), ("trail{-2.0}", TEXT), ("past{n}", INT))
+            name, type_ = self.c.pick(lists if self.c.chance(75) else aged)
             return Source(alias, name, type_)
         if kind < 96:
             type_ = self.c.pick((*SCALARS, ENTITY if self.worlds > 0 else INT))
@@ -585,7 +607,7 @@ class Grammar:
     def integer(self, scope: Scope, size: int, depth: int) -> str:
         """An integer."""
         one = self.expression(INT, scope, size, depth)
-        match self.c.below(17):
+        match self.c.below(18):
             case 0 | 1 | 2 | 3:
                 other = self.expression(INT, scope, size, depth)
                 return f"{one} {self.c.pick(('+', '-', '*'))} {other}"
@@ -611,6 +633,8 @@ class Grammar:
                 return f"{self.c.pick(('sum', 'min', 'max', 'count'))}({values})"
             case 13:
                 return self.indexed(INT, scope, size)
+            case 14:
+                return f"past{{{one if self.wild else f'abs({one})'}}}"
         if depth > self.deepest:
             return one
         return self.of_query(INT, scope, depth)
@@ -680,7 +704,7 @@ class Grammar:
     def text(self, scope: Scope, size: int, depth: int) -> str:
         """A text."""
         one = self.expression(TEXT, scope, size, depth)
-        match self.c.below(8):
+        match self.c.below(9):
             case 0 | 1:
                 return f"{one} + {self.expression(TEXT, scope, size, depth)}"
             case 2 | 3:
@@ -691,6 +715,8 @@ class Grammar:
                 return f"{self.c.pick(('bare', 'unhinted'))}({one})"
             case 6:
                 return self.indexed(TEXT, scope, size)
+            case 7:
+                return f"trail{{1 + abs({self.expression(INT, scope, size, depth)})}}"
         return one if depth > self.deepest else self.of_query(TEXT, scope, depth)
 
     def flag(self, scope: Scope, size: int, depth: int) -> str:
@@ -849,12 +875,21 @@ class Evaluators:
             interpreter.add_variable("w", world)
             for function in FUNCTIONS:
                 interpreter.add_function(function.__name__, function)
+        for assignments in HISTORIES:
+            for interpreter in (self.sql, self.rows):
+                interpreter.eval(" ".join(assignments))
+            world.step(240)
+        self._histories = {
+            interpreter: {name: interpreter._variables[name] for name in ("past", "trail")}
+            for interpreter in (self.sql, self.rows)
+        }
 
     def refresh(self, interpreter: ssduck.Interpreter) -> None:
         """Make the variables what they were before any program ran."""
         interpreter.eval("clear();")
         for name, (value, _) in VARIABLES.items():
             interpreter.add_variable(name, value)
+        interpreter._variables.update(self._histories[interpreter])
         interpreter.add_variable("box", self.world["box"])
 
     def outcome(self, interpreter: ssduck.Interpreter, text: str) -> Outcome:

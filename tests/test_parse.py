@@ -13,6 +13,7 @@ from ssduck.tree import (
     Assignment,
     Binary,
     Call,
+    Endless,
     If,
     Index,
     ListOf,
@@ -46,12 +47,12 @@ def shown(node: Node) -> str:
             return f"({operator} {shown(operand)})"
         case Binary(operator=operator, left=left, right=right):
             return f"({shown(left)} {operator} {shown(right)})"
+        case Endless():
+            return ""
+        case Assignment(name=name, horizon=None, value=value):
+            return f"{name}={shown(value)}"
         case Assignment(name=name, horizon=horizon, value=value):
-            return (
-                f"{name}{{{shown(horizon)}}}={shown(value)}"
-                if horizon
-                else f"{name}={shown(value)}"
-            )
+            return f"{name}{{{shown(horizon)}}}={shown(value)}"
         case If(condition=condition, then=then, otherwise=otherwise):
             parts = "; ".join(
                 ", ".join(map(shown, part)) for part in ((condition,), then, otherwise)
@@ -97,6 +98,9 @@ EXPRESSIONS = [
     ("a = b = 3", "a=b=3"),
     ("(a = 3) + 1", "(a=3 + 1)"),
     ("a{5.0} = 3", "a{5.0}=3"),
+    ("a{} = b = 3", "a{}=b=3"),
+    ("a{2 * h} = b{h{}} = 3", "a{(2 * h)}=b{h{}}=3"),
+    ("a{b{1}} + 2", "(a{b{1}} + 2)"),
     ("[1,2] == SELECT x FROM y AS list", "([1, 2] == <query>)"),
     ("'it\\'s'", '"it\'s"'),
     ("'//' + '#' + '/*'", "(('//' + '#') + '/*')"),
@@ -176,7 +180,16 @@ MISTAKES = [
     ("SELECT id FROM kitchen STOP WITH a;", "STOP", "';'"),
     ("SELECT id FROM kitchen START WITH a=1;", ";", "CONNECT BY"),
     ("SELECT id FROM kitchen CONNECT BY a=1;", ";", "STOP WITH"),
-    ("SELECT id FROM a{2} = kitchen;", "{", "horizon"),
+    ("SELECT id FROM a{2} = kitchen;", "{", "a source has no history"),
+    (
+        "SELECT this FROM k START WITH a{2} = 1 CONNECT BY a = 2 STOP WITH 1;",
+        "{",
+        "a state variable has no history",
+    ),
+    ("SELECT this FROM k CONNECT BY a{} = 2 STOP WITH 1;", "{", "a state variable has no history"),
+    ("SELECT this FROM k AS value(default{} = 2);", "{", "an argument has no history"),
+    ("v{5 = 3;", "=", "'=='"),
+    ("v{} 3;", "3", "';'"),
     ("a b;", "b", "';'"),
     ("'abc", "'abc", "never closed"),
     ('x = "abc;\ny = 2;', '"abc;\ny = 2;', "never closed"),
