@@ -24,10 +24,10 @@ from ssduck.errors import RecordError
 from ssduck.geometry import Geometry
 from ssduck.layout import Member
 from ssduck.models import KEYS, MODELS, members_of, models_of
-from ssduck.recording import FRAME_REALS, FRAMES, RECORDABLE, STORED, Recording, Ticks
+from ssduck.recording import FRAME_REALS, FRAMES, QUARTERS, RECORDABLE, STORED, Recording, Ticks
 from ssduck.tables import TABLES
 
-SLOTS = 5
+SLOTS = QUARTERS + 2
 # The version of what is stored, and the table that tells it.
 VERSION = 1
 _ABOUT = "ssduck record"
@@ -203,8 +203,9 @@ class History:
             self._used[-1] = number, tick
             return
         recording = self.recording
-        full = recording.ticks is not None and count >= recording.ticks / (SLOTS - 1)
-        if recording.seconds is not None and seconds >= recording.seconds / (SLOTS - 1):
+        full = recording.ticks is not None and count >= recording.ticks // QUARTERS
+        # What is stored together ends a tick before a quarter is over.
+        if recording.seconds is not None and seconds >= recording.seconds / QUARTERS / 2:
             full = True
         free = set(range(SLOTS)) - {number for number, _ in self._used}
         if full and free:
@@ -263,8 +264,10 @@ class History:
         """A SELECT of all rows of a table, those that wait among them."""
         if ring is None:
             return self._stored(table)
-        columns = _listed(columns_of(table))
-        waiting = f"SELECT {columns} FROM {_quoted(ring(table))} WHERE tick >= 0"  # noqa: S608
+        flags = STORED[table].flags if table in STORED else ()
+        told = _listed(name for name in columns_of(table) if name not in flags)
+        told += "".join(f", {_quoted(name)}::BOOLEAN AS {_quoted(name)}" for name in flags)
+        waiting = f"SELECT {told} FROM {_quoted(ring(table))} WHERE tick >= 0"  # noqa: S608
         return f"{self._stored(table)} UNION ALL {waiting}"
 
     def _model(self, table: str) -> str:

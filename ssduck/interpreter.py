@@ -52,7 +52,7 @@ from ssduck.result import Result
 from ssduck.rows import check_columns, formed
 from ssduck.scenes import find_scene
 from ssduck.sources import within
-from ssduck.temporal import History, aged, history_of, kept
+from ssduck.temporal import History, aged, history_of, kept, seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS
@@ -458,10 +458,10 @@ class Interpreter:
 
         Raises:
             EvaluationError: nothing is kept of it, or nothing of that time.
-            ArgumentError: it is no world of this interpreter, or that is no number.
+            ArgumentError: it is no world of this interpreter, or that is no finite number.
         """
         with self._lock:
-            return self._database.record_of(self._world(world)).past(age)
+            return self._past(self._world(world), None if age is None else seconds_of(age))
 
     def record_to(
         self,
@@ -548,6 +548,9 @@ class Interpreter:
         """
         with self._lock:
             return self._database.flush()
+
+    def _past(self, world: World, age: float | None) -> Past:
+        return self._database.record_of(world).past(age)
 
     def _world(self, world: str | World) -> World:
         found = self.variable(world) if isinstance(world, str) else world
@@ -670,7 +673,7 @@ class Interpreter:
     def aged(self, name: str, *age: Any) -> Any:
         """What a variable was; all that it keeps if no age is given."""
         self.variable(name)
-        return aged(name, self._variables[name], age, self._now)
+        return aged(name, self._variables[name], age, self._now, self._past)
 
     def deferred(self, node: Node) -> Deferred:
         """A list of the running program for the query that uses it."""

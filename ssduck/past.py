@@ -16,10 +16,9 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.entities import Entity, Moment, Sensor
-from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices, rotation_matrices
 from ssduck.layout import Layout, Member, Part
-from ssduck.messages import shown
 from ssduck.recording import FRAMES, STORED, Ticks
 from ssduck.separation import Counter
 from ssduck.simulators import Body, Frames
@@ -98,14 +97,9 @@ class Record:
 
         Raises:
             EvaluationError: nothing is kept, or nothing of that time.
-            ArgumentError: it is no number.
         """
         numbers, times = self.ticks.numbers, self.ticks.times
         name = self.world.name
-        if age is not None and (isinstance(age, bool) or not isinstance(age, int | float)):
-            raise ArgumentError(f"{name}{{…}} takes a time in seconds, not {shown(age)}")
-        if age is not None and not np.isfinite(age):
-            raise ArgumentError(f"{name}{{…}} takes a time in seconds, not {shown(age)}")
         if not len(numbers):
             raise EvaluationError(f"no tick of {name!r} is recorded")
         if age is None:

@@ -29,6 +29,8 @@ RECORDABLE = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 RING_TICKS = 240
 RING_ROWS = 1 << 17
 _LEAST_ROWS = 1024
+# Of what is kept, a quarter at a time is stored together, and dropped together.
+QUARTERS = 4
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,9 @@ class Recording:
         every: only every n-th tick is kept, the first one among them.
         changed: whether a row that is as in the tick before is not stored again. The tables of
             history are the same; they take less memory and more time.
-        seconds: of simulated time that are kept at least, up to a quarter more; None for all.
-        ticks: that are kept at least, up to a quarter more; None for all.
+        seconds: of simulated time that are kept at least, and at most half as much more; None
+            for all.
+        ticks: that are kept at least, and at most half as many more; None for all.
 
     Raises:
         ArgumentError: a table is none of these, a number is no number above 0, or nothing is
@@ -283,8 +286,9 @@ class Recorder:
             return
         rows = self._rows_of(snapshot)
         counts = {table: rows.count(snapshot, table) for table in self.rings}
-        is_full = self.rings["ticks"].count >= self._waits
-        if is_full or not all(self.rings[table].takes(count) for table, count in counts.items()):
+        if self._is_due(snapshot.time) or not all(
+            self.rings[table].takes(count) for table, count in counts.items()
+        ):
             self.flush()
             for table, count in counts.items():
                 self.rings[table].reserve(count, self._waits)
@@ -312,6 +316,19 @@ class Recorder:
         inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
         copied = inside.select(stored.column_names).cast(stored.schema)
         return pa.concat_tables([stored, copied])
+
+    def _is_due(self, time: float) -> bool:
+        """Whether what waits is to be stored: so many ticks, or a quarter of what is kept."""
+        waiting = self.rings["ticks"].count
+        if not waiting:
+            return False
+        recording = self.recording
+        if recording.seconds is not None:
+            since = self.ticks.times[-waiting]
+            if time - since >= recording.seconds / QUARTERS:
+                return True
+        most = self._waits if recording.ticks is None else recording.ticks // QUARTERS
+        return waiting >= min(self._waits, max(most, 1))
 
     def _oldest(self) -> int | None:
         """The first tick that is to be kept; None if all are."""

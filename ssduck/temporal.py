@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 from ssduck.deferred import Deferred
-from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
+from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.keys import plain
 from ssduck.messages import shown
 from ssduck.world import World
@@ -161,7 +161,13 @@ def kept(before: Any, value: Any, horizon: float, now: float) -> History:
     return History.begun(value, horizon, now)
 
 
-def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -> Any:
+def aged(
+    name: str,
+    held: Any,
+    age: tuple[Any, ...],
+    now: Callable[[], float],
+    past: Callable[[World, float | None], Any],
+) -> Any:
     """What `name{…}` is.
 
     Args:
@@ -169,36 +175,25 @@ def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -
         held: what the variable holds: a history, a world, a value without a history.
         age: what is in the braces; nothing if they are empty.
         now: gives the present simulated time in seconds.
+        past: gives the past of a world: at an age, or all of it.
 
     Raises:
         ArgumentError: the variable has no history, or the age is no finite number.
         EvaluationError: it is a time before what is kept.
     """
     if isinstance(held, World):
-        return world_aged(held, age)
+        return past(held, seconds_of(age[0], "what is in {…}") if age else None)
     history = history_of(name, held)
     present = now()
     if not age:
         return [value for _, value in history.within(math.inf, present)]
-    seconds = _seconds(age[0], "what is in {…}")
+    seconds = seconds_of(age[0], "what is in {…}")
     if seconds < 0:
         return [value for _, value in history.within(-seconds, present)]
     try:
         return history.at(seconds, present)
     except EvaluationError as error:
         raise EvaluationError(f"{name}: {error.message}") from None
-
-
-def world_aged(world: World, age: tuple[Any, ...]) -> Any:
-    """What `kitchen{…}` is, where `kitchen` is a world: the world at a time.
-
-    This is the one place where worlds are given an age.
-
-    Raises:
-        UnsupportedError: it is not there yet.
-    """
-    del age
-    raise UnsupportedError(f"worlds with a history, {world.name}{{…}}, are not supported yet")
 
 
 def history_of(name: str, held: Any) -> History:
@@ -220,7 +215,7 @@ def horizon_of(value: Any) -> float:
     Raises:
         ArgumentError: it is no finite number, or less than 0.
     """
-    seconds = _seconds(value, "a horizon")
+    seconds = seconds_of(value, "a horizon")
     if seconds < 0:
         raise ArgumentError(f"a horizon is not less than 0 s, as {shown(value)} is")
     return seconds
@@ -230,7 +225,12 @@ def _told(time: float) -> str:
     return f"{round(time, 9):.12g} s"
 
 
-def _seconds(value: Any, what: str) -> float:
+def seconds_of(value: Any, what: str = "an age") -> float:
+    """A number of seconds.
+
+    Raises:
+        ArgumentError: it is no finite number.
+    """
     number = plain(value)
     if isinstance(number, bool) or not isinstance(number, int | float):
         raise ArgumentError(f"{what} is a number of seconds, not {shown(value)}")

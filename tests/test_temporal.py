@@ -18,7 +18,6 @@ from ssduck.errors import (
     FunctionError,
     ParseError,
     UnknownNameError,
-    UnsupportedError,
 )
 from ssduck.language import parse
 from ssduck.temporal import SAME_TIME, History, aged, kept
@@ -250,8 +249,7 @@ MISTAKES = [
     ([], "v{5} = w;", ArgumentError, "v{5} = w", "a world is no value to be kept"),
     ([], "v{} = [a.this];", ArgumentError, "v{} = [a.this]", "has no history"),
     (["u = [a.this];"], "v{} = u;", ArgumentError, "v{} = u", "has no history"),
-    ([], "w{1.5};", UnsupportedError, "w{1.5}", "worlds with a history"),
-    ([], "SELECT id FROM w{};", UnsupportedError, "w{}", "worlds with a history"),
+    ([], "w{1.5};", EvaluationError, "w{1.5}", "'w' is recorded from 0 s to 0 s"),
     ([1, "v{} = 1;", 1], "v{0.5};", EvaluationError, "v{0.5}", "v: 0.5 s is before what is kept, 1 s to 2 s"),
     (["v{1} = 1;", 1.5, "v{1} = 2;", 0.5], "v{0.999};", EvaluationError, "v{0.999}", "v: 0.999 s is before what is kept, 1 s to 2 s; a longer horizon keeps more"),
     (["v{1} = 1;", 2], "v{0};", EvaluationError, "v{0}", "before what is kept, 1 s to 2 s"),
@@ -426,6 +424,10 @@ def test_a_second_world_does_not_matter(ss, second):
 # -- against a model ------------------------------------------------------------------------
 
 
+def no_world(world, age):
+    raise AssertionError((world, age))
+
+
 class Model:
     """What a history is, said plainly: all of it is looked at each time."""
 
@@ -498,19 +500,19 @@ def check(model, held, now):
     """All that can be asked for is what the model says."""
     assert held.horizon == model.horizon
     assert held.within(math.inf, now) == model.within(math.inf, now)
-    assert aged("v", held, (), lambda: now) == [v for _, v in model.within(math.inf, now)]
+    assert aged("v", held, (), lambda: now, no_world) == [v for _, v in model.within(math.inf, now)]
     for quarter in range(-8, 24):
         time = quarter / 4
         if time < 0:
             expected = [v for _, v in model.within(-time, now)]
-            assert aged("v", held, (time,), lambda: now) == expected
+            assert aged("v", held, (time,), lambda: now, no_world) == expected
             continue
         expected = model.at(time, now)
         if expected is None:
             with pytest.raises(EvaluationError, match=r"v: .*kept"):
-                aged("v", held, (time,), lambda: now)
+                aged("v", held, (time,), lambda: now, no_world)
         else:
-            assert aged("v", held, (time,), lambda: now) == expected
+            assert aged("v", held, (time,), lambda: now, no_world) == expected
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
