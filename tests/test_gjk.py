@@ -18,6 +18,7 @@ from ssduck.colliding import Sorts, box_depths
 from ssduck.geometry import Geometry
 from ssduck.gjk import ABOVE, BELOW, UNDECIDED, compare
 from ssduck.narrow import COLLIDES
+from ssduck.relations import MOST_IDS
 from ssduck.shapes import FEW, Shapes
 from ssduck.solids import solid_of
 
@@ -336,11 +337,10 @@ def test_many_questions_are_answered_together():
 def test_ids_of_all_that_are_near():
     tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
     shapes = Shapes(tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64))
-    assert shapes.first_within(0.4) == shapes.second_within(0.4) == []
-    assert list(zip(shapes.first_within(0.5), shapes.second_within(0.5), strict=True)) == [
-        (7, 3), (3, 5), (3, 7), (5, 3),
-    ]  # fmt: skip
-    assert shapes.first_colliding() == shapes.second_colliding() == []
+    assert shapes.all_within(0.4) == []
+    pairs = [divmod(number, MOST_IDS) for number in shapes.all_within(0.5)]
+    assert pairs == [(3, 5), (3, 7), (5, 3), (7, 3)]
+    assert shapes.all_colliding() == []
 
 
 def test_shapes_of_two_entities_that_collide_are_left_out():
