@@ -93,6 +93,13 @@ def test_stacked(depth):
     assert (np.abs(left) > 1e-6).sum() <= 0.02 * 6 * len(two)
 
 
+def test_deep_pairs_take_no_step(monkeypatch):
+    """The ball in their difference reaches the origin, though those in the two do not meet."""
+    monkeypatch.setattr(gjk, "_step", None)
+    two = [(at(one, (0, 0, 0)), at(one, (0.7, 0.7, 0.3))) for one in (box(), CUBE)]
+    assert all((found == BELOW).all() for found in pairs.verdicts(two, -COLLIDES))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_sizes_from_a_millimetre_to_a_kilometre(seed):
     random = np.random.default_rng(seed)
