@@ -11,6 +11,8 @@ What it tells is proved, never guessed:
 * the difference is beyond a plane across v, so that the gap is at least the plane's distance
   from the origin. This holds for any direction, and however badly v is known;
 * v is in the difference, so that the gap is at most its length;
+* between a ball and a point of the difference all smaller and smaller balls are in it, so that the
+  depth is at least how far the origin is inside one of them;
 * if the origin is inside the tetrahedron of four points, the depth is at least the radius of the
   ball around the origin in it.
 
@@ -293,9 +295,8 @@ def _decide(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> None:
 def _first_step(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> _Pairs:
     """Go from the centres' difference: it separates most of those that are apart.
 
-    Between a ball in the difference and the point that is found, the difference has balls, too,
-    the smaller the nearer to the point. The one that is nearest to the origin has that in it where
-    shapes are deep in each other.
+    Of those that meet, many have the origin in a ball between that in the difference and the
+    point that is found; the others go on from there.
     """
     ways = pairs.between.copy()
     length = _length(ways)
