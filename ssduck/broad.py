@@ -36,7 +36,7 @@ _NUMBERS = 2**62
 # Cells along an axis from which on the empty ones are left out; its cube has such numbers.
 _MANY = 2.0**20
 # So many candidates are compared at a time, or those of one box.
-_AT_ONCE = 1_000_000
+_AT_ONCE = 250_000
 # Rows of cells along z, by their steps along x and y: those ahead, and those behind.
 _AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 _BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
@@ -101,15 +101,16 @@ def _in_grid(
     for asked in (asking, smaller) if len(smaller) else (asking,):
         of = numbers[asked]
         alike = asked is asking
-        for across, along in ((0, 0), *_AHEAD, *(() if alike else _BEHIND)):
-            row = numbers[asking] + (across * wide[1] + along) * wide[2]
-            # In its own row, of two of one class the later one is ahead.
-            own = alike and not (across or along)
-            starts = np.arange(1, len(asking) + 1) if own else np.searchsorted(of, row - 1)
-            ends = np.searchsorted(of, row + 1, "right")
-            for one, places in _runs(asking, starts, ends - starts):
-                i, j = _met(low, high, one, asked[places])
-                yield members[i], members[j]
+        steps = ((0, 0), *_AHEAD, *(() if alike else _BEHIND))
+        ways = np.array([(across * wide[1] + along) * wide[2] for across, along in steps])
+        rows = numbers[asking] + ways[:, None]
+        starts, ends = np.searchsorted(of, rows - 1), np.searchsorted(of, rows + 1, "right")
+        if alike:  # in its own row, of two of one class the later one is ahead
+            starts[0] = np.arange(1, len(asking) + 1)
+        each = np.tile(asking, len(steps))
+        for one, places in _runs(each, starts.ravel(), (ends - starts).ravel()):
+            i, j = _met(low, high, one, asked[places])
+            yield members[i], members[j]
 
 
 def _numbered(low: Array, cell: float) -> tuple[Cells, list[int]]:
@@ -163,7 +164,8 @@ def _runs(asking: Indices, starts: Indices, counts: Indices) -> Iterator[Pairs]:
 
 def _met(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
     """Of candidates those that meet."""
-    for axis in range(3):
-        meets = (low[axis, i] <= high[axis, j]) & (low[axis, j] <= high[axis, i])
-        i, j = i[meets], j[meets]
+    for begin, end in zip(low, high, strict=True):
+        meets = (begin.take(i) <= end.take(j)) & (begin.take(j) <= end.take(i))
+        kept = np.flatnonzero(meets)
+        i, j = i.take(kept), j.take(kept)
     return i, j

@@ -97,7 +97,8 @@ class Scene:
     def bodies(self) -> Bodies:
         """The shapes' cores."""
         turns = np.ascontiguousarray(self.matrices.reshape(-1, 9).T)
-        return Bodies(self.sorts.cores, turns, np.ascontiguousarray(self.centres.T))
+        centres, inner = map(np.ascontiguousarray, (self.centres.T, self.inner.T))
+        return Bodies(self.sorts.cores, turns, centres, inner)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
         """Whose shapes these are: a number for each pair of entities, as of `pair_number`."""

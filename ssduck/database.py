@@ -71,6 +71,11 @@ MOST_BRACKETS = 100
 # Seconds after which a statement whose time is over is interrupted again.
 AGAIN = 0.02
 
+# So many rows are fetched one by one.
+_BY_ROW = 100
+# Of these types DuckDB gives the same values by column; of others, numpy has no such values.
+_BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
+
 # What our prepared statements are called, in front of a number and of the tables that they read.
 _OURS = "ssduck statement "
 # The tables of a world whose buffers may be made anew.
@@ -398,7 +403,7 @@ class Database:
 
         def fetched() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
-            return result.fetchall() if most is None else result.fetchmany(most + 1)
+            return _all_rows(result) if most is None else result.fetchmany(most + 1)
 
         rows = self._told(sql, fetched)
         self.meter.check_rows(len(rows))
@@ -906,6 +911,18 @@ class Database:
             for bound in self._bound
             if bound.schemas and bound.kept is not None
         }
+
+
+def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
+    """All rows of a result: many of them column by column, which takes a quarter of the time."""
+    rows: list[tuple[Any, ...]] = result.fetchmany(_BY_ROW)
+    if len(rows) == _BY_ROW:
+        if all(str(column[1]) in _BY_COLUMN for column in result.description):
+            columns = result.fetchnumpy().values()
+            rows.extend(zip(*(column.tolist() for column in columns), strict=True))
+        else:
+            rows.extend(result.fetchall())
+    return rows
 
 
 def _is_duckdbs(error: Exception) -> bool:

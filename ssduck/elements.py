@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sqlglot import exp
 
-from ssduck.relations import Candidates
+from ssduck.relations import MOST_IDS, Candidates
 from ssduck.sqlvalues import NotSqlError, SqlValue
 from ssduck.types import ANY, IDS, Tag
 
@@ -147,26 +147,38 @@ def _unnested_past(
 
 @dataclass(frozen=True)
 class Pairs:
-    """A table of pairs of ids."""
+    """A table of pairs of ids, each pair both ways.
+
+    Attributes:
+        table: what stands in FROM.
+        columns: the two ids.
+        position: the key by which they are in the order of both.
+    """
 
     table: exp.Expr
     columns: tuple[exp.Expr, exp.Expr]
+    position: exp.Ordered
 
 
 def pairs_of(candidates: Candidates, apart: exp.Expr, schema: str, name: str) -> Pairs:
     """All pairs of entities of a world of which a relation may hold."""
-
-    def side(which: str, column: str) -> exp.Expr:
-        called = exp.to_identifier(f"narrow {which}_{candidates.of}", quoted=True)
-        arguments: list[exp.Expr] = [exp.Literal.string(schema)]
-        if candidates.of != "colliding":
-            arguments.append(exp.cast(apart.copy(), "DOUBLE"))
-        ids = exp.Anonymous(this=called, expressions=arguments)
-        return exp.alias_(exp.func("unnest", ids), column)
-
-    columns = (side("first", "a"), side("second", "b"))
-    table = exp.select(*columns).subquery(exp.to_identifier(name))
-    return Pairs(table, (column_of(name, "a"), column_of(name, "b")))
+    called = exp.to_identifier(f"narrow all_{candidates.of}", quoted=True)
+    arguments: list[exp.Expr] = [exp.Literal.string(schema)]
+    if candidates.of != "colliding":
+        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    numbers = exp.func("unnest", exp.Anonymous(this=called, expressions=arguments))
+    number, many = exp.column("n"), exp.Literal.number(MOST_IDS)
+    table = (
+        exp.select(
+            exp.alias_(exp.IntDiv(this=number.copy(), expression=many.copy()), "a"),
+            exp.alias_(exp.Mod(this=number.copy(), expression=many.copy()), "b"),
+            number,
+        )
+        .from_(exp.select(exp.alias_(numbers, "n")).subquery("numbered"))
+        .subquery(exp.to_identifier(name))
+    )
+    a, b, position = (column_of(name, column) for column in ("a", "b", "n"))
+    return Pairs(table, (a, b), ascending(position))
 
 
 def counted_rows(name: str, parameter: exp.Expr) -> Element:

@@ -11,6 +11,8 @@ What it tells is proved, never guessed:
 * the difference is beyond a plane across v, so that the gap is at least the plane's distance
   from the origin. This holds for any direction, and however badly v is known;
 * v is in the difference, so that the gap is at most its length;
+* between a ball and a point of the difference all smaller and smaller balls are in it, so that the
+  depth is at least how far the origin is inside one of them;
 * if the origin is inside the tetrahedron of four points, the depth is at least the radius of the
   ball around the origin in it.
 
@@ -30,6 +32,7 @@ from ssduck.geometry import Array, Indices
 from ssduck.separation import ROUND, TOUCH
 from ssduck.solids import Solid
 
+Flags: TypeAlias = npt.NDArray[np.bool_]
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 
 BELOW, ABOVE, UNDECIDED = 1, -1, 0
@@ -69,6 +72,9 @@ class Cores:
         self.radius = np.array([solid.radius for solid in solids])[of]
         reaches = [solid.reach if np.isfinite(solid.reach) else 0.0 for solid in solids]
         self.reach = np.array(reaches)[of]
+        self.is_thick = np.array([solid.inner_radius > 0.0 for solid in solids], dtype=bool)[of]
+        # Of the ball in the core: round solids have some of theirs around it.
+        self.thick = np.array([solid.inner_radius - solid.radius for solid in solids])[of]
         hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _is_pointed(solid)}
         sizes = {n: _room(len(points)) for n, points in hulls.items()}
         kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
@@ -110,11 +116,20 @@ class Bodies:
         cores: in their own frames.
         turns: (9, n), their rotations, row by row.
         centres: (3, n), of the solids, in the world, metres.
+        inner: (3, n), of the balls in them.
     """
 
     cores: Cores
     turns: Array
     centres: Array
+    inner: Array
+
+    def balls(self, first: Indices, second: Indices) -> tuple[Flags, Array, Array]:
+        """Balls in the differences of cores: whether one is known, its centre (3, m), radius."""
+        cores, inner = self.cores, self.inner
+        known = cores.is_thick.take(first) & cores.is_thick.take(second)
+        centre = inner.take(first, axis=1) - inner.take(second, axis=1)
+        return known, centre, cores.thick.take(first) + cores.thick.take(second)
 
     def supports(self, which: Indices, ways: Array) -> Array:
         """The farthest points of cores, (3, m), from their centres, in the world's frame.
@@ -278,17 +293,26 @@ def _decide(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> None:
 
 
 def _first_step(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> _Pairs:
-    """Go from the centres' difference: it separates most of those that are apart."""
+    """Go from the centres' difference: it separates most of those that are apart.
+
+    Of those that meet, many have the origin in a ball between that in the difference and the
+    point that is found; the others go on from there.
+    """
     ways = pairs.between.copy()
     length = _length(ways)
     ways[0, length == 0.0] = 1.0
     new = pairs.farthest(bodies, -ways)
     apart = _dots(ways, new) > pairs.high * np.where(length == 0.0, 1.0, length)
     verdicts[pairs.number[apart]] = ABOVE
-    most = _length(new)
-    below = most < pairs.low
+    known, centre, radius = bodies.balls(pairs.first, pairs.second)
+    centre = np.where(known, centre, new)
+    edge = new - centre
+    share = np.clip(-_dots(centre, edge) / np.maximum(_dots(edge, edge), 1e-300), 0.0, 1.0)
+    nearest = centre + share * edge
+    most = _length(nearest)
+    below = most - np.where(known, (1.0 - share) * radius, 0.0) < pairs.low
     verdicts[pairs.number[below]] = BELOW
-    pairs = replace(pairs, simplex=np.array((new, new, new)), nearest=new, most=most)
+    pairs = replace(pairs, simplex=np.array((new, centre, centre)), nearest=nearest, most=most)
     return pairs.only(np.flatnonzero(~(apart | below)))
 
 
@@ -314,8 +338,8 @@ def _step(
     corners = np.concatenate((pairs.simplex, new[None]))
     simplex, nearest = _closest(pairs.simplex, new)
     most = _length(nearest)
-    # The first three steps have no four points.
-    depth = _depths(corners)[0].min(axis=0) if step > 1 else np.full(len(rest), -1.0)
+    # The first step has no four points.
+    depth = _depths(corners)[0].min(axis=0) if step else np.full(len(rest), -1.0)
     below = np.where(depth > 0.0, -depth, most) < pairs.low
     verdicts[pairs.number[below]] = BELOW
     on = (depth > 0.0) | (most <= 1e-13 * np.abs(corners).max(axis=(0, 1)))

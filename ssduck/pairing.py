@@ -30,10 +30,12 @@ class Joined:
     Attributes:
         table: the pairs of which it may hold, to be joined.
         condition: what is to hold of a row of the sources and of that table.
+        position: the key by which both sources are in their order.
     """
 
     table: exp.Expr
     condition: exp.Expr
+    position: exp.Ordered
 
 
 def sides_of(node: Node) -> tuple[This, This] | None:
@@ -45,15 +47,16 @@ def sides_of(node: Node) -> tuple[This, This] | None:
     return None
 
 
-def joined(sql: Expressions, node: Call, schema: str) -> Joined | None:
+def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) -> Joined | None:
     """`near(a.this, b.this, 0.1)`: all its pairs at once; None if SQL does not know how near.
 
     Args:
         sql: the expressions of the query.
         node: a call of a relation of `sides_of`.
+        sides: its sources, in their order.
         schema: the world that both sources are.
     """
-    relation, (a, b, *others) = RELATIONS[node.name], node.arguments
+    relation, others = RELATIONS[node.name], node.arguments[2:]
     assert relation.candidates is not None
     if not all(map(sql.is_constant, others)):
         return None
@@ -65,10 +68,12 @@ def joined(sql: Expressions, node: Call, schema: str) -> Joined | None:
         return None
     apart = expanded(relation.apart_of(len(node.arguments)), known)
     pairs = pairs_of(relation.candidates, apart, schema, sql.context.alias("pairs"))
-    sides = zip((a, b), pairs.columns, strict=True)
-    found = [exp.EQ(this=sql.value(side).sql, expression=column) for side, column in sides]
+    found = [
+        exp.EQ(this=sql.value(side).sql, expression=column)
+        for side, column in zip(sides, pairs.columns, strict=True)
+    ]
     exact = () if relation.candidates.are_exact else (holds,)
-    return Joined(pairs.table, exp.and_(*found, *exact))
+    return Joined(pairs.table, exp.and_(*found, *exact), pairs.position)
 
 
 def implied(sql: Expressions, node: Node) -> exp.Expr | None:

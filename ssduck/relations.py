@@ -27,6 +27,10 @@ ValueType: TypeAlias = Literal[
 ]
 
 
+# A pair of entities in SQL is one number, the first id times this and the second: DuckDB takes and
+# sorts one number in less time than two.
+MOST_IDS = 1 << 32
+
 # Of an entity's numbers these may be infinite; the others are finite or unknown.
 BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 

@@ -15,6 +15,7 @@ from ssduck.broad import meeting
 from ssduck.colliding import Found, Sorts, pair_number
 from ssduck.geometry import Array
 from ssduck.narrow import Narrow
+from ssduck.relations import MOST_IDS
 
 # After more pairs, or one for every four entities, all pairs of the tick are compared at once.
 FEW = 64
@@ -22,7 +23,6 @@ FEW = 64
 ROUNDED = 1e-9
 
 Ids: TypeAlias = npt.NDArray[np.int64]
-Both: TypeAlias = tuple[list[int], list[int]]
 
 
 class Shapes:
@@ -52,56 +52,37 @@ class Shapes:
         self._sorts = sorts
         self._boxes = boxes
         self._ids = ids
-        self._overlapping: dict[float, Both] = {}
+        self._colliding: list[int] | None = None
+        self._overlapping: dict[float, list[int]] = {}
         # How many pairs were asked about one by one, by how near they are to be; None: collide.
         self._asked: Counter[float | None] = Counter()
         self._found: dict[float | None, frozenset[int]] = {}
-        self._near: dict[float, Both] = {}
+        self._near: dict[float, list[int]] = {}
 
-    @cached_property
-    def _colliding(self) -> Both:
-        return self._both_ways(self._narrow.all_that_collide(self._sorts))
+    def all_colliding(self) -> list[int]:
+        """The pairs that collide, as numbers; so are those of the other two."""
+        if self._colliding is None:
+            self._colliding = self._of_found(self._narrow.all_that_collide(self._sorts))
+        return self._colliding
 
-    def _within(self, apart: float) -> Both:
+    def all_within(self, apart: float) -> list[int]:
+        """The pairs whose clearance is at most that, m; no entity and itself."""
         if apart not in self._near:
-            self._near[apart] = self._both_ways(self._narrow.all_within(self._sorts, apart))
+            self._near[apart] = self._of_found(self._narrow.all_within(self._sorts, apart))
         return self._near[apart]
 
-    def _meeting(self, apart: float) -> Both:
+    def all_meeting(self, apart: float) -> list[int]:
+        """The pairs whose boxes are no farther apart along any axis, m."""
         if apart not in self._overlapping:
             first, second = meeting(self._boxes, apart + ROUNDED)
             self._overlapping[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._overlapping[apart]
 
-    def _both_ways(self, found: Found) -> Both:
-        """The ids of pairs of entities of `narrow`."""
+    def _of_found(self, found: Found) -> list[int]:
+        """The pairs of entities of `narrow` by their ids."""
         ids = np.array(list(self._numbers), dtype=np.int64)
         first, second = found.sides
         return _both_ways(ids[first], ids[second])
-
-    def first_colliding(self) -> list[int]:
-        """Of the pairs that collide, the first ones."""
-        return self._colliding[0]
-
-    def second_colliding(self) -> list[int]:
-        """Of the pairs that collide, the second ones."""
-        return self._colliding[1]
-
-    def first_within(self, apart: float) -> list[int]:
-        """Of the pairs whose clearance is at most that, m, the first ones; no entity and itself."""
-        return self._within(apart)[0]
-
-    def second_within(self, apart: float) -> list[int]:
-        """Of the pairs whose clearance is at most that, m, the second ones."""
-        return self._within(apart)[1]
-
-    def first_meeting(self, apart: float) -> list[int]:
-        """Of the pairs whose boxes are no farther apart along any axis, m, the first ones."""
-        return self._meeting(apart)[0]
-
-    def second_meeting(self, apart: float) -> list[int]:
-        """Of the pairs whose boxes are no farther apart along any axis, m, the second ones."""
-        return self._meeting(apart)[1]
 
     def _pair(self, a: int, b: int) -> tuple[int, int]:
         """Which entities two ids are; a pair counts once a tick."""
@@ -192,21 +173,20 @@ class Shapes:
         return self._narrow.solid_volume(self._numbers[entity])
 
 
-def _both_ways(a: Ids, b: Ids) -> Both:
-    """The first ones and the second ones of pairs, each pair both ways."""
-    return np.concatenate((a, b)).tolist(), np.concatenate((b, a)).tolist()
+def _both_ways(a: Ids, b: Ids) -> list[int]:
+    """Pairs of ids as numbers, each pair both ways, in order."""
+    numbers = np.concatenate((a * MOST_IDS + b, b * MOST_IDS + a))
+    found: list[int] = np.sort(numbers).tolist()
+    return found
 
 
 Answer: TypeAlias = Callable[..., Any]
 ANSWERS: dict[str, Answer] = {
     f"narrow {answer.__name__}": answer
     for answer in (
-        Shapes.first_colliding,
-        Shapes.second_colliding,
-        Shapes.first_within,
-        Shapes.second_within,
-        Shapes.first_meeting,
-        Shapes.second_meeting,
+        Shapes.all_colliding,
+        Shapes.all_within,
+        Shapes.all_meeting,
         Shapes.collides,
         Shapes.penetration,
         Shapes.clearance,

@@ -88,8 +88,8 @@ class _Translator:
         self.elements = self._sources(query, shapes)
         self.columns: list[exp.Expr] = []
         self.pairs: list[exp.Expr] = []
-        # The sources that are joined with them.
-        self.paired: set[str | None] = set()
+        # The keys by which a source and the next one are in their order, by the first of the two.
+        self.positions: dict[str, exp.Ordered] = {}
         self.texts: dict[str, int] = {}
         resolved = resolve(query, self._known_shapes(), names)
         self.query = self.result.query = resolved.query
@@ -214,11 +214,14 @@ class _Translator:
         if alone or len(schemas) > 1 or None in schemas:
             return None
         assert isinstance(node, Call)
-        found = joined(self.sql, node, str(schemas.pop()))
+        order = [shape.alias for shape in self.result.shapes]
+        first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
+        found = joined(self.sql, node, (first, second), str(schemas.pop()))
         if found is None:
             return None
         self.pairs.append(found.table)
-        self.paired |= aliases
+        if order.index(str(second.alias)) == order.index(str(first.alias)) + 1:
+            self.positions[str(first.alias)] = found.position
         return found.condition
 
     def _condition(self, node: Node) -> exp.Expr | None:
@@ -267,10 +270,14 @@ class _Translator:
         inline = any(not shape.given for shape in self.result.shapes)
         nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
         if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
+            is_placed = False
             for shape, element in zip(self.result.shapes, self.elements, strict=True):
-                # That sensors come last does not matter where there are none: they have no shapes.
-                keys = element.position[shape.alias in self.paired :]
-                ordered.extend(key.copy() for key in keys)
+                both = self.positions.get(shape.alias)
+                keys = element.position if both is None else (both,)
+                # To sort by a pair's number takes less time than by two ids.
+                if both is not None or not is_placed:
+                    ordered.extend(key.copy() for key in keys)
+                is_placed = both is not None
         return ordered, left
 
     def _limit(self, *, left: bool) -> int | None:

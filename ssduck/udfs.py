@@ -658,12 +658,9 @@ BOXES_WITHIN = sqlglot.parse_one(_boxes_within("d"), dialect="duckdb")
 _ONE = ("BIGINT", "BIGINT")
 _PAIR = _ONE + _ONE
 NARROW: dict[str, tuple[tuple[str, ...], str]] = {
-    "narrow first_colliding": ((), "BIGINT[]"),
-    "narrow second_colliding": ((), "BIGINT[]"),
-    "narrow first_within": (("DOUBLE",), "BIGINT[]"),
-    "narrow second_within": (("DOUBLE",), "BIGINT[]"),
-    "narrow first_meeting": (("DOUBLE",), "BIGINT[]"),
-    "narrow second_meeting": (("DOUBLE",), "BIGINT[]"),
+    "narrow all_colliding": ((), "BIGINT[]"),
+    "narrow all_within": (("DOUBLE",), "BIGINT[]"),
+    "narrow all_meeting": (("DOUBLE",), "BIGINT[]"),
     "narrow collides": (_PAIR, "BOOLEAN"),
     "narrow penetration": (_PAIR, "DOUBLE"),
     "narrow clearance": (_PAIR, "DOUBLE"),

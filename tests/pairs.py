@@ -153,9 +153,11 @@ def bodies(shapes):
     solids = [solid_of(one.geometry) for one in shapes]
     placed = [one.placed() for one in shapes]
     turns = np.array([one.rows for one in placed]).reshape(-1, 9).T
-    centres = np.array([one.world(*s.centre) for one, s in zip(placed, solids, strict=True)]).T
+    places = list(zip(placed, solids, strict=True))
+    centres = np.array([one.world(*s.centre) for one, s in places]).T
+    inner = np.array([one.world(*s.inner_centre) for one, s in places]).T
     every = np.arange(len(shapes))
-    return Bodies(Cores(solids, every), np.ascontiguousarray(turns), np.ascontiguousarray(centres))
+    return Bodies(Cores(solids, every), *map(np.ascontiguousarray, (turns, centres, inner)))
 
 
 def verdicts(two, bound):

@@ -120,3 +120,38 @@ def test_links_of_one_robot_do_not_count(client, ask):
 
 def test_nothing_collides_in_an_empty_world(ask):
     assert ask(BOTH) == ([], 0)
+
+
+IN_ORDER = {
+    "a=w, b=w": ["collides(a.this, b.this)", "collides(b.this, a.this)", "on(b.this, a.this)"],
+    "b=w, a=w": ["collides(a.this, b.this)", "near(a.this, b.this, 0.3)", "on(a.this, b.this)"],
+    "a=w, n=[2, 1], b=w": ["collides(b.this, a.this)"],
+    "n=[2, 1], a=w, b=w": ["collides(a.this, b.this) AND near(b.this, a.this, 0.1)"],
+    "c=w, a=w, b=w": [
+        "collides(a.this, b.this)",
+        "collides(a.this, b.this) AND collides(c.this, a.this)",
+        "collides(c.this, a.this) AND near(b.this, a.this, 0.1)",
+        "collides(c.this, b.this) AND collides(a.this, b.this)",
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("sources", "condition"), [(key, one) for key, some in IN_ORDER.items() for one in some]
+)
+def test_pairs_are_in_the_order_of_the_sources(client, sources, condition):
+    """Whichever of them a pair is of, and in whatever order a relation has them."""
+    fill(client, ["box"] * 4, 4, side=0.3)
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
+    )
+    for z in (11, 12, 10):
+        pybullet.createMultiBody(1, box, basePosition=[0, 0, z], physicsClientId=client)
+    named = ", ".join(f"id({name}.this)" for name in "abc" if f"{name}=w" in sources)
+    program = f"SELECT {named} FROM {sources} WHERE {condition} AS list;"
+    world, found = ssduck.World.attach(client), []
+    for row_by_row in (False, True):
+        with ssduck.Interpreter(row_by_row=row_by_row) as ss:
+            ss.add_variable("w", world)
+            found.append(ss.eval(program))
+    assert found[0] == found[1] != []

@@ -16,6 +16,7 @@ import pytest
 
 import ssduck
 from ssduck.catalog import TABLE_MACROS
+from ssduck.database import Database
 from ssduck.tables import ROWS, TABLES
 from ssduck.udfs import RELATIONS
 
@@ -222,6 +223,32 @@ def test_statements_a_run():
         interpreter.eval("1 + 1; [1, 2][0];")
         assert told == []
     interpreter.close()
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "i, i::INT, i * 0.5::DOUBLE, i % 2 = 0, 'ä' || i, i",
+        "CASE WHEN i % 3 = 0 THEN i END, CASE WHEN i % 3 = 1 THEN i / 3 END, NULL::VARCHAR",
+        "'nan'::DOUBLE, '-inf'::DOUBLE, -0.0::DOUBLE, chr(0) || i, CASE WHEN i = 400 THEN TRUE END",
+        "i, i::HUGEINT << 64, 0.1::DECIMAL(5, 2), [i, NULL], struct_pack(a := i), DATE '2000-02-29' + i::INT",
+    ],
+)
+def test_many_rows_have_the_values_that_few_have(columns):
+    database = Database(":memory:", None)
+    alone = f"SELECT {columns} FROM (SELECT {{}}::BIGINT AS i)"
+    few = [row for number in range(500) for row in database.rows(alone.format(number))]
+    many = database.rows(f"SELECT {columns} FROM range(500) numbers(i)")
+    assert repr(many) == repr(few)
+    database.close()
+
+
+def test_what_fails_behind_many_rows_is_told():
+    database = Database(":memory:", None)
+    with pytest.raises(ssduck.SelectScriptError, match="late"):
+        database.rows("SELECT if(i = 90000, error('late'), 'a') FROM range(100000) numbers(i)")
+    assert database.rows("SELECT 1") == [(1,)]
+    database.close()
 
 
 def test_plans_follow_bodies_that_come_and_go(sim):

@@ -18,6 +18,7 @@ from ssduck.colliding import Sorts, box_depths
 from ssduck.geometry import Geometry
 from ssduck.gjk import ABOVE, BELOW, UNDECIDED, compare
 from ssduck.narrow import COLLIDES
+from ssduck.relations import MOST_IDS
 from ssduck.shapes import FEW, Shapes
 from ssduck.solids import solid_of
 
@@ -90,6 +91,13 @@ def test_stacked(depth):
     ]
     left = undecided(two, (-COLLIDES, 0.0, 2e-3))
     assert (np.abs(left) > 1e-6).sum() <= 0.02 * 6 * len(two)
+
+
+def test_deep_pairs_take_no_step(monkeypatch):
+    """The ball in their difference reaches the origin, though those in the two do not meet."""
+    monkeypatch.setattr(gjk, "_step", None)
+    two = [(at(one, (0, 0, 0)), at(one, (0.7, 0.7, 0.3))) for one in (box(), CUBE)]
+    assert all((found == BELOW).all() for found in pairs.verdicts(two, -COLLIDES))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -336,11 +344,10 @@ def test_many_questions_are_answered_together():
 def test_ids_of_all_that_are_near():
     tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
     shapes = Shapes(tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64))
-    assert shapes.first_within(0.4) == shapes.second_within(0.4) == []
-    assert list(zip(shapes.first_within(0.5), shapes.second_within(0.5), strict=True)) == [
-        (7, 3), (3, 5), (3, 7), (5, 3),
-    ]  # fmt: skip
-    assert shapes.first_colliding() == shapes.second_colliding() == []
+    assert shapes.all_within(0.4) == []
+    pairs = [divmod(number, MOST_IDS) for number in shapes.all_within(0.5)]
+    assert pairs == [(3, 5), (3, 7), (5, 3), (7, 3)]
+    assert shapes.all_colliding() == []
 
 
 def test_shapes_of_two_entities_that_collide_are_left_out():

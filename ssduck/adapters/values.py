@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 from ssduck.adapters.base import Adapter, Rows
@@ -21,7 +22,7 @@ def _dicts(rows: Rows) -> list[dict[Any, Any]]:
 
 
 def _flat(rows: Rows) -> list[Any]:
-    return [value for values in rows.values for value in values]
+    return list(chain.from_iterable(rows.values))
 
 
 def _first(rows: Rows, default: Any = ()) -> Any:
