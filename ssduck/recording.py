@@ -50,7 +50,8 @@ class Recording:
             history are the same; they take less memory and more time.
         seconds: of simulated time that are kept at least, and at most half as much more; None
             for all.
-        ticks: that are kept at least, and at most half as many more; None for all.
+        ticks: that are kept at least, and at most half as many more; None for all. Where both are
+            given, what is older than either may be dropped.
 
     Raises:
         ArgumentError: a table is none of these, a number is no number above 0, or nothing is
