@@ -4,15 +4,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ssduck.changes import Changed
     from ssduck.entities import Entity, Sensor
     from ssduck.errors import SelectScriptError
     from ssduck.interpreter import Interpreter, load
     from ssduck.limits import Limits
     from ssduck.world import World
 
-__all__ = ["Entity", "Interpreter", "Limits", "SelectScriptError", "Sensor", "World", "load"]
+__all__ = [
+    "Changed",
+    "Entity",
+    "Interpreter",
+    "Limits",
+    "SelectScriptError",
+    "Sensor",
+    "World",
+    "load",
+]
 
 _HOMES = {
+    "Changed": "changes",
     "Entity": "entities",
     "Interpreter": "interpreter",
     "Limits": "limits",

@@ -23,6 +23,7 @@ class Posed:
         joints: position, velocity and effort of each body's joints, (joints, 3).
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
+        timestep: seconds of a step; there are none.
     """
 
     time: float
@@ -31,6 +32,7 @@ class Posed:
     disabled: frozenset[Body]
     hidden: frozenset[Body]
     watched: bool = False
+    timestep: float = 0.0
 
     def describe(self) -> None:
         """None comes, none goes."""
