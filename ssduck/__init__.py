@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from ssduck.errors import SelectScriptError
     from ssduck.interpreter import Interpreter, load
     from ssduck.limits import Limits
+    from ssduck.triggers import TriggerWarning
     from ssduck.world import World
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Limits",
     "SelectScriptError",
     "Sensor",
+    "TriggerWarning",
     "World",
     "load",
 ]
@@ -29,6 +31,7 @@ _HOMES = {
     "Limits": "limits",
     "SelectScriptError": "errors",
     "Sensor": "entities",
+    "TriggerWarning": "triggers",
     "World": "world",
     "load": "interpreter",
 }

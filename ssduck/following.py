@@ -65,8 +65,10 @@ class Followed(ABC):
         The world does not keep it alive: it follows until it is gone, or `unfollow`.
         """
         with self.lock:
-            kept = [ref for ref in self._followers if ref() not in {None, follower}]
-            self._followers = (*kept, weakref.ref(follower))
+            kept = [ref for ref in self._followers if ref() is not None]
+            if not any(ref() is follower for ref in kept):
+                kept.append(weakref.ref(follower))
+            self._followers = tuple(kept)
 
     def unfollow(self, follower: Follower) -> None:
         """Tell a follower nothing any more."""
@@ -88,10 +90,10 @@ class Followed(ABC):
             return math.inf
         followers = [ref() for ref in self._followers]
         due = min((f.due(self) for f in followers if f is not None), default=math.inf)
-        if due == math.inf or not self.timestep:
+        if not self.timestep:
             return math.inf
-        steps = (due - self._simulator.time) / self.timestep - _ROUNDING
-        return max(1, math.ceil(steps)) if math.isfinite(steps) else 1
+        steps = max(1.0, (due - self._simulator.time) / self.timestep - _ROUNDING)
+        return steps if steps == math.inf else math.ceil(steps)
 
     def tell(self) -> None:
         """Tell the followers of the last tick; the caller holds no lock."""

@@ -137,6 +137,7 @@ class Beat:
         self._interval = interval
         self.due = -math.inf
         self.count_on(world)
+        self.count_on(world)
 
     def count_on(self, world: World) -> None:
         """Be due at the first multiple of the interval that is not reached yet."""
@@ -155,8 +156,10 @@ class Settling:
     def __init__(self, terms: Terms) -> None:
         self._terms = terms
         self._told_rows: list[Any] = []
-        self._settled: Any = False if terms.when != "change" else None
-        if terms.rows and terms.when == "change":
+        self._settled: Any = None
+        if terms.when != "change":
+            self._settled = (False,)
+        elif terms.rows:
             self._settled = bag([])
         self._next: Any = None
         self._since: WeakKeyDictionary[World, float] | None = None
@@ -382,8 +385,7 @@ class Triggers:
             with self._lock:
                 self._check_free(terms.name)
                 self._by_name = {**self._by_name, terms.name: trigger}
-            if told is not None:
-                trigger.fire(*told)
+            self._fire(trigger, told)
 
     def _check_free(self, name: str) -> None:
         if name in self._by_name:
@@ -467,8 +469,14 @@ class Triggers:
             except Exception as error:  # noqa: BLE001  # whatever it is, the world goes on
                 trigger.fail(error)
                 return
-            if told is not None:
-                trigger.fire(*told)
+            self._fire(trigger, told)
+
+    def _fire(self, trigger: Trigger, told: tuple[Any] | None) -> None:
+        """Let one fire if there is something to tell."""
+        if told is not None:
+            trigger.fire(*told)
+            # Its callback may have stepped worlds: what was due meanwhile is passed over.
+            trigger.count_on(self._about(trigger))
 
     def _looked_at(self, trigger: Trigger) -> tuple[Any] | None:
         """Evaluate one; gives what its callback is to be told, in a tuple, or None."""
@@ -499,7 +507,9 @@ class Triggers:
 
     def _about(self, trigger: Trigger) -> list[World]:
         """The worlds that a program is about; all, if it does not tell or is about none."""
-        found = self._interpreter._worlds_of(trigger.program.tree.statements)  # noqa: SLF001
+        found: list[World] | None = None
+        with suppress(RecursionError):  # a list that is in itself
+            found = self._interpreter._worlds_of(trigger.program.tree.statements)  # noqa: SLF001
         return list(dict.fromkeys(found or self._interpreter.worlds))
 
     def _follow(self, trigger: Trigger) -> list[World]:
@@ -536,10 +546,11 @@ class TriggerVerbs:
         first result is a change. What the callback is given is its own.
 
         Without a queue the callback runs in the thread that steps the world, between two steps.
-        It may query and change worlds, and add and remove triggers; a world that it steps runs
-        through, and what became due meanwhile is evaluated after the next step. An error of the
-        program or of the callback is a `TriggerWarning`, once for each that is different, and
-        is told by `triggers`.
+        It may query and change worlds, and add and remove triggers. It may step them, too: a
+        world that is being stepped around it runs through; what became due of other triggers
+        meanwhile is evaluated after the next step, of this one it is passed over. An error of
+        the program or of the callback is a `TriggerWarning`, once for each that is different,
+        and is told by `triggers`.
 
         Args:
             name: to find it by.
