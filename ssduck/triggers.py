@@ -137,7 +137,6 @@ class Beat:
         self._interval = interval
         self.due = -math.inf
         self.count_on(world)
-        self.count_on(world)
 
     def count_on(self, world: World) -> None:
         """Be due at the first multiple of the interval that is not reached yet."""
@@ -217,7 +216,6 @@ class Trigger:
         paused: whether it is never due.
         removed: whether its callback is not to be called any more.
         basis: what its last result depends on, where that is known.
-        result: the last one.
     """
 
     def __init__(self, terms: Terms, program: Compiled, callback: Callable[[Any], object]) -> None:
@@ -226,7 +224,6 @@ class Trigger:
         self.paused = False
         self.removed = False
         self.basis: Any = None
-        self.result: Any = None
         self._busy = threading.Lock()
         self._beats: WeakKeyDictionary[World, Beat] = WeakKeyDictionary()
         self._settling = Settling(terms)
@@ -265,6 +262,18 @@ class Trigger:
         """Be due again one interval further on."""
         for world in worlds:
             self._beat(world).count_on(world)
+
+    def resume(self, worlds: Sequence[World]) -> None:
+        """Be due again, from the next multiple of the interval on."""
+        if self.paused:
+            self._settling.unsettle()  # what held before may not have held meanwhile
+            self.count_on(worlds)
+            self.paused = False
+
+    @property
+    def result(self) -> Any:
+        """The last result."""
+        return self._log.result
 
     def note(self, result: Any, worlds: Sequence[World]) -> tuple[Any] | None:
         """Take note of a result; gives what the callback is to be told, in a tuple, or None."""
@@ -407,9 +416,7 @@ class Triggers:
     def resume(self, name: str) -> None:
         """Let one be due again."""
         trigger = self._named(name)
-        if trigger.paused:
-            trigger.count_on(self._about(trigger))
-            trigger.paused = False
+        trigger.resume(self._about(trigger))
 
     def _named(self, name: str) -> Trigger:
         if name not in self._by_name:
@@ -450,8 +457,8 @@ class Triggers:
         """Evaluate what is due in a world, in the order in which triggers were added."""
         for trigger in self._by_name.values():
             # A callback may have removed or paused it meanwhile.
-            is_due = not trigger.removed and world.reached(trigger.due(world))
-            if is_due and world in self._about(trigger):
+            is_about = not trigger.removed and world in self._about(trigger)
+            if is_about and world.reached(trigger.due(world)):
                 self._evaluate(trigger)
 
     def rebound(self) -> None:
@@ -486,8 +493,10 @@ class Triggers:
             trigger.basis = None
             result = self._interpreter.eval(trigger.program)
             # As it was before: a tick that is taken meanwhile is not missed.
-            trigger.basis, trigger.result = basis, result
-        return trigger.note(trigger.result, self._follow(trigger))
+            trigger.basis = basis
+        else:
+            result = trigger.result
+        return trigger.note(result, self._follow(trigger))
 
     def _basis(self, trigger: Trigger) -> Any:
         """What the result of a program depends on, if that is known: a query's worlds' ticks."""
@@ -513,9 +522,9 @@ class Triggers:
         return list(dict.fromkeys(found or self._interpreter.worlds))
 
     def _follow(self, trigger: Trigger) -> list[World]:
-        """Follow the worlds that a trigger is about."""
+        """Follow the worlds that a trigger is about, and all that it may come to be about."""
         worlds = self._about(trigger)
-        for world in worlds:
+        for world in (*worlds, *self._interpreter.worlds):
             if world not in self._followed:
                 world.follow(self)
                 self._followed.add(world)

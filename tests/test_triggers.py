@@ -282,6 +282,16 @@ def test_a_name_may_come_to_stand_for_another_world(ss, sim, client):
         pybullet.disconnect(second)
 
 
+def test_a_program_may_make_a_name_stand_for_another_world(ss, sim, other):
+    ss.eval("env = sim;")
+    ss.add_trigger("t", "SELECT this FROM env;", 0.1, lambda _: None)
+    ss.eval("env = other;")
+    sim.step(48)
+    assert state(ss, "t").evaluations == 1
+    other.step(20)
+    assert state(ss, "t").evaluations == 3
+
+
 # -- what fires --------------------------------------------------------------------------------
 
 NAN = float("nan")
@@ -323,6 +333,17 @@ def test_what_fires(ss, sim, options, results, expected):
         assert all(isinstance(change, ssduck.Changed) for change in got)
         got = [(change.added, change.removed) for change in got]
     assert repr(got) == repr(expected)  # as NaN is not itself
+
+
+def test_what_holds_is_not_known_while_it_is_paused(ss, sim):
+    times = Times(sim)
+    ss.add_variable("v", 1)
+    ss.add_trigger("t", "v;", 0.1, times, debounce=0.25)
+    ss.pause_trigger("t")
+    sim.step(240)
+    ss.resume_trigger("t")
+    sim.step(240)
+    assert times == [1.4]
 
 
 def test_debounce_is_simulated_time(ss, sim):
