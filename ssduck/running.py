@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from numbers import Integral, Real
 from typing import Any, Literal, TypeAlias
 
 from ssduck.errors import ArgumentError
@@ -36,7 +37,8 @@ def run(
     """Run worlds for so much simulated time; the arguments are those of `World.run`."""
     seconds = duration(seconds, "run: seconds")
     speed = _speed(realtime)
-    if every is not None and (not isinstance(every, int) or isinstance(every, bool) or every < 1):
+    is_count = isinstance(every, Integral) and not isinstance(every, bool) and every >= 1
+    if every is not None and not is_count:
         raise ArgumentError(f"run: every: {shown(every)} is no number of steps; 1 or more")
     period = every if speed is None or every is not None else speed / PICTURES
     lanes = [_Lane(world, seconds, period) for world in worlds]
@@ -98,7 +100,7 @@ def duration(seconds: Any, what: str) -> float:
     Raises:
         ArgumentError: it is none, and what it is for.
     """
-    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
     if not is_number or not 0.0 <= seconds < math.inf:
         raise ArgumentError(f"{what}: {shown(seconds)} is no time; seconds, 0 or more")
     return float(seconds)
@@ -108,7 +110,7 @@ def _speed(realtime: Any) -> float | None:
     """How many times as fast as the clock; None for as fast as can be."""
     if isinstance(realtime, bool):
         return 1.0 if realtime else None
-    if not isinstance(realtime, int | float) or not 0.0 < realtime < math.inf:
+    if not isinstance(realtime, Real) or not 0.0 < float(realtime) < math.inf:
         raise ArgumentError(
             f"run: realtime: {shown(realtime)} is no speed; True, or a number above 0"
         )

@@ -25,7 +25,7 @@ from ssduck.inbox import Inbox
 from ssduck.keys import ATOMS
 from ssduck.messages import shown
 from ssduck.running import duration
-from ssduck.tree import Bare, Query
+from ssduck.tree import Bare, Program, Query
 from ssduck.world import World
 
 if TYPE_CHECKING:
@@ -42,10 +42,19 @@ _CHANGING = IMPURE | {"getTime", "var"}
 _LIVE = World | Entity
 
 
-def _read_by(query: Query) -> tuple[frozenset[str], frozenset[str]]:
-    """The names of variables and functions that a query may use, and tables of relations."""
-    bare = {part.name for part in query.walk() if isinstance(part, Bare)}
-    return calls_of(query) | variables_of(query) | bare, tables_of(query)
+def _read_by(program: Program) -> frozenset[str] | None:
+    """The names of variables and functions that a query may use.
+
+    None for a program that is none, or whose result may change between two ticks.
+    """
+    match program.statements:
+        case [Query() as query] if not program.explain:
+            bare = {part.name for part in query.walk() if isinstance(part, Bare)}
+            names = calls_of(query) | variables_of(query) | bare
+            # Sensors can be switched between two ticks.
+            is_fixed = names.isdisjoint(_CHANGING) and "sensings" not in tables_of(query)
+            return names if is_fixed else None
+    return None
 
 
 class TriggerWarning(RuntimeWarning):
@@ -70,8 +79,9 @@ class Terms:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise ArgumentError(f"add_trigger: name: {shown(self.name)} is no name; give a text")
-        duration(self.interval, "add_trigger: interval")
-        duration(self.debounce, "add_trigger: debounce")
+        for name in ("interval", "debounce"):
+            seconds = duration(getattr(self, name), f"add_trigger: {name}")
+            object.__setattr__(self, name, seconds)  # for good from here on
         if self.when not in get_args(When):
             raise ArgumentError(
                 f"add_trigger: when: {shown(self.when)} is none of 'change', 'rising', 'falling'",
@@ -215,6 +225,7 @@ class Trigger:
         program: what it evaluates.
         paused: whether it is never due.
         removed: whether its callback is not to be called any more.
+        reads: the names that the result depends on, if nothing else but ticks matters.
         basis: what its last result depends on, where that is known.
     """
 
@@ -223,6 +234,7 @@ class Trigger:
         self.program = program
         self.paused = False
         self.removed = False
+        self.reads = _read_by(program.tree)
         self.basis: Any = None
         self._busy = threading.Lock()
         self._beats: WeakKeyDictionary[World, Beat] = WeakKeyDictionary()
@@ -500,13 +512,8 @@ class Triggers:
 
     def _basis(self, trigger: Trigger) -> Any:
         """What the result of a program depends on, if that is known: a query's worlds' ticks."""
-        tree = trigger.program.tree
-        if tree.explain or len(tree.statements) != 1 or not isinstance(tree.statements[0], Query):
-            return None
-        room = self._interpreter
-        names, tables = _read_by(tree.statements[0])
-        # Sensors can be switched between two ticks.
-        if "sensings" in tables or any(name in _CHANGING or room.is_users(name) for name in names):
+        names, room = trigger.reads, self._interpreter
+        if names is None or any(map(room.is_users, names)):
             return None
         known = [(name, room.variable(name)) for name in names if room.has_variable(name)]
         if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in known):

@@ -500,6 +500,14 @@ def test_a_result_belongs_to_the_callback(ss, sim):
 # -- errors ------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("interval", [1, np.float32(1), np.int64(1), Fraction(1)])
+def test_numbers_of_any_kind(ss, sim, interval):
+    ss.add_trigger("t", HEIGHT, interval, lambda _: None, debounce=interval)
+    sim.run(interval, every=np.int64(100), realtime=np.float32(1000))
+    assert state(ss, "t").evaluations == 2
+    assert type(state(ss, "t").interval) is float
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -998,6 +1006,26 @@ def test_nothing_is_run_if_nothing_has_changed(ss, sim, other, told):
     triggers._evaluate(triggers._by_name["one"])
     assert state(ss, "one").result == []
     assert still.time == 0
+
+
+@pytest.mark.parametrize(
+    ("program", "is_known"),
+    [
+        ("SELECT id FROM sim WHERE z(this) > least;", True),
+        ("SELECT a.this FROM a=sim, b=sim WHERE collides(a.this, b.this);", True),
+        ("SELECT id FROM sim; 3;", False),
+        ("v = SELECT id FROM sim;", False),
+        ("EXPLAIN SELECT id FROM sim;", False),
+        ("SELECT var('v') FROM sim;", False),
+        ("SELECT a.this FROM a=sim, b=sim WHERE isSensing(a.this, b.this);", False),
+        ("", False),
+    ],
+)
+def test_programs_whose_results_are_known_to_stay(ss, sim, program, is_known):
+    ss.add_variable("least", 5)
+    ss.add_variable("v", 5)
+    ss.add_trigger("t", program, 1, lambda _: None)
+    assert (ss._triggers._by_name["t"].basis is not None) == is_known
 
 
 def test_two_worlds_that_step_together(ss, sim, other, told):
