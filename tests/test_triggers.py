@@ -1126,8 +1126,11 @@ def test_worlds_end_at_the_step_that_is_nearest(steps, seconds, every):
 
 
 def test_what_was_not_simulated_does_not_run(ss, sim):
-    with pytest.raises(UnknownNameError, match="there is no world that could run"):
-        ssduck.Interpreter().run(1)
+    with (
+        ssduck.Interpreter() as empty,
+        pytest.raises(UnknownNameError, match="there is no world that could run"),
+    ):
+        empty.run(1)
     maybe = ss.add_variable("maybe", sim.what_if())
     assert maybe.timestep == 0
     with pytest.raises(UnsupportedError, match="cannot be stepped"):
