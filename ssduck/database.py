@@ -36,13 +36,13 @@ from ssduck.folder import PART_TICKS, Folder, FolderRecording
 from ssduck.functions import Function
 from ssduck.history import Archive, History, history_name, not_recorded
 from ssduck.limits import Limits, Meter
-from ssduck.past import Record
+from ssduck.past import Record, RecordedWorld
 from ssduck.recording import FRAMES, RECORDABLE, Recorder, Recording, Ring, unknown_names
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.types import Signature, Tag, converter, is_exactly
 from ssduck.udfs import NARROW
-from ssduck.world import UNNAMED, RecordedWorld, World
+from ssduck.world import UNNAMED, World
 
 T = TypeVar("T")
 
@@ -687,8 +687,6 @@ class Database:
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
         self._make_history_views(name, bound)
-        if self._told_of is not None:
-            self._told_of.discard(name)
         self._forget_plans()
 
     # -- what is kept -----------------------------------------------------------------------
@@ -747,6 +745,8 @@ class Database:
         return next(name for name in names if name.casefold() not in taken)
 
     def _make_history_views(self, name: str, bound: _Bound) -> None:
+        if self._told_of is not None:
+            self._told_of.discard(name)
         for table in ("ticks", *RECORDABLE):
             rows = None
             if bound.kept is not None:
@@ -853,7 +853,7 @@ class Database:
         schemas = list(self._narrow_worlds)
         if self._told_of != set(schemas):
             only = schemas[0] if len(self.worlds) == 1 else None
-            for statement in described(schemas, only, self._told_of):
+            for statement in described(schemas, only, self._told_of, self.records):
                 self.run(statement)
             self._told_of = set(schemas)
 

@@ -258,7 +258,7 @@ class History:
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
-        return {f"{table}_model": f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
+        return {model_name(table): f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
 
     def _all(self, table: str, ring: Callable[[str], str] | None) -> str:
         """A SELECT of all rows of a table, those that wait among them."""
@@ -290,6 +290,11 @@ def abouts(writer: Writer) -> list[tuple[str, str]]:
 def history_name(table: str) -> str:
     """What the view of a table with all recorded ticks is called."""
     return f"{table}_history"
+
+
+def model_name(table: str) -> str:
+    """What the view of a table with what is the same at each tick is called."""
+    return f"{table}_model"
 
 
 def not_recorded(table: str, world: str) -> str:

@@ -50,11 +50,13 @@ from ssduck.recording import RECORDABLE, Recording
 from ssduck.relations import Relation
 from ssduck.result import Result
 from ssduck.rows import check_columns, formed
+from ssduck.running import run
 from ssduck.scenes import find_scene
 from ssduck.sources import within
 from ssduck.temporal import History, aged, history_of, kept, seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
+from ssduck.triggers import Triggers, TriggerVerbs
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
@@ -165,7 +167,7 @@ class Compiled:
         return self._interpreter._sql_of(self.tree, dialect)  # noqa: SLF001  # one room
 
 
-class Interpreter:
+class Interpreter(TriggerVerbs):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -200,9 +202,11 @@ class Interpreter:
         self._planner = Planner(self._database, self, self._limits, row_by_row=row_by_row)
         self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._texts: list[str] = []
+        self._triggers = Triggers(self)
 
     def close(self) -> None:
-        """Close the database, and the world that `load` made; yours stay open."""
+        """End the triggers, close the database and the world that `load` made; yours stay open."""
+        self._triggers.close()
         for world in self._own:
             world.close()
         self._database.close()
@@ -335,6 +339,8 @@ class Interpreter:
                 self._planner.forget()
                 self._forget()  # the time may be an earlier one now
             self._variables[name] = _plain(value)
+        if isinstance(value, World):
+            self._triggers.rebound()
         return value
 
     def call_variable(self, name: str) -> Any:
@@ -562,6 +568,35 @@ class Interpreter:
     addVariable = add_variable  # noqa: N815
     callVariable = call_variable  # noqa: N815
     addFunction = add_function  # noqa: N815
+
+    # -- simulated time -------------------------------------------------------------------
+
+    def run(
+        self,
+        seconds: float,
+        *,
+        realtime: bool | float = False,
+        progress: bool | Literal["always"] = False,
+        every: int | None = None,
+    ) -> None:
+        """Run all worlds in lockstep for so much simulated time, each in its own time step.
+
+        Wherever a trigger is due in one of them, or the clock or `every` asks for a tick, all run
+        up to that moment before any trigger is evaluated. What-if worlds stay as they are. The
+        arguments and errors are those of `World.run`.
+
+        Raises:
+            UnknownNameError: there is no world.
+        """
+        worlds = [world for world in self.worlds if world.timestep]
+        if not worlds:
+            raise UnknownNameError("there is no world that could run: add_variable one, or load")
+        run(worlds, seconds, realtime=realtime, progress=progress, every=every)
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds that are bound to variables, the first one first."""
+        return list(self._database.worlds.values())
 
     # -- raw SQL --------------------------------------------------------------------------
 

@@ -14,12 +14,11 @@ from sqlglot import exp
 
 from ssduck.errors import RecordError, nearest
 from ssduck.folder import Episode
-from ssduck.history import History, Writer, abouts, columns_of
+from ssduck.history import History, Writer, abouts, columns_of, model_name
 from ssduck.models import MODELS, members_of
-from ssduck.past import Record
+from ssduck.past import Record, RecordedWorld
 from ssduck.recording import Ticks
 from ssduck.tables import TABLES
-from ssduck.world import RecordedWorld
 
 
 class OpenedFolder:
@@ -57,7 +56,7 @@ class OpenedFolder:
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
         return {
-            f"{table}_model": f"SELECT * FROM {_scan(self.episode.files(f'models/{table}'))}"  # noqa: S608
+            model_name(table): f"SELECT * FROM {_scan(self.episode.files(f'models/{table}'))}"  # noqa: S608
             for table in MODELS
         }
 

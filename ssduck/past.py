@@ -8,7 +8,7 @@ and `kitchen{}` are: some ticks of a record, whose entities are handles that sta
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,14 +20,16 @@ from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices, rotation_matrices
 from ssduck.layout import Layout, Member, Part
 from ssduck.recording import FRAMES, STORED, Ticks
+from ssduck.scenes import Camera
 from ssduck.separation import Counter
+from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Frames
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
 from ssduck.world import World
 
 if TYPE_CHECKING:
-    from ssduck.world import PastWorld
+    from ssduck.history import Archive
 
 # So many ticks are fetched at once, and kept as worlds.
 BLOCK = 64
@@ -35,6 +37,9 @@ MOST_BLOCKS = 8
 MOST_WORLDS = 256
 
 _NAN = float("nan")
+# Tables that are worked out of poses, and those that nobody but a simulator knows.
+_AS_READ = frozenset(("links", "joints", "shapes"))
+_AS_RECORDED = frozenset(("contacts", "sensings"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +140,6 @@ class Record:
         Raises:
             EvaluationError: the tick is not kept, or not any more.
         """
-        from ssduck.world import PastWorld
-
         if tick not in self._worlds:
             while len(self._worlds) >= MOST_WORLDS:
                 self._worlds.popitem(last=False)
@@ -306,6 +309,72 @@ def _sources(part: Part, layout: Layout, starts: Mapping[int, int]) -> tuple[Par
         start = starts.get(id, layout.rows[id])
         places += range(start, start + len(body.links))
     return part, np.array(places, dtype=np.intp)
+
+
+class PastWorld(World):
+    """A world as it was at a recorded tick: it never changes, and knows what was recorded.
+
+    Args:
+        record: what is kept of the world.
+        posed: where its bodies were.
+        snapshot: of that tick.
+    """
+
+    def __init__(self, record: Record, posed: Posed, snapshot: Snapshot) -> None:
+        self._begin(posed, snapshot, record.world.name, record.world.camera)
+        self._record = record
+        for table in _AS_RECORDED & record.tables:
+            rows = record.rows(table, snapshot.number)
+            columns = {name: rows[name].to_pylist() for name in rows.column_names}
+            snapshot.tables[table].fill(rows.num_rows, columns)
+
+    def ask(self, tables: Iterable[str]) -> None:
+        """See to it that there are these tables; what was recorded is there."""
+        super().ask(_AS_READ.intersection(tables))
+
+    def shapes(self) -> Shapes:
+        """The shapes of this tick, to be compared."""
+        self.ask(("shapes",))
+        return self.snapshot.shapes()
+
+    def entity(self, id: int) -> Entity:
+        """The handle of an entity at this tick, by its id."""
+        member = self.snapshot.members[self.snapshot.rows[id]]
+        kind = Sensor if member.kind == "sensor" else Entity
+        moment = Moment(self._record, self.snapshot.number)
+        return kind(self._record.world, id, member.name, member.kind, moment)
+
+    def __contains__(self, thing: object) -> bool:
+        """Whether it has an entity of that name, or that entity."""
+        if isinstance(thing, Entity):
+            return thing.world is self._record.world and thing.id in self.snapshot.rows
+        return super().__contains__(thing)
+
+
+class RecordedWorld(PastWorld):
+    """A world of which there is only what was recorded: its present is the last tick.
+
+    Args:
+        name: what it is called.
+        record: what is kept of it; it is told of this world.
+        archive: where that is stored.
+    """
+
+    def __init__(self, name: str, record: Record, archive: Archive) -> None:
+        self.name, self.camera = name, Camera()
+        record.world = self
+        posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
+        super().__init__(record, posed, snapshot)
+        self.archive = archive
+
+    @property
+    def own_record(self) -> Record:
+        """What is kept of it."""
+        return self._record
+
+    def entity(self, id: int) -> Entity:
+        """The handle of an entity that is there, by its id."""
+        return World.entity(self, id)
 
 
 @dataclass(frozen=True, eq=False)
