@@ -13,6 +13,7 @@ from sqlglot import exp
 
 from ssduck.elements import pairs_of
 from ssduck.history import history_name, model_name
+from ssduck.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_INTERVALS
 from ssduck.models import MODEL_COMMENTS, MODELS
 from ssduck.relations import Candidates, Relation
 from ssduck.tables import ROWS, TABLES
@@ -93,6 +94,8 @@ def described(
     for relation in RELATIONS.values() if known is None else looking_up():
         yield relation.macro(only)
         yield relation.comment()
+    if known is None:
+        yield from _of_intervals()
     for table in TABLE_MACROS:
         if only is not None:
             yield table.macro(("temp",), only)
@@ -109,6 +112,18 @@ def described(
             yield table.macro((schema,), schema)
             yield table.comment((schema,))
         yield from _comments(schema, recorded=schema in recorded)
+
+
+def _of_intervals() -> Iterator[str]:
+    """What makes intervals of rows, and the relations of these."""
+    yield f"CREATE OR REPLACE TEMP MACRO intervals(source) AS TABLE {INTERVALS}"
+    about = exp.Literal.string(ABOUT_INTERVALS).sql("duckdb")
+    yield f"COMMENT ON MACRO TABLE temp.main.intervals IS {about}"
+    for name, allen in RELATIONS_OF_INTERVALS.items():
+        if name not in RELATIONS:  # else it is one more of that relation
+            yield f"CREATE OR REPLACE TEMP MACRO {name}(a, b) AS ({allen.formula})"
+            about = exp.Literal.string(allen.about).sql("duckdb")
+            yield f"COMMENT ON MACRO temp.main.{name} IS {about}"
 
 
 def looking_up() -> Iterator[Relation]:

@@ -54,10 +54,14 @@ def world_table(schema: str, name: str) -> Element:
     )
 
 
-def past_table(schema: str, name: str, first: exp.Expr, last: exp.Expr) -> Element:
-    """The entities of a world at recorded ticks."""
+def past_table(
+    schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
+) -> Element:
+    """The entities of a world at recorded ticks, or one of them."""
     rows = exp.select("*").from_(exp.table_("entities_history", db=schema))
     rows = rows.where(exp.Between(this=exp.column("tick"), low=first, high=last))
+    if id is not None:
+        rows = rows.where(exp.EQ(this=exp.column("id"), expression=id))
     return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
 
 

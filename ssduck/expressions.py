@@ -15,7 +15,7 @@ from sqlglot import exp
 
 from ssduck import subqueries, tree
 from ssduck.arithmetic import arithmetic, double_of
-from ssduck.dependencies import IMPURE, free_aliases, is_impure
+from ssduck.dependencies import IMPURE, OVER_TIME, free_aliases, is_impure
 from ssduck.elements import Follower, follower
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formulas import expanded, looked_up
@@ -134,7 +134,7 @@ class Expressions:
                     and not is_impure(node)
                     and not any(self._is_changing(part) for part in node.walk())
                 )
-            case Call(name=name) if name in RELATIONS or name in IMPURE:
+            case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
                 return False
         return all(self.is_constant(child) for child in node.children())
 
@@ -261,10 +261,10 @@ class Expressions:
 
     def _call(self, node: Call) -> SqlValue:
         self.names.check_call(node)
+        if node.name in IMPURE or node.name in OVER_TIME:
+            raise NotSqlError
         if node.name in RELATIONS:
             return self._relation(RELATIONS[node.name], node)
-        if node.name in IMPURE:
-            raise NotSqlError
         if node.name == "count" and isinstance(node.arguments[0], Query):
             return subqueries.counted(self, node.arguments[0])
         values = [self.value(argument) for argument in node.arguments]

@@ -38,11 +38,13 @@ from ssduck.evaluate import Frame
 from ssduck.explain import told
 from ssduck.folder import FolderRecording, chosen_episode, episodes, is_folder
 from ssduck.functions import BUILTINS, Function
+from ssduck.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.keys import plain
 from ssduck.language import is_reserved, parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
 from ssduck.opened import chosen_runs, stored_runs, world_of, world_of_run
+from ssduck.over_time import FORMS, OverTime
 from ssduck.past import Past
 from ssduck.past import together as entities_together
 from ssduck.planner import Planner
@@ -198,6 +200,11 @@ class Interpreter(TriggerVerbs):
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
         self._functions.update((command.name, command) for command in self._commands())
+        self._functions.update((name, form.function) for name, form in FORMS.items())
+        for name, allen in RELATIONS_OF_INTERVALS.items():
+            if name not in RELATIONS:
+                self._functions[name] = allen.function
+        self._over_time = OverTime()
         self._own: list[World] = []
         self._planner = Planner(self._database, self, self._limits, row_by_row=row_by_row)
         self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
@@ -736,12 +743,27 @@ class Interpreter(TriggerVerbs):
         """The value of a function call outside SQL."""
         function = self._functions.get(node.name)
         if function is None:
+            if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
+                return RELATIONS_OF_INTERVALS[node.name].function(arguments)
             if node.name in RELATIONS:
                 return self._relation(node, arguments)
             raise unknown_function(node, self._known_functions())
         if node.name == "eval":
             return self._run_text(arguments[0], frame)
         return function(arguments)
+
+    def over_time(self, node: Call, frame: Frame) -> Any:
+        """The value of a call whose argument is evaluated at each recorded tick."""
+        age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
+
+        def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
+            found = self._planner.run(query, Frame(self, given=given), _unchecked)
+            listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
+            return listed
+
+        with self._reading(node):
+            series = self._over_time.series(node, frame, self._database.record_of, rows)
+            return FORMS[node.name].make(series, None if age is None else seconds_of(age))
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""

@@ -387,12 +387,14 @@ class Past:
         last: and of the last one.
         is_window: whether there may be several; sources of one world that are so go through
             their ticks together.
+        id: of the only entity that is meant; None for all.
     """
 
     record: Record
     first: int
     last: int
     is_window: bool
+    id: int | None = None
 
     @property
     def world(self) -> World:
@@ -420,7 +422,11 @@ class Past:
     def __iter__(self) -> Iterator[Entity]:
         """The entities at each tick, tick by tick."""
         for tick in self.ticks:
-            yield from self.record.at(tick)
+            there = self.record.at(tick)
+            if self.id is None:
+                yield from there
+            elif self.id in there.snapshot.rows:
+                yield there.entity(self.id)
 
     def at(self, tick: int) -> PastWorld:
         """The entities at one of the ticks."""

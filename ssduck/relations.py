@@ -84,6 +84,7 @@ class Relation:
         apart: of a formula that looks things up, what it is of entities of two worlds.
         asked: of one that calls the narrow phase, on which pairs it does.
         candidates: where all pairs of a tick are found of which it may hold.
+        of_lists: of one that has another meaning for two lists, that formula.
         far: what it yields of entities whose boxes are apart: at least as much, or 0.
     """
 
@@ -100,6 +101,7 @@ class Relation:
     apart: str = ""
     asked: str = ""
     candidates: Candidates | None = None
+    of_lists: str = ""
     far: Literal["", "more", "nothing"] = ""
 
     @property
@@ -206,6 +208,8 @@ def _overloads(relation: Relation, schema: str | None) -> str:
         f"AS ({relation.body(tree, schema).sql('duckdb')})"
         for count, tree in relation.expressions.items()
     ]
+    if relation.of_lists:
+        found.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.of_lists})")
     if relation.name in _OF_TEXTS:
         found.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
     return ", ".join(found)

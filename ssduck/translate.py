@@ -15,7 +15,7 @@ from typing import Literal
 from sqlglot import exp
 
 from ssduck import subqueries, tree
-from ssduck.dependencies import changing, free_aliases, is_impure
+from ssduck.dependencies import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
     counted_rows,
@@ -176,7 +176,12 @@ class _Translator:
             self.context.parameter(end, Binding("", source=shape.alias, end=end, tag=INTEGER))
             for end in _ENDS
         )
-        return past_table(shape.schema, name, first, last)
+        id = None
+        if shape.of_one:
+            id = self.context.parameter(
+                "id", Binding("", source=shape.alias, end="id", tag=INTEGER)
+            )
+        return past_table(shape.schema, name, first, last, id)
 
     def _together(self) -> Iterator[exp.Expr]:
         """Sources that are several ticks of one world go through them together."""
@@ -366,6 +371,8 @@ class _Translator:
             return
         if isinstance(node, Call) and node.name not in RELATIONS:
             self.names.check_call(node)
+        if isinstance(node, Call) and node.name in OVER_TIME:
+            return  # its parts are evaluated at other ticks
         try:
             if but:
                 raise NotSqlError

@@ -23,6 +23,7 @@ from typing import Literal
 
 import sqlglot
 
+from ssduck.intervals import RELATIONS_OF_INTERVALS
 from ssduck.relations import Candidates, Parameter, Relation, ValueType
 
 _ENTITY = (Parameter("object", "entity", "an entity"),)
@@ -316,7 +317,9 @@ _LISTED = (
         "flag",
         "a.id <> b.id AND a.xmin <= b.xmax AND b.xmin <= a.xmax AND a.ymin <= b.ymax "
         "AND b.ymin <= a.ymax AND a.zmin <= b.zmax AND b.zmin <= a.zmax",
-        "Checks if the axis-aligned boxes of a and b meet, touching included.",
+        "Checks if the axis-aligned boxes of a and b meet, touching included. Of two intervals "
+        "[start, end] it checks if a begins before b, and ends inside b.",
+        of_lists=RELATIONS_OF_INTERVALS["overlaps"].formula,
         symmetric=True,
     ),
     _on_shapes(
