@@ -34,14 +34,14 @@ from ssduck.errors import (
 from ssduck.export import exported
 from ssduck.folder import PART_TICKS, Folder, FolderRecording
 from ssduck.functions import Function
-from ssduck.history import Archive, History, history_name, not_recorded
+from ssduck.history import Archive, History, Near, history_name, not_recorded
 from ssduck.limits import Limits, Meter
 from ssduck.past import Record, RecordedWorld
 from ssduck.recording import FRAMES, RECORDABLE, Recorder, Recording, Ring, unknown_names
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import NARROW
+from ssduck.udfs import NARROW, THEN, THEN_COLLIDING
 from ssduck.world import UNNAMED, World
 
 T = TypeVar("T")
@@ -227,8 +227,8 @@ class _Bound:
     versions: dict[str, int] = field(default_factory=dict)
     kept: _Kept | None = None
 
-    def shapes(self, tick: int | None) -> Shapes:
-        """The shapes at a tick, or at the present one.
+    def shapes(self, tick: int | None, ids: Sequence[int]) -> Shapes:
+        """The shapes at a tick, those of some entities at least, or at the present one.
 
         Raises:
             EvaluationError: the tick is not recorded.
@@ -241,7 +241,7 @@ class _Bound:
                 f"the shapes of {self.world.name!r} are known of its tick {snapshot.number} only: "
                 "its ticks are not recorded, so that rows of another one cannot be compared"
             )
-        return self.kept.record.at(tick).shapes()
+        return self.kept.record.shapes(tick, ids)
 
 
 @dataclass(frozen=True)
@@ -293,9 +293,17 @@ class Writer:
             finally:
                 self._connection.unregister(_INCOMING)
 
-    def rows(self, sql: str, parameters: Sequence[Any] = ()) -> pa.Table:
-        """All rows of a SELECT."""
-        with self._lock:
+    def rows(
+        self,
+        sql: str,
+        parameters: Sequence[Any] = (),
+        tables: Mapping[str, pa.Table] | None = None,
+    ) -> pa.Table:
+        """All rows of a SELECT; it may read tables that are given."""
+        with self._lock, ExitStack() as stack:
+            for name, table in (tables or {}).items():
+                self._connection.register(name, table)
+                stack.callback(self._connection.unregister, name)
             try:
                 return self._connection.sql(sql, params=parameters).to_arrow_table()
             except duckdb.Error as error:
@@ -368,6 +376,8 @@ class Database:
         self.run("SET python_enable_replacements = false")
         for name in NARROW:
             self._add_narrow(name)
+        for name in THEN:
+            self._add_then(name)
         # The worlds whose relations and tables users' SQL was told of; None: not even the others.
         self._told_of: set[str] | None = None
         self._confine(self.meter.limits)
@@ -597,8 +607,9 @@ class Database:
                         "shapes are compared at one tick: these rows are of the ticks "
                         f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
                     )
-                shapes = worlds[world].shapes(*ticks) if ticks else worlds[world].shapes(None)
-                return answer(shapes, *arguments[1:entities:2], *arguments[entities:])
+                ids = arguments[1:entities:2]
+                shapes = worlds[world].shapes(ticks.pop() if ticks else None, ids)
+                return answer(shapes, *ids, *arguments[entities:])
             except BaseException as error:
                 raised[:] = [error]
                 raise
@@ -613,6 +624,26 @@ class Database:
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
             side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
+
+    def _add_then(self, name: str) -> None:
+        """Make a function of the narrow phase over many ticks one of SQL."""
+        worlds, raised = self._narrow_worlds, self._raised
+        collide = name == THEN_COLLIDING
+
+        def call(world: str, first: int, last: int, a: int, b: int, *apart: float) -> Any:
+            try:
+                kept = worlds[world].kept
+                if kept is None:
+                    raise EvaluationError(f"the ticks of {world!r} are not recorded")
+                asked = Near(first, last, a, b, 0.0 if collide else apart[0])
+                return kept.record.pairs(asked, collide=collide)
+            except BaseException as error:
+                raised[:] = [error]
+                raise
+
+        taken: list[Any] = ["VARCHAR", *["BIGINT"] * 4, *([] if collide else ["DOUBLE"])]
+        _give_arity(call, len(taken))
+        self._connection.create_function(name, call, taken, "BIGINT[][]", side_effects=True)
 
     # -- worlds ---------------------------------------------------------------------------
 
@@ -715,7 +746,9 @@ class Database:
         history = History(schema, Writer(self._connection), recording, world.name)
         recorder = Recorder(recording, history)
         tables = tuple(recorder.rings)
-        record = Record(world, recorder.ticks, recorder.members, tables, recorder.fetch)
+        record = Record(
+            world, recorder.ticks, recorder.members, tables, recorder.fetch, recorder.near
+        )
         bound.kept = _Kept(history, record, recorder)
         self._recorders.append(recorder)
         world.record(recorder)

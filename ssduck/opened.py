@@ -14,7 +14,7 @@ from sqlglot import exp
 
 from ssduck.errors import RecordError, nearest
 from ssduck.folder import Episode
-from ssduck.history import History, Writer, abouts, columns_of, model_name
+from ssduck.history import History, Near, Writer, abouts, columns_of, model_name, near_rows
 from ssduck.models import MODELS, members_of
 from ssduck.past import Record, RecordedWorld
 from ssduck.recording import Ticks
@@ -63,7 +63,14 @@ class OpenedFolder:
     def record(self) -> Record:
         """What is kept of the world."""
         models = {table: self.episode.read(f"models/{table}") for table in MODELS}
-        return Record(None, self.ticks, members_of(models), self.episode.tables, self.fetch)
+        return Record(
+            None,
+            self.ticks,
+            members_of(models),
+            self.episode.tables,
+            self.fetch,
+            lambda asked: self.near(asked, None),
+        )
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
@@ -81,6 +88,12 @@ class OpenedFolder:
             f"SELECT {columns} FROM {_scan(files)} WHERE {chosen}",  # noqa: S608
             (first, last),
         )
+
+    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks."""
+        rows = self.select("entities", None)
+        assert rows is not None
+        return near_rows(self._writer, rows, asked, waiting)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Read no more."""
@@ -172,5 +185,12 @@ def world_of_run(run: StoredRun, writer: Writer) -> RecordedWorld:
     ticks = history.ticks()
     if not len(ticks):
         raise RecordError(f"of {run.world!r} nothing was stored before the file was left")
-    record = Record(None, ticks, history.members(), history.tables, history.fetch)
+    record = Record(
+        None,
+        ticks,
+        history.members(),
+        history.tables,
+        history.fetch,
+        lambda asked: history.near(asked, None),
+    )
     return RecordedWorld(run.world, record, history)

@@ -18,6 +18,8 @@ from ssduck import subqueries, tree
 from ssduck.dependencies import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
+    Span,
+    column_of,
     counted_rows,
     past_table,
     present_table,
@@ -35,7 +37,7 @@ from ssduck.recursion import searched
 from ssduck.resolve import resolve
 from ssduck.rows import Rest, aggregates
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
-from ssduck.tree import Binary, Call, Key, Node, Query
+from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import INTEGER, Tag
 from ssduck.udfs import RELATIONS
 
@@ -101,6 +103,7 @@ class _Translator:
         plan.names = tuple(c.name for c in self.selected if isinstance(c.name, str))
         if self.query.recursion is not None:
             return self._recursive()
+        self._note_only()
         conditions = [
             self._pairs(node) or self._condition(node) for node in _conjuncts(self.query.where)
         ]
@@ -181,6 +184,9 @@ class _Translator:
             id = self.context.parameter(
                 "id", Binding("", source=shape.alias, end="id", tag=INTEGER)
             )
+        if shape.moments == "window":
+            tick = column_of(name, "tick")
+            self.sql.spans[tick.sql()] = Span(shape.schema, first, last, tick, id)
         return past_table(shape.schema, name, first, last, id)
 
     def _together(self) -> Iterator[exp.Expr]:
@@ -228,6 +234,23 @@ class _Translator:
         if order.index(str(second.alias)) == order.index(str(first.alias)) + 1:
             self.positions[str(first.alias)] = found.position
         return found.condition
+
+    def _note_only(self) -> None:
+        """Note of which one entity sources are: by `this == cup`, by `id(this) == 'cup'`."""
+        for node in _conjuncts(self.query.where):
+            match node:
+                case Binary(operator="==", left=This() as row, right=other):
+                    pass
+                case Binary(operator="==", left=other, right=This() as row):
+                    pass
+                case Binary(
+                    operator="==", left=Call(name="id", arguments=(This() as row,)), right=other
+                ):
+                    pass
+                case _:
+                    continue
+            if self.sql.is_constant(other):
+                self.sql.note_only(row, other)
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:

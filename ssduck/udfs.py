@@ -675,4 +675,11 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow volume": (_ONE, "DOUBLE"),
 }
 
+# Those over many ticks: of a world, the first and the last tick, the ids of two entities (0 for
+# any), and a distance. They yield [tick, a, b, 1] of each pair of which it holds, with a 0 at the
+# end where it is not known.
+THEN_COLLIDING = "then colliding"
+THEN_WITHIN = "then within"
+THEN = (THEN_COLLIDING, THEN_WITHIN)
+
 RELATIONS: dict[str, Relation] = {relation.name: relation for relation in _LISTED}
