@@ -40,8 +40,9 @@ from ssduck.past import Record, RecordedWorld
 from ssduck.recording import FRAMES, RECORDABLE, Recorder, Recording, Ring, unknown_names
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
+from ssduck.then import TOLD
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import NARROW, THEN, THEN_COLLIDING
+from ssduck.udfs import NARROW, THEN, THEN_COLLIDING, THEN_TOLD
 from ssduck.world import UNNAMED, World
 
 T = TypeVar("T")
@@ -243,6 +244,23 @@ class _Bound:
             )
         return self.kept.record.shapes(tick, ids)
 
+    def told(self, what: str, tick: int, a: int, b: int) -> list[float]:
+        """What contacts or sensors told at a recorded tick.
+
+        Raises:
+            UnsupportedError: they are not recorded.
+        """
+        if self.kept is None:
+            raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
+        record = self.kept.record
+
+        def rows(table: str) -> Mapping[str, Any]:
+            if table not in record.tables:
+                raise UnsupportedError(not_recorded(table, self.world.name))
+            return record.rows(table, tick)
+
+        return TOLD[what](rows, a, b)
+
 
 @dataclass(frozen=True)
 class _Kept:
@@ -378,6 +396,7 @@ class Database:
             self._add_narrow(name)
         for name in THEN:
             self._add_then(name)
+        self._add_told()
         # The worlds whose relations and tables users' SQL was told of; None: not even the others.
         self._told_of: set[str] | None = None
         self._confine(self.meter.limits)
@@ -644,6 +663,21 @@ class Database:
         taken: list[Any] = ["VARCHAR", *["BIGINT"] * 4, *([] if collide else ["DOUBLE"])]
         _give_arity(call, len(taken))
         self._connection.create_function(name, call, taken, "BIGINT[][]", side_effects=True)
+
+    def _add_told(self) -> None:
+        """Make what contacts and sensors told at recorded ticks a function of SQL."""
+        worlds, raised = self._narrow_worlds, self._raised
+
+        def call(world: str, what: str, tick: int, a: int, b: int) -> list[float]:
+            try:
+                return worlds[world].told(what, tick, a, b)
+            except BaseException as error:
+                raised[:] = [error]
+                raise
+
+        types: list[Any] = ["VARCHAR", "VARCHAR", "BIGINT", "BIGINT", "BIGINT"]
+        _give_arity(call, len(types))
+        self._connection.create_function(THEN_TOLD, call, types, "DOUBLE[]", side_effects=True)
 
     # -- worlds ---------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pybullet
@@ -65,7 +66,7 @@ def test_intervals_are_those_of_a_loop(holding: list[bool]) -> None:
     last_holds = bool(holding) and holding[-1]
     assert inside[:-1] == holding[:-1]
     assert (bool(found) and found[-1][1] == times[-1] and last_holds) or not last_holds
-    assert all(a[1] < b[0] for a, b in zip(found, found[1:], strict=False))
+    assert all(a[1] < b[0] for a, b in pairwise(found))
     assert all(start <= end for start, end in found)
 
 
