@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ssduck.entities import Entity, Sensor
+    from ssduck.episode import Episode
     from ssduck.errors import SelectScriptError
-    from ssduck.folder import Episode, episodes
     from ssduck.interpreter import Interpreter, load
     from ssduck.interpreter import open_record as open  # noqa: A004
     from ssduck.limits import Limits
+    from ssduck.opened import episodes
     from ssduck.past import Past
     from ssduck.recording import Recording
     from ssduck.world import World
@@ -31,7 +32,7 @@ __all__ = [
 
 _HOMES = {
     "Entity": "entities",
-    "Episode": "folder",
+    "Episode": "episode",
     "Interpreter": "interpreter",
     "Limits": "limits",
     "Past": "past",
@@ -39,7 +40,7 @@ _HOMES = {
     "SelectScriptError": "errors",
     "Sensor": "entities",
     "World": "world",
-    "episodes": "folder",
+    "episodes": "opened",
     "load": "interpreter",
     "open": "interpreter",
 }

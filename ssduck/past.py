@@ -62,6 +62,7 @@ class Record:
         members: the entities that they tell of, by id.
         tables: which tables are recorded.
         fetch: gives the rows of a table at the ticks from one to another.
+        geometries: the numbers of geometries by their keys; None for those of the world.
     """
 
     world: World
@@ -73,9 +74,11 @@ class Record:
         members: Mapping[int, Member],
         tables: Sequence[str],
         fetch: Callable[[str, int, int], pa.Table],
+        geometries: dict[str, int] | None = None,
     ) -> None:
         if world is not None:
             self.world = world
+        self._geometries = geometries
         self.ticks = ticks
         self.tables = frozenset(tables)
         self.members = members
@@ -212,7 +215,8 @@ class Record:
     def _placing(self, ids: tuple[int, ...]) -> _Placing:
         if ids not in self._placings:
             members = [self.members[id] for id in ids]
-            template = Snapshot()
+            numbers = self._geometries
+            template = Snapshot(self.world.snapshot.geometries if numbers is None else numbers)
             layout = Layout(members, watched=False)
             posed = Posed(
                 0.0,

@@ -187,10 +187,16 @@ class World(WorldSpellings):
     def _take(self) -> None:
         self._update_members()
         self.snapshot.take(self._simulator, self._members)
+        failed = None
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
-                recorder.note(self.snapshot)
+                try:
+                    recorder.note(self.snapshot)
+                except SelectScriptError as error:  # a full disk is no trouble of the others
+                    failed = failed or error
+        if failed is not None:
+            raise failed
 
     @property
     def is_final(self) -> bool:
@@ -595,6 +601,8 @@ class RecordedWorld(PastWorld):
         record.world = self
         posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
         super().__init__(record, posed, snapshot)
+        (taken,) = record.rows("ticks", snapshot.number)["wall_time"].to_pylist()
+        snapshot.tables["ticks"]["wall_time"].fill(taken)
         self.archive = archive
 
     @property
@@ -605,6 +613,13 @@ class RecordedWorld(PastWorld):
     def entity(self, id: int) -> Entity:
         """The handle of an entity that is there, by its id."""
         return World.entity(self, id)
+
+    def __repr__(self) -> str:
+        numbers, times = self._record.ticks.numbers, self._record.ticks.times
+        return (
+            f"<RecordedWorld {self.name!r}: {len(self)} entities, ticks {numbers[0]} to "
+            f"{numbers[-1]}, t={times[0]:g} s to {times[-1]:g} s>"
+        )
 
 
 def _unique(name: str, taken: Container[str]) -> str:
