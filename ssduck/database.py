@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import shutil
 import threading
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -261,10 +262,15 @@ class Writer:
     """A connection of its own to the same database, for what is kept of a world.
 
     It writes while the world is held, whatever other connections do.
+
+    Args:
+        connection: to the database.
+        file: where that is; None for memory.
     """
 
-    def __init__(self, connection: duckdb.DuckDBPyConnection) -> None:
+    def __init__(self, connection: duckdb.DuckDBPyConnection, file: Path | None = None) -> None:
         self._connection = connection.cursor()
+        self._file = file
         self._lock = threading.RLock()
 
     def run(self, sql: str) -> None:
@@ -276,11 +282,30 @@ class Writer:
         with self._lock:
             try:
                 self._connection.execute(sql).fetchall()
+            except duckdb.FatalException as error:
+                raise SqlError(
+                    f"DuckDB has given up: {error}; what was stored before is in the file: close "
+                    "this interpreter, and open the file again",
+                    is_final=True,
+                ) from error
             except duckdb.Error as error:
                 raise SqlError(
                     f"what is recorded cannot be stored: {error}; what was stored before is "
                     "whole, and what was not is kept until there is room"
                 ) from error
+
+    def settle(self) -> None:
+        """Let DuckDB move what was stored from its log into its file, if there is much of it.
+
+        DuckDB would do so by itself, but gives the database up where the disk is full then.
+        """
+        if self._file is None:
+            return
+        log = self._file.with_name(f"{self._file.name}.wal")
+        with self._lock, suppress(OSError, duckdb.TransactionException):
+            size = log.stat().st_size
+            if size > LONG_LOG and shutil.disk_usage(log.parent).free > 4 * size:
+                self._connection.execute("CHECKPOINT")
 
     def insert(self, place: str, rows: pa.Table) -> None:
         """Add rows to a table, by the names of its columns."""
@@ -321,6 +346,8 @@ class Writer:
         self._connection.close()
 
 
+# Bytes of DuckDB's log that are worth the tens of milliseconds that moving them takes.
+LONG_LOG = 1 << 24
 _INCOMING = "rows to be stored"
 # What an attached file with a record is called; no world can be.
 _ATTACHED = "ssduck record file"
@@ -381,6 +408,7 @@ class Database:
         # A name that no table has is an error, not a variable of the caller's.
         self.run("SET python_enable_replacements = false")
         if self._is_file:
+            self.run("SET wal_autocheckpoint = '1TB'")  # see Writer.settle
             self._forget_lost_views()
         for name in NARROW:
             self._add_narrow(name)
@@ -791,7 +819,7 @@ class Database:
         world = bound.world
         for error in unknown_names(recording, world.snapshot.members):
             raise error
-        history = History(self._free_schema(name), Writer(self._connection), recording, name)
+        history = History(self._free_schema(name), self.writer(), recording, name)
         if self._is_file:
             history.show()
         recorder = Recorder(recording, history)
@@ -875,7 +903,7 @@ class Database:
 
     def writer(self) -> Writer:
         """A connection of its own, for what is kept of a world."""
-        return Writer(self._connection)
+        return Writer(self._connection, Path(self._path) if self._is_file else None)
 
     def record_of(self, world: World) -> Record:
         """What is kept of a world.
@@ -1058,6 +1086,8 @@ def _check_runs(world: World) -> None:
 
 def _unopened(path: str, error: Exception) -> str:
     """What to say where a file cannot be opened."""
+    if "already attached" in str(error):
+        return f"{path} is open in this process: close it first, or ask the interpreter that has it"
     if "lock" in str(error).lower():
         return (
             f"{path} is in use by another process, and DuckDB lets one at a time: close it there, "

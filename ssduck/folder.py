@@ -5,7 +5,7 @@
       episodes/kitchen-0.json                                 what is recorded of which world
       entities/world=kitchen/episode=0/part-000000.parquet    a table, in sealed parts
       links/… joints/… shapes/… contacts/… sensings/… ticks/…
-      frames/…                                                where links are, if there is no `links`
+      frames/…                                                where links are, without `links`
       models/entities/world=kitchen/episode=0/part-000000.parquet    what the entities are
 
 A folder such as `run/entities` is read by DuckDB, polars and pandas as it is: its rows are those

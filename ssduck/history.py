@@ -51,6 +51,9 @@ class Writer(Protocol):
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """All rows of a SELECT, as tuples."""
 
+    def settle(self) -> None:
+        """Tidy up what was stored, if there is reason and room to."""
+
     def close(self) -> None:
         """Close the connection."""
 
@@ -196,6 +199,7 @@ class History:
                 for table, own in rows.items()
             }
         )
+        self._writer.settle()
 
     def _insert(self, rows: Mapping[str, pa.Table]) -> None:
         """Add rows to tables, all or none of them."""

@@ -84,8 +84,10 @@ class Folder:
 
     def _whole(self, table: str, rows: pa.Table, entities: pa.Table) -> pa.Table:
         """The rows with what is fixed, as the table has them."""
-        if table not in KEYS:
+        if table == FRAMES:
             return rows
+        if table not in KEYS:
+            return rows.select([column.name for column in TABLES[table]])
         if table == "links":
             rows = pa.concat_tables([rows, self._bodies_as_links(rows, entities)])
         names = [column.name for column in TABLES[table]]

@@ -400,7 +400,8 @@ class Snapshot:
 
     def _finish(self) -> None:
         """Date the tables that were written, and let their readers see it."""
-        self.tables["ticks"]["wall_time"].fill(time.time())
+        if not self._is_past:
+            self.tables["ticks"]["wall_time"].fill(time.time())
         for name in ("entities", "ticks", *self._read):
             table = self.tables[name]
             table["tick"].fill(self.number)

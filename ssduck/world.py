@@ -563,6 +563,14 @@ class PastWorld(World):
             rows = record.rows(table, snapshot.number)
             columns = {name: rows[name].to_pylist() for name in rows.column_names}
             snapshot.tables[table].fill(rows.num_rows, columns)
+        self._recorded = snapshot.tables["entities"].reals("time", "zmax").copy()
+
+    def _take(self) -> None:
+        super()._take()
+        # Other tables are worked out of poses; this one is to the last digit as it was.
+        entities = self.snapshot.tables["entities"]
+        entities.reals("time", "zmax")[:] = self._recorded
+        entities.written()
 
     def ask(self, tables: Iterable[str]) -> None:
         """See to it that there are these tables; what was recorded is there."""
