@@ -26,6 +26,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.recording import RECORDABLE
+from tools import kill
 
 ROOT = Path(__file__).resolve().parent.parent
 ALL = Recording(tables=RECORDABLE)
@@ -583,7 +584,7 @@ def _version(record, number):
 
 DAMAGES = [
     (
-        lambda r: shutil.rmtree(r),
+        shutil.rmtree,
         {},
         "there is no record .*run: neither a folder nor a DuckDB file",
     ),
@@ -646,7 +647,7 @@ def test_records_that_cannot_be_opened(record, damage, chosen, told):
 def test_without_its_ticks_a_damaged_part_is_not_counted(record, how):
     how(record, "contacts")
     with pytest.raises(
-        RecordError, match="without .*ticks/world=lab/episode=0/part-000001.parquet as well"
+        RecordError, match=r"without .*ticks/world=lab/episode=0/part-000001.parquet as well"
     ):
         ssduck.open(record)
     (record / "ticks" / PART).unlink()
@@ -672,7 +673,7 @@ def test_a_damaged_episode_hides_no_other(record):
         (record / "episodes" / f"{world}-7.json").write_text("{")
     with ssduck.open(record) as opened:
         assert opened.names()[0] == "lab"
-    with pytest.raises(RecordError, match="lab-7.json is damaged"):
+    with pytest.raises(RecordError, match=r"lab-7.json is damaged"):
         ssduck.episodes(record)
 
 
@@ -683,14 +684,14 @@ def test_a_folder_of_something_else_stays_as_it_is(tmp_path, client):
         world = ss.add_variable("lab", ssduck.World.attach(client))
         for write in (ss.export, ss.record_to):
             with pytest.raises(
-                RecordError, match="has something else in it, and is no record.*empty"
+                RecordError, match=r"has something else in it, and is no record.*empty"
             ):
                 write(tmp_path)
-            with pytest.raises(RecordError, match="thesis.tex"):
+            with pytest.raises(RecordError, match=r"thesis.tex"):
                 write(tmp_path / "thesis.tex")
         world.step()
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-    with pytest.raises(RecordError, match="is no record of ssduck: it has no ssduck.json"):
+    with pytest.raises(RecordError, match=r"is no record of ssduck: it has no ssduck.json"):
         ssduck.open(tmp_path)
     with pytest.raises(RecordError, match=r"thesis.tex cannot be opened: .*not a valid DuckDB"):
         ssduck.open(tmp_path / "thesis.tex")
@@ -703,7 +704,7 @@ def test_a_folder_that_cannot_be_written(tmp_path, client):
     tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
     with ssduck.Interpreter() as ss:
         ss.add_variable("lab", ssduck.World.attach(client))
-        with pytest.raises(RecordError, match="cannot be written: .*Permission denied"):
+        with pytest.raises(RecordError, match=r"cannot be written: .*Permission denied"):
             ss.export(tmp_path / "run")
 
 
@@ -712,7 +713,7 @@ def test_a_folder_below_a_file(tmp_path, client):
     (tmp_path / "file").touch()
     with ssduck.Interpreter() as ss:
         ss.add_variable("lab", ssduck.World.attach(client))
-        with pytest.raises(RecordError, match="file/run cannot be written: .*Not a directory"):
+        with pytest.raises(RecordError, match=r"file/run cannot be written: .*Not a directory"):
             ss.export(tmp_path / "file" / "run")
 
 
@@ -788,7 +789,9 @@ def test_a_file_in_use_is_told_of(tmp_path):
         try:
             process.stdout.readline()
             for use in (ssduck.open, ssduck.episodes):
-                with pytest.raises(RecordError, match="in use by another process.*export it there"):
+                with pytest.raises(
+                    RecordError, match=r"in use by another process.*export it there"
+                ):
                     use(path)
             with pytest.raises(SqlError, match="in use by another process"):
                 ssduck.Interpreter(path)
@@ -943,3 +946,15 @@ def test_half_an_export_is_taken_back(tmp_path):
     assert python(EXPORT, tmp_path / "run") == "RecordError\n"
     assert [e.number for e in ssduck.episodes(tmp_path / "run")] == [0]
     assert not list(tmp_path.rglob("episode=1"))
+
+
+# -- killed -----------------------------------------------------------------------------------
+
+
+@POSIX
+@pytest.mark.parametrize("seed", range(6))
+def test_killed_recorders_leave_whole_records(seed):
+    """The short form of `python -m tools.kill`."""
+    run = kill.Run(kill.KINDS["both"])
+    run.add(seed)
+    assert run.found == {}
