@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ssduck.changes import Changed
     from ssduck.entities import Entity, Sensor
     from ssduck.episode import Episode
     from ssduck.errors import SelectScriptError
@@ -13,9 +14,11 @@ if TYPE_CHECKING:
     from ssduck.opened import episodes
     from ssduck.past import Past
     from ssduck.recording import Recording
+    from ssduck.triggers import TriggerWarning
     from ssduck.world import World
 
 __all__ = [
+    "Changed",
     "Entity",
     "Episode",
     "Interpreter",
@@ -24,6 +27,7 @@ __all__ = [
     "Recording",
     "SelectScriptError",
     "Sensor",
+    "TriggerWarning",
     "World",
     "episodes",
     "load",
@@ -31,6 +35,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Changed": "changes",
     "Entity": "entities",
     "Episode": "episode",
     "Interpreter": "interpreter",
@@ -39,6 +44,7 @@ _HOMES = {
     "Recording": "recording",
     "SelectScriptError": "errors",
     "Sensor": "entities",
+    "TriggerWarning": "triggers",
     "World": "world",
     "episodes": "opened",
     "load": "interpreter",

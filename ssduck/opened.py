@@ -17,12 +17,21 @@ from ssduck.database import Database
 from ssduck.episode import Episode
 from ssduck.errors import RecordError, nearest
 from ssduck.folder import FolderRun, runs_in
-from ssduck.history import ABOUT, VERSION, History, Writer, columns_of, quoted
+from ssduck.history import (
+    ABOUT,
+    VERSION,
+    History,
+    Near,
+    Writer,
+    columns_of,
+    model_name,
+    near_rows,
+    quoted,
+)
 from ssduck.models import MODELS, geometries_of, members_of
-from ssduck.past import Record
+from ssduck.past import Record, RecordedWorld
 from ssduck.recording import FRAMES, Recording
 from ssduck.tables import TABLES
-from ssduck.world import RecordedWorld
 
 
 class Run(Protocol):
@@ -115,7 +124,13 @@ def world_of(run: Run, database: Database) -> RecordedWorld:
         archive = run.history(database.writer())
         ticks, models = archive.ticks(), archive.all_models()
     record = Record(
-        None, ticks, members_of(models), archive.tables, archive.fetch, geometries_of(models)
+        None,
+        ticks,
+        members_of(models),
+        archive.tables,
+        archive.fetch,
+        lambda asked: archive.near(asked, None),
+        geometries_of(models),
     )
     return RecordedWorld(run.world, record, archive)
 
@@ -156,7 +171,7 @@ class OpenedFolder:
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
         return {
-            f"{table}_model": f"SELECT * FROM {_scan(self._run.files(f'models/{table}'))}"  # noqa: S608
+            model_name(table): f"SELECT * FROM {_scan(self._run.files(f'models/{table}'))}"  # noqa: S608
             for table in MODELS
         }
 
@@ -176,6 +191,12 @@ class OpenedFolder:
             f"SELECT {columns} FROM {_scan(files)} WHERE {chosen}",  # noqa: S608
             (first, last),
         )
+
+    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks."""
+        rows = self.select("entities", None)
+        assert rows is not None
+        return near_rows(self._writer, rows, asked, waiting)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Read no more."""
