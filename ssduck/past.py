@@ -565,12 +565,22 @@ class Past:
         return f"<Past of {self.world.name!r}: {told}>"
 
 
-def together(values: Sequence[Any]) -> Sequence[Any] | None:
+def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | None:
     """Entities as they were at the tick of the first that stays at one; None if one was not there.
 
-    A handle goes with its world; beside one of the past it goes with that.
+    A handle goes with its world; in a query of the past it goes with that.
+
+    Args:
+        values: the entities, and other values.
+        elements: the current elements of the query that they are in.
     """
+    worlds = {v.world for v in values if isinstance(v, Entity) and v.moment is None}
+    if not worlds:
+        return values
     first = next((v for v in values if isinstance(v, Entity) and v.moment is not None), None)
+    if first is None:
+        past = (v for v in elements if isinstance(v, Entity) and v.moment is not None)
+        first = next((v for v in past if v.world in worlds), None)
     if first is None:
         return values
     moment = first.moment
