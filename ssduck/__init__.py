@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ssduck.changes import Changed
     from ssduck.entities import Entity, Sensor
+    from ssduck.episode import Episode
     from ssduck.errors import SelectScriptError
-    from ssduck.folder import Episode, episodes
     from ssduck.interpreter import Interpreter, load
     from ssduck.interpreter import open_record as open  # noqa: A004
     from ssduck.limits import Limits
+    from ssduck.opened import episodes
     from ssduck.past import Past
     from ssduck.recording import Recording
     from ssduck.triggers import TriggerWarning
@@ -36,7 +37,7 @@ __all__ = [
 _HOMES = {
     "Changed": "changes",
     "Entity": "entities",
-    "Episode": "folder",
+    "Episode": "episode",
     "Interpreter": "interpreter",
     "Limits": "limits",
     "Past": "past",
@@ -45,7 +46,7 @@ _HOMES = {
     "Sensor": "entities",
     "TriggerWarning": "triggers",
     "World": "world",
-    "episodes": "folder",
+    "episodes": "opened",
     "load": "interpreter",
     "open": "interpreter",
 }

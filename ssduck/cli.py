@@ -1,4 +1,4 @@
-"""The command `ssduck`: demo, query, scenes, functions.
+"""The command `ssduck`: demo, query, record, export, episodes, scenes, functions.
 
 Standard output carries answers only; warnings, errors and what programs print go to standard
 error. What is slow to import (the simulator, the database) is imported by the commands that
@@ -35,6 +35,7 @@ from ssduck.answers import (
     readable,
     table_of,
 )
+from ssduck.cli_records import episodes, export, is_record, opened_or_loaded, record
 from ssduck.errors import SelectScriptError
 
 if TYPE_CHECKING:
@@ -169,6 +170,7 @@ def _ssduck(
 
     SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
     or the path of a scene file (.toml) or of a model (.urdf, .sdf, .mjcf, .xml).
+    RECORD is a folder or a DuckDB file that was recorded into.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -220,7 +222,10 @@ def demo(
 @app.command()
 def query(
     scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="The scene that is asked: a name or a path.")
+        str,
+        typer.Argument(
+            metavar="SCENE", help="What is asked: a scene's name or path, or a record's path."
+        ),
     ],
     program: Annotated[
         str | None,
@@ -242,8 +247,14 @@ def query(
         float | None,
         typer.Option(min=0.0, help="Simulate that long first, in whole steps of the scene."),
     ] = None,
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="Of a record, the number of the episode.", show_default="the last one"
+        ),
+    ] = None,
 ) -> None:
-    """Run a program on a scene and write its answer to standard output.
+    """Run a program on a scene, or on a record, and write its answer to standard output.
 
     A program that begins with a minus goes behind two of them:
     ssduck query kitchen -- '-1;'
@@ -252,18 +263,23 @@ def query(
         raise typer.BadParameter("--steps and --seconds exclude each other")
     text = _program(program, file)
 
-    from ssduck.interpreter import load
     from ssduck.scenes import find_scene
 
-    description = find_scene(scene)
-    if seconds is not None:
-        steps = _whole_steps(seconds / description.timestep)
+    if steps is not None or seconds is not None:
+        if is_record(scene):
+            raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
+        description = find_scene(scene)
+        steps = steps if seconds is None else _whole_steps(seconds / description.timestep)
     # What a program prints is not its answer.
-    with load(scene) as ss, contextlib.redirect_stdout(sys.stderr):
+    with opened_or_loaded(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
         if steps:
             ss.call_variable(description.name).step(steps)
         value = ss.sql(text) if sql else ss.eval(text)
     WRITERS[format](value)
+
+
+for command in (record, export, episodes):
+    app.command()(command)
 
 
 def _whole_steps(count: float) -> int:

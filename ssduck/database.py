@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import shutil
 import threading
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from ssduck.errors import (
     ArgumentError,
     EvaluationError,
     LimitError,
+    RecordError,
     SelectScriptError,
     Span,
     SqlError,
@@ -32,12 +34,13 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.export import exported
-from ssduck.folder import PART_TICKS, Folder, FolderRecording
 from ssduck.functions import Function
-from ssduck.history import Archive, History, Near, history_name, not_recorded
+from ssduck.history import ABOUT, Archive, History, Near, history_name, model_name, not_recorded
 from ssduck.limits import Limits, Meter
+from ssduck.models import MODELS
 from ssduck.past import Record, RecordedWorld
 from ssduck.recording import FRAMES, RECORDABLE, Recorder, Recording, Ring, unknown_names
+from ssduck.sealed import PART_TICKS, Folder, FolderRecording
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.then import TOLD
@@ -81,6 +84,8 @@ _BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
 _OURS = "ssduck statement "
 # The tables of a world whose buffers may be made anew.
 _KNOWN = frozenset((*TABLES, *map(history_name, ("ticks", *RECORDABLE, FRAMES))))
+# What refers to a world's buffers, as a regular expression in SQL.
+_LOST = exp.Literal.string(r'"world \d+: ').sql("duckdb")
 # No source can be called so, for it is no name.
 _PARAMETERS = "the parameters"
 
@@ -277,10 +282,15 @@ class Writer:
     """A connection of its own to the same database, for what is kept of a world.
 
     It writes while the world is held, whatever other connections do.
+
+    Args:
+        connection: to the database.
+        file: where that is; None for memory.
     """
 
-    def __init__(self, connection: duckdb.DuckDBPyConnection) -> None:
+    def __init__(self, connection: duckdb.DuckDBPyConnection, file: Path | None = None) -> None:
         self._connection = connection.cursor()
+        self._file = file
         self._lock = threading.RLock()
 
     def run(self, sql: str) -> None:
@@ -292,8 +302,30 @@ class Writer:
         with self._lock:
             try:
                 self._connection.execute(sql).fetchall()
+            except duckdb.FatalException as error:
+                raise SqlError(
+                    f"DuckDB has given up: {error}; what was stored before is in the file: close "
+                    "this interpreter, and open the file again",
+                    is_final=True,
+                ) from error
             except duckdb.Error as error:
-                raise SqlError(f"what is recorded cannot be stored: {error}") from error
+                raise SqlError(
+                    f"what is recorded cannot be stored: {error}; what was stored before is "
+                    "whole, and what was not is kept until there is room"
+                ) from error
+
+    def settle(self) -> None:
+        """Let DuckDB move what was stored from its log into its file, if there is much of it.
+
+        DuckDB would do so by itself, but gives the database up where the disk is full then.
+        """
+        if self._file is None:
+            return
+        log = self._file.with_name(f"{self._file.name}.wal")
+        with self._lock, suppress(OSError, duckdb.TransactionException):
+            size = log.stat().st_size
+            if size > LONG_LOG and shutil.disk_usage(log.parent).free > 4 * size:
+                self._connection.execute("CHECKPOINT")
 
     def insert(self, place: str, rows: pa.Table) -> None:
         """Add rows to a table, by the names of its columns."""
@@ -332,14 +364,23 @@ class Writer:
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """All rows of a SELECT, as tuples."""
         with self._lock:
-            return self._connection.execute(sql).fetchall()
+            try:
+                return self._connection.execute(sql).fetchall()
+            except duckdb.Error as error:
+                raise SqlError(f"what was recorded cannot be read: {error}") from error
 
     def close(self) -> None:
         """Close the connection."""
         self._connection.close()
 
 
+# Bytes of DuckDB's log that are worth the tens of milliseconds that moving them takes.
+LONG_LOG = 1 << 24
 _INCOMING = "rows to be stored"
+# What an attached file with a record is called; no world can be.
+_ATTACHED = "ssduck record file"
+_HISTORIES = tuple(map(history_name, ("ticks", *RECORDABLE)))
+_MODELS = tuple(map(model_name, MODELS))
 
 
 class Database:
@@ -365,7 +406,7 @@ class Database:
         try:
             self._connection = duckdb.connect(path)
         except duckdb.Error as error:
-            raise _unopened(path, error) from error
+            raise SqlError(_unopened(path, error)) from error
         self._recording = recording
         # What waits is stored at the end, too.
         self._recorders: list[Recorder] = []
@@ -394,6 +435,9 @@ class Database:
         self.run("SET enable_progress_bar = false")
         # A name that no table has is an error, not a variable of the caller's.
         self.run("SET python_enable_replacements = false")
+        if self._is_file:
+            self.run("SET wal_autocheckpoint = '1TB'")  # see Writer.settle
+            self._forget_lost_views()
         for name in NARROW:
             self._add_narrow(name)
         for name in THEN:
@@ -414,17 +458,65 @@ class Database:
             self.run("SET lock_configuration = true")
 
     def close(self) -> None:
-        """Close the connection; a file keeps no views or macros on worlds that are gone."""
+        """Close the connection; a file keeps no views or macros on worlds that are gone.
+
+        Raises:
+            SqlError: what waits cannot be stored, for the disk is full, say; it is closed then.
+        """
         with self._lock:
             if not self._finalizer.alive:
                 return
-            for bound in self._bound:
-                self._stop(bound)
-                for schema in bound.schemas:
-                    has_macros = schema in (self._told_of or ())
-                    for statement in dropped(schema, described=has_macros):
-                        self.run(statement)
-            self._finalizer()
+            try:
+                for bound in self._bound:
+                    kept = bound.kept
+                    self._stop(bound)
+                    for schema in bound.schemas:
+                        self._leave(schema, kept)
+            finally:
+                self._finalizer()
+
+    @property
+    def _is_file(self) -> bool:
+        return self._path != ":memory:"
+
+    def _leave(self, schema: str, kept: _Kept | None) -> None:
+        """Leave the schema of a world without what needs ssduck."""
+        for statement in dropped(schema, described=schema in (self._told_of or ())):
+            self.run(statement)
+        if not self._is_file:
+            return
+        history = kept.history if kept is not None else None
+        if not isinstance(history, History):
+            history = None
+        for name in (*_HISTORIES, *_MODELS):
+            if history is not None and name in history.views:
+                self._make_view(schema, name, f"SELECT * FROM {history.place(name)}")  # noqa: S608
+            else:
+                view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
+                self.run(f"DROP VIEW IF EXISTS {view}")
+
+    def _forget_lost_views(self) -> None:
+        """Drop the views on worlds of a process that was killed."""
+        lost = self.rows(
+            "SELECT schema_name, view_name FROM duckdb_views() WHERE NOT internal AND NOT "  # noqa: S608
+            f"temporary AND regexp_matches(sql, {_LOST})"
+        )
+        for schema, name in lost:
+            self.run(f"DROP VIEW {exp.table_(name, db=schema, quoted=True).sql('duckdb')}")
+
+    def attach(self, path: Path) -> str:
+        """Let a DuckDB file be read; tells what it is called here.
+
+        Raises:
+            RecordError: it is no DuckDB file, or in use by another process.
+        """
+        file = exp.Literal.string(str(path.resolve())).sql("duckdb")
+        name = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
+        try:
+            self.run(f"ATTACH {file} AS {name} (READ_ONLY)")
+        except SqlError as error:
+            raise RecordError(_unopened(str(path), error)) from error
+        return _ATTACHED
 
     # -- statements -----------------------------------------------------------------------
 
@@ -695,7 +787,7 @@ class Database:
             self._unbind(name, world)
             if world.name == UNNAMED:
                 world.name = name
-            bound = self._entry(world)
+            bound = self._entry(world, name)
             if name not in bound.schemas:
                 bound.schemas.append(name)
                 self._make_views(name, bound)
@@ -722,6 +814,11 @@ class Database:
             raise ArgumentError(
                 f"a world cannot be called {name!r}: DuckDB has a schema or database of that name"
             )
+        taken = self.rows("SELECT schema_name FROM duckdb_tables() WHERE table_name = ?", [ABOUT])
+        if name.casefold() in {schema.casefold() for (schema,) in taken}:
+            raise ArgumentError(
+                f"a world cannot be called {name!r}: a recorded run is called so in SQL"
+            )
         for other in self._bound:
             for schema in other.schemas:
                 if schema != name and schema.casefold() == name.casefold():
@@ -730,17 +827,22 @@ class Database:
                         "and SQL does not tell upper from lower case"
                     )
 
-    def _entry(self, world: World) -> _Bound:
+    def _entry(self, world: World, name: str | None = None) -> _Bound:
+        """What is known of a world; its ticks are recorded under the name that it gets first."""
         for bound in self._bound:
             if bound.world is world:
                 return bound
         bound = _Bound(world, f"world {next(self._numbers)}")
         self._bound.append(bound)
-        if isinstance(world, RecordedWorld):
-            bound.kept = _Kept(world.archive, world.own_record)
-        if self._recording is not None and not world.is_final:
-            self._keep(bound, self._recording)
-        self._show(bound)
+        try:
+            if isinstance(world, RecordedWorld):
+                bound.kept = _Kept(world.archive, world.own_record)
+            if self._recording is not None and not world.is_final:
+                self._keep(bound, self._recording, name or world.name)
+            self._show(bound)
+        except BaseException:
+            self._bound.remove(bound)
+            raise
         return bound
 
     def _make_views(self, name: str, bound: _Bound) -> None:
@@ -765,21 +867,26 @@ class Database:
         """
         with self._lock:
             bound = self._entry(world)
+            _check_runs(world)
+            if recording is not None:
+                for error in unknown_names(recording, world.snapshot.members):
+                    raise error
             with world.held():
                 self._stop(bound)
             if recording is not None:
-                self._keep(bound, recording)
+                self._keep(bound, recording, bound.schemas[0])
             self._show(bound)
             for schema in bound.schemas:
                 self._make_history_views(schema, bound)
             self._forget_plans()
 
-    def _keep(self, bound: _Bound, recording: Recording) -> None:
+    def _keep(self, bound: _Bound, recording: Recording, name: str) -> None:
         world = bound.world
         for error in unknown_names(recording, world.snapshot.members):
             raise error
-        schema = self._free_schema(world.name)
-        history = History(schema, Writer(self._connection), recording, world.name)
+        history = History(self._free_schema(name), self.writer(), recording, name)
+        if self._is_file:
+            history.show()
         recorder = Recorder(recording, history)
         tables = tuple(recorder.rings)
         record = Record(
@@ -787,20 +894,31 @@ class Database:
         )
         bound.kept = _Kept(history, record, recorder)
         self._recorders.append(recorder)
-        world.record(recorder)
+        try:
+            world.record(recorder)
+        except BaseException:
+            self._forget_recorder(bound, recorder)
+            raise
+
+    def _forget_recorder(self, bound: _Bound, recorder: Recorder) -> None:
+        """Let a recorder keep no more ticks, without storing what waits."""
+        bound.world.forget(recorder)
+        self._recorders.remove(recorder)
+        bound.kept = None
 
     def _stop(self, bound: _Bound) -> None:
         """Keep no more ticks of a world; what waits is stored."""
         if bound.kept is None:
             return
-        kept, bound.kept = bound.kept, None
+        kept = bound.kept
         if kept.recorder is None:
+            bound.kept = None
             kept.history.close(forget=False)
             return
-        bound.world.forget(kept.recorder)
-        self._recorders.remove(kept.recorder)
-        kept.recorder.flush()
-        kept.history.close(forget=self._path == ":memory:")
+        if self._is_file:
+            kept.recorder.flush()
+        self._forget_recorder(bound, kept.recorder)
+        kept.history.close(forget=not self._is_file)
         for table in kept.recorder.rings:
             name = _waiting(bound.key, table)
             if bound.versions.pop(name, None) is not None:
@@ -810,7 +928,7 @@ class Database:
         taken = {
             name.casefold() for (name,) in self.rows("SELECT schema_name FROM duckdb_schemas()")
         }
-        names = (f"{world}_record_{number}" for number in count(1))
+        names = (f"{world}_record_{number}" for number in count())
         return next(name for name in names if name.casefold() not in taken)
 
     def _make_history_views(self, name: str, bound: _Bound) -> None:
@@ -837,17 +955,24 @@ class Database:
     def record_to(self, world: World, recording: Recording, path: Path) -> FolderRecording:
         """Write the ticks of a world to a folder from now on, too."""
         with self._lock:
+            _check_runs(world)
             for error in unknown_names(recording, world.snapshot.members):
                 raise error
-            folder = Folder(path, world.name, recording)
+            folder = Folder(path, self.schema_of(world), recording)
             recorder = Recorder(recording, folder, waits=PART_TICKS)
             self._recorders.append(recorder)
-            world.record(recorder)
+            try:
+                world.record(recorder)
+            except BaseException:
+                world.forget(recorder)
+                self._recorders.remove(recorder)
+                folder.discard()
+                raise
             return FolderRecording(world, recorder, folder, self._recorders)
 
     def writer(self) -> Writer:
         """A connection of its own, for what is kept of a world."""
-        return Writer(self._connection)
+        return Writer(self._connection, Path(self._path) if self._is_file else None)
 
     def record_of(self, world: World) -> Record:
         """What is kept of a world.
@@ -882,7 +1007,10 @@ class Database:
         """
         record = self.record_of(world)
         with self._lock, world.held():
-            return exported(record, path, names, between)
+            kept = self._entry(world).kept
+            assert kept is not None
+            recording = kept.history.recording
+            return exported(record, recording, self.schema_of(world), path, names, between)
 
     def flush(self) -> dict[str, int]:
         """Store what waits; tells up to which tick of each world, by its schema."""
@@ -1017,21 +1145,37 @@ def _refuse(rows: exp.Select, why: str) -> None:
     rows.where(exp.column("why").is_(exp.null()), copy=False)
 
 
-def _unopened(path: str, error: duckdb.Error) -> SqlError:
-    """What to raise where a file cannot be opened."""
+def _check_runs(world: World) -> None:
+    """Complain of a world that has no ticks to come."""
+    if isinstance(world, RecordedWorld):
+        raise UnsupportedError(
+            f"{world.name!r} is a record itself, with no ticks to come; export(…) copies it"
+        )
+
+
+def _unopened(path: str, error: Exception) -> str:
+    """What to say where a file cannot be opened."""
+    if "already attached" in str(error):
+        return f"{path} is open in this process: close it first, or ask the interpreter that has it"
     if "lock" in str(error).lower():
-        return SqlError(
+        return (
             f"{path} is in use by another process, and DuckDB lets one at a time: close it there, "
             f"or export it there as Parquet, which any number can read: {str(error).strip()}"
         )
-    return SqlError(f"{path} cannot be opened: {str(error).strip()}")
+    return f"{path} cannot be opened: {str(error).strip()}"
 
 
 def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder]) -> None:
     """Store what waits, and close."""
+    failed = None
     for recorder in recorders:
-        recorder.flush()
+        try:
+            recorder.flush()
+        except SelectScriptError as error:
+            failed = failed or error
     connection.close()
+    if failed is not None:
+        raise failed
 
 
 def _waiting(key: str, table: str) -> str:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import EvaluationError
-from ssduck.folder import Folder
-from ssduck.geometry import Geometry
 from ssduck.past import Record
-from ssduck.recording import Recording, chosen_members, unknown_names
+from ssduck.recording import FRAMES, Recording, chosen_members, unknown_names
+from ssduck.sealed import Folder
 
 # So many rows of entities make a part, about: ten megabytes.
 PART_ROWS = 1 << 18
@@ -20,6 +18,8 @@ PART_ROWS = 1 << 18
 
 def exported(
     record: Record,
+    recording: Recording,
+    world: str,
     path: Path,
     names: tuple[str, ...] | None,
     between: tuple[float | None, float | None],
@@ -28,6 +28,8 @@ def exported(
 
     Args:
         record: what is kept of the world, which the caller holds.
+        recording: how.
+        world: what the world is called.
         path: the folder of episodes.
         names: of the entities that are written; None for all.
         between: simulated times from which and until which, s; None without end.
@@ -38,23 +40,27 @@ def exported(
         ArgumentError: no entity has one of the names.
     """
     numbers = _ticks(record, between)
-    tables = [table for table in record.tables if table not in ("ticks", "frames")]
-    recording = Recording(tables=tuple(sorted(tables)), entities=names)
+    tables = [table for table in record.tables if table not in ("ticks", FRAMES)]
+    chosen = Recording(
+        tables=tuple(sorted(tables)),
+        entities=recording.entities if names is None else names,
+        every=recording.every,
+    )
     members = list(record.members.values())
-    for error in unknown_names(recording, members):
+    for error in unknown_names(Recording(entities=names), members):
         raise error
     kept = members if names is None else chosen_members(members, names)
-    ids = pa.array([member.id for member in kept])
-    folder = Folder(path, record.world.name, recording)
-    folder.add_members(kept, _numbered())
-    for first, last in _parts(numbers, max(len(kept), 1)):
-        folder.add(
-            {
-                table: _of(record.fetch(table, first, last), table, None if names is None else ids)
-                for table in folder.tables
-            }
-        )
-    return folder.episode.place("ticks")
+    ids = None if names is None else pa.array([member.id for member in kept])
+    folder = Folder(path, world, chosen)
+    try:
+        folder.add_members(kept, record.world.snapshot.geometry_id)
+        for first, last in _parts(numbers, max(len(kept), 1)):
+            fetched = {table: record.fetch(table, first, last) for table in folder.tables}
+            folder.add({table: _of(rows, table, ids) for table, rows in fetched.items()})
+    except BaseException:  # half of it would be taken for all
+        folder.discard()
+        raise
+    return folder.run.place("ticks")
 
 
 def _ticks(record: Record, between: tuple[float | None, float | None]) -> list[int]:
@@ -85,9 +91,3 @@ def _of(rows: pa.Table, table: str, ids: pa.Array | None) -> pa.Table:
     for side in sides.get(table, ("entity",)):
         kept &= np.isin(rows[side].to_numpy(), ids.to_numpy())
     return rows.filter(pa.array(kept))
-
-
-def _numbered() -> Callable[[Geometry], int]:
-    """What gives geometries numbers, equal ones the same."""
-    numbers: dict[str, int] = {}
-    return lambda geometry: numbers.setdefault(geometry.key, len(numbers) + 1)

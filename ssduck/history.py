@@ -14,16 +14,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck.errors import RecordError
 from ssduck.geometry import Geometry
 from ssduck.layout import Member
-from ssduck.models import KEYS, MODELS, members_of, models_of
+from ssduck.models import KEYS, MODELS, models_of
 from ssduck.recording import FRAME_REALS, FRAMES, QUARTERS, RECORDABLE, STORED, Recording, Ticks
 from ssduck.relations import BOX
 from ssduck.tables import TABLES
@@ -31,7 +31,7 @@ from ssduck.tables import TABLES
 SLOTS = QUARTERS + 2
 # The version of what is stored, and the table that tells it.
 VERSION = 1
-_ABOUT = "ssduck record"
+ABOUT = "ssduck record"
 
 
 class Writer(Protocol):
@@ -57,12 +57,21 @@ class Writer(Protocol):
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """All rows of a SELECT, as tuples."""
 
+    def settle(self) -> None:
+        """Tidy up what was stored, if there is reason and room to."""
+
     def close(self) -> None:
         """Close the connection."""
 
 
 class Archive(Protocol):
-    """Where ticks are stored that can be read."""
+    """Where ticks are stored that can be read.
+
+    Attributes:
+        recording: what is kept of each tick.
+    """
+
+    recording: Recording
 
     def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:
         """What the view of a table's history selects; None for what is not recorded."""
@@ -88,12 +97,20 @@ class History:
         writer: a connection of its own.
         recording: what is kept of each tick.
         world: what the world is called; None to read what is stored there already.
+        catalog: of the attached file that has the schema; None for the database itself.
     """
 
     def __init__(
-        self, schema: str, writer: Writer, recording: Recording, world: str | None = None
+        self,
+        schema: str,
+        writer: Writer,
+        recording: Recording,
+        world: str | None = None,
+        *,
+        catalog: str | None = None,
     ) -> None:
         self.schema = schema
+        self._catalog = catalog
         self.recording = recording
         self._writer = writer
         self._slots = SLOTS if recording.is_bounded else 1
@@ -113,52 +130,47 @@ class History:
             forget: whether what is stored is dropped.
         """
         if forget:
-            self._writer.run(f"DROP SCHEMA {_quoted(self.schema)} CASCADE")
+            self._writer.run(f"DROP SCHEMA {quoted(self.schema)} CASCADE")
         self._writer.close()
 
     def _make(self, world: str) -> None:
-        self._writer.run(f"CREATE SCHEMA {_quoted(self.schema)}")
-        about = {"version": VERSION, "world": world, "recording": asdict(self.recording)}
-        self._writer.insert_new(self._place(_ABOUT), pa.table({"about": [json.dumps(about)]}))
+        self._writer.run(f"CREATE SCHEMA {quoted(self.schema)}")
+        about = {
+            "version": VERSION,
+            "world": world,
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "recording": asdict(self.recording),
+        }
+        self._writer.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
         for table, columns in MODELS.items():
-            self._writer.run(_create(self._place(f"{table} model"), columns))
+            self._writer.run(_create(self.place(f"{table} model"), columns))
         for table in self.tables:
             for slot in range(self._slots):
                 self._writer.run(_create(self._slot(table, slot), self._columns(table)))
 
-    @classmethod
-    def stored(cls, schema: str, writer: Writer) -> History:
-        """What is stored in a schema.
+    @property
+    def views(self) -> dict[str, str]:
+        """What the views of what is stored select, by their names."""
+        tables = (table for table in self.tables if table != FRAMES)
+        return {history_name(t): str(self.select(t, None)) for t in tables} | self.models()
 
-        Raises:
-            RecordError: it is of a newer version, or damaged.
-        """
-        place = f"{_quoted(schema)}.{_quoted(_ABOUT)}"
-        ((text,),) = writer.fetchall(f"SELECT about FROM {place}")  # noqa: S608
-        about = json.loads(text)
-        if about["version"] > VERSION:
-            raise RecordError(
-                f"{schema} is a record of version {about['version']}; this ssduck reads those up "
-                f"to {VERSION}: install a newer one"
-            )
-        return cls(schema, writer, Recording(**about["recording"]))
+    def show(self) -> None:
+        """Make these views in its schema, where DuckDB can read them without ssduck."""
+        for name, rows in self.views.items():
+            self._writer.run(f"CREATE VIEW {self.place(name)} AS {rows}")
 
     def ticks(self) -> Ticks:
         """The ticks that are stored."""
-        found = Ticks()
         rows = f"SELECT tick, time FROM ({self._stored('ticks')}) AS ticks ORDER BY tick"  # noqa: S608
-        for number, time in self._writer.fetchall(rows):
-            found.append(number, time)
-        return found
+        found = self._writer.rows(rows)
+        return Ticks.of(found["tick"].to_numpy(), found["time"].to_numpy())
 
-    def members(self) -> dict[int, Member]:
-        """The entities that they tell of, by id."""
-        return members_of(
-            {
-                table: self._writer.rows(f"SELECT * FROM {self._model(table)}")  # noqa: S608
-                for table in MODELS
-            }
-        )
+    def all_models(self) -> dict[str, pa.Table]:
+        """What the entities are that they tell of, as rows."""
+        return {
+            table: self._writer.rows(f"SELECT * FROM {self._model(table)}")  # noqa: S608
+            for table in MODELS
+        }
 
     def _columns(self, table: str) -> dict[str, str]:
         columns = columns_of(table)
@@ -168,11 +180,13 @@ class History:
         """Whether rows of a table are stored only where they changed."""
         return self.recording.changed and table in (*KEYS, FRAMES)
 
-    def _place(self, name: str) -> str:
-        return f"{_quoted(self.schema)}.{_quoted(name)}"
+    def place(self, name: str) -> str:
+        """A table or view of its schema, in SQL."""
+        where = (self.schema,) if self._catalog is None else (self._catalog, self.schema)
+        return ".".join(map(quoted, (*where, name)))
 
     def _slot(self, table: str, slot: int) -> str:
-        return self._place(f"{table} {slot}")
+        return self.place(f"{table} {slot}")
 
     # -- writing (ssduck.recording.Store) ---------------------------------------------------
 
@@ -180,21 +194,29 @@ class History:
         self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
     ) -> None:
         """Keep what entities are, before rows of theirs; geometries by their numbers."""
-        for table, rows in models_of(members, geometry_id, self._geometries).items():
-            if rows.num_rows:
-                self._writer.insert(self._place(f"{table} model"), rows)
-                if table == "geometries":
-                    self._geometries |= set(rows["id"].to_pylist())
+        models = models_of(members, geometry_id, self._geometries)
+        self._insert({self.place(f"{table} model"): rows for table, rows in models.items()})
+        self._geometries |= set(models["geometries"]["id"].to_pylist())
 
     def add(self, rows: Mapping[str, pa.Table]) -> None:
         """Keep the rows of whole ticks, all or none of them."""
         self._turn(int(rows["ticks"]["tick"][0].as_py()))
         slot, _ = self._used[-1]
+        self._insert(
+            {
+                self._slot(table, slot): _changes(table, own) if self._is_changed(table) else own
+                for table, own in rows.items()
+            }
+        )
+        self._writer.settle()
+
+    def _insert(self, rows: Mapping[str, pa.Table]) -> None:
+        """Add rows to tables, all or none of them."""
         self._writer.run("BEGIN")
         try:
-            for table, own in rows.items():
-                kept = _changes(table, own) if self._is_changed(table) else own
-                self._writer.insert(self._slot(table, slot), kept)
+            for place, own in rows.items():
+                if own.num_rows:
+                    self._writer.insert(place, own)
         except BaseException:
             self._writer.run("ROLLBACK")
             raise
@@ -279,12 +301,12 @@ class History:
             return self._stored(table)
         flags = STORED[table].flags if table in STORED else ()
         told = _listed(name for name in columns_of(table) if name not in flags)
-        told += "".join(f", {_quoted(name)}::BOOLEAN AS {_quoted(name)}" for name in flags)
-        waiting = f"SELECT {told} FROM {_quoted(ring(table))} WHERE tick >= 0"  # noqa: S608
+        told += "".join(f", {quoted(name)}::BOOLEAN AS {quoted(name)}" for name in flags)
+        waiting = f"SELECT {told} FROM {quoted(ring(table))} WHERE tick >= 0"  # noqa: S608
         return f"{self._stored(table)} UNION ALL {waiting}"
 
     def _model(self, table: str) -> str:
-        return self._place(f"{table} model")
+        return self.place(f"{table} model")
 
 
 @dataclass(frozen=True)
@@ -340,19 +362,6 @@ def near_rows(writer: Writer, stored: str, asked: Near, waiting: pa.Table | None
     )
     tables = {} if waiting is None else {_WAITING: waiting}
     return writer.rows(sql, values, tables)
-
-
-def abouts(writer: Writer) -> list[tuple[str, str]]:
-    """The schemas that hold histories, and what each one tells of itself."""
-    schemas = writer.fetchall(
-        "SELECT schema_name FROM duckdb_tables() WHERE table_name = "  # noqa: S608
-        f"{exp.Literal.string(_ABOUT).sql('duckdb')} AND NOT temporary"
-    )
-    places = [(schema, f"{_quoted(schema)}.{_quoted(_ABOUT)}") for (schema,) in schemas]
-    return [
-        (schema, writer.fetchall(f"SELECT about FROM {place}")[0][0])  # noqa: S608
-        for schema, place in places
-    ]
 
 
 def history_name(table: str) -> str:
@@ -416,16 +425,17 @@ def history_of(table: str, rows: str, entities: str, model: Callable[[str], str]
 def _listed(names: Iterable[str], table: Callable[[str], str] | None = None) -> str:
     """Columns in SQL, each with the table that it is of."""
     return ", ".join(
-        _quoted(name) if table is None else f"{table(name)}.{_quoted(name)}" for name in names
+        quoted(name) if table is None else f"{table(name)}.{quoted(name)}" for name in names
     )
 
 
 def _create(place: str, columns: Mapping[str, str], *, replace: bool = False) -> str:
-    told = ", ".join(f"{_quoted(name)} {type}" for name, type in columns.items())
+    told = ", ".join(f"{quoted(name)} {type}" for name, type in columns.items())
     return f"CREATE {'OR REPLACE ' if replace else ''}TABLE {place} ({told})"
 
 
-def _quoted(name: str) -> str:
+def quoted(name: str) -> str:
+    """A name in SQL."""
     return exp.to_identifier(name, quoted=True).sql("duckdb")
 
 

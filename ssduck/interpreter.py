@@ -29,21 +29,19 @@ from ssduck.errors import (
     ArgumentError,
     EvaluationError,
     LimitError,
-    RecordError,
     SelectScriptError,
     UnknownNameError,
     nearest,
 )
 from ssduck.evaluate import Frame
 from ssduck.explain import told
-from ssduck.folder import FolderRecording, chosen_episode, episodes, is_folder
 from ssduck.functions import BUILTINS, Function
 from ssduck.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.keys import plain
 from ssduck.language import is_reserved, parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
-from ssduck.opened import chosen_runs, stored_runs, world_of, world_of_run
+from ssduck.opened import chosen_runs, runs, world_of
 from ssduck.over_time import FORMS, OverTime
 from ssduck.past import Past
 from ssduck.past import together as entities_together
@@ -54,6 +52,7 @@ from ssduck.result import Result
 from ssduck.rows import check_columns, formed
 from ssduck.running import run
 from ssduck.scenes import find_scene
+from ssduck.sealed import FolderRecording
 from ssduck.sources import within
 from ssduck.temporal import History, aged, history_of, kept, seconds_of
 from ssduck.translate import unknown_function
@@ -66,20 +65,26 @@ from ssduck.world import World
 KEPT = 60.0
 
 
-def load(scene: str | Path, database: str = ":memory:") -> Interpreter:
+def load(
+    scene: str | Path,
+    database: str | Path = ":memory:",
+    *,
+    recording: Recording | Literal["default"] | None = "default",
+) -> Interpreter:
     """An interpreter with a scene's world bound to the scene's name.
 
     Args:
         scene: the name of a shipped scene, or the path of a scene file, or of a model
             (URDF, SDF or MJCF).
         database: a DuckDB file, or `":memory:"`.
+        recording: what is kept of the ticks; see `Interpreter`.
 
     Raises:
         UnknownNameError: there is no such scene, with the nearest names.
         SceneError: it cannot be loaded: file, key and reason.
     """
     description = find_scene(scene)
-    interpreter = Interpreter(database)
+    interpreter = Interpreter(database, recording=recording)
     try:
         world = World.load(description)
         interpreter._own.append(world)  # noqa: SLF001  # it closes what is made here
@@ -98,31 +103,24 @@ def open_record(
     Each world is bound to its name, as it was at its last tick; `kitchen{12.5}` and the tables
     of its history tell of the others.
 
+    A DuckDB file is only read, so that any number of processes can open it together, as long as
+    none records into it.
+
     Args:
         path: a folder that `Interpreter.export` or `ssduck record` wrote, or a DuckDB file that
             was recorded into.
         world: the world that is opened; None for all.
-        episode: the number of the run; None for the last one of each world.
+        episode: the number of the run; None for the last one of each world that holds any tick.
 
     Raises:
-        RecordError: there is no such record, it is damaged, or of a newer version.
-        SqlError: the DuckDB file is in use by another process.
+        RecordError: there is no such record, it is damaged, of a newer version, or in use by
+            another process.
     """
-    if is_folder(path):
-        found = episodes(path)
-        names = sorted({each.world for each in found}) if world is None else [world]
-        runs = [chosen_episode(found, name, episode) for name in names]
-        interpreter = Interpreter(recording=None)
-        return interpreter._opened(  # noqa: SLF001  # one room
-            lambda database: [world_of(run, database.writer()) for run in runs]
-        )
-    if not Path(path).is_file():
-        raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    interpreter = Interpreter(str(path), recording=None)
+    interpreter = Interpreter(recording=None)
     return interpreter._opened(  # noqa: SLF001  # one room
         lambda database: [
-            world_of_run(run, database.writer())
-            for run in chosen_runs(stored_runs(database.writer()), world, episode)
+            world_of(run, database)
+            for run in chosen_runs(runs(Path(path), database), world, episode)
         ]
     )
 
@@ -185,7 +183,7 @@ class Interpreter(TriggerVerbs):
 
     def __init__(
         self,
-        database: str = ":memory:",
+        database: str | Path = ":memory:",
         *,
         tracer: Callable[[str], None] | None = None,
         limits: Limits | None = None,
@@ -193,6 +191,7 @@ class Interpreter(TriggerVerbs):
         recording: Recording | Literal["default"] | None = "default",
     ) -> None:
         self._limits = limits or Limits()
+        database = str(database)
         if recording == "default":
             recording = Recording(seconds=KEPT) if database == ":memory:" else Recording()
         self._database = Database(database, tracer, self._limits, recording)
@@ -456,6 +455,7 @@ class Interpreter(TriggerVerbs):
 
         Raises:
             ArgumentError: it is no world of this interpreter, or has no entity of a name.
+            UnsupportedError: it is a record itself.
         """
         with self._lock:
             self._database.record(self._world(world), recording)
@@ -545,8 +545,9 @@ class Interpreter(TriggerVerbs):
             )
             if not worlds:
                 raise EvaluationError("no world is recorded here")
+            database = self._database
             return {
-                each.name: self._database.export(each, Path(path), names, (start, end))
+                database.schema_of(each): database.export(each, Path(path), names, (start, end))
                 for each in worlds
             }
 

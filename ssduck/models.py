@@ -190,6 +190,11 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, Member]:
     return found
 
 
+def geometries_of(models: Mapping[str, pa.Table]) -> dict[str, int]:
+    """The numbers of geometries that rows tell of, by their keys."""
+    return {_geometry(row).key: row["id"] for row in models["geometries"].to_pylist()}
+
+
 def _by_entity(table: pa.Table, key: str) -> dict[int, list[dict[str, Any]]]:
     found: dict[int, list[dict[str, Any]]] = {}
     for row in sorted(table.to_pylist(), key=lambda row: (row["entity"], row[key])):

@@ -5,84 +5,187 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from sqlglot import exp
 
+from ssduck.database import Database
+from ssduck.episode import Episode
 from ssduck.errors import RecordError, nearest
-from ssduck.folder import Episode
-from ssduck.history import History, Near, Writer, abouts, columns_of, model_name, near_rows
-from ssduck.models import MODELS, members_of
+from ssduck.folder import FolderRun, runs_in
+from ssduck.history import (
+    ABOUT,
+    VERSION,
+    History,
+    Near,
+    Writer,
+    columns_of,
+    model_name,
+    near_rows,
+    quoted,
+)
+from ssduck.models import MODELS, geometries_of, members_of
 from ssduck.past import Record, RecordedWorld
-from ssduck.recording import Ticks
+from ssduck.recording import FRAMES, Recording
 from ssduck.tables import TABLES
 
 
-class OpenedFolder:
-    """An episode in a folder, to be read (`ssduck.history.Archive`).
+class Run(Protocol):
+    """A run of a world that was recorded."""
+
+    @property
+    def world(self) -> str:
+        """The name of the world."""
+
+    @property
+    def number(self) -> int:
+        """The number of the episode, from 0."""
+
+    @property
+    def has_ticks(self) -> bool:
+        """Whether anything was stored."""
+
+    @property
+    def episode(self) -> Episode:
+        """What it holds."""
+
+
+def episodes(path: str | Path) -> list[Episode]:
+    """The episodes in a folder or in a DuckDB file, by world and number.
+
+    Raises:
+        RecordError: there is no such record, it is damaged, of a newer version, or in use by
+            another process.
+    """
+    database = Database(":memory:", None)
+    try:
+        return [run.episode for run in runs(Path(path), database)]
+    finally:
+        database.close()
+
+
+def runs(path: Path, database: Database) -> Sequence[Run]:
+    """The runs that are recorded at a place, by world and number.
 
     Args:
-        episode: which.
+        path: a folder, or a DuckDB file, which is attached to be read.
+        database: where to.
+
+    Raises:
+        RecordError: there is no record, it is damaged, of a newer version, or in use.
+    """
+    if path.is_dir():
+        return runs_in(path)
+    if not path.is_file():
+        raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
+    return _stored_runs(path, database.attach(path), database.writer())
+
+
+def chosen_runs(found: Sequence[Run], world: str | None, number: int | None) -> list[Run]:
+    """One run of each world, or of one: that of a number, or the last that holds any tick.
+
+    Raises:
+        RecordError: there is none such.
+    """
+    if not found:
+        raise RecordError("nothing is recorded there")
+    names = sorted({run.world for run in found})
+    if world is not None and world not in names:
+        raise RecordError(
+            f"nothing of a world {world!r} is recorded, but of {', '.join(names)}",
+            suggestions=nearest(world, names),
+        )
+    own = [run for run in found if world in (None, run.world)]
+    fitting = [run for run in own if run.has_ticks if number is None or run.number == number]
+    if not fitting and number is None:
+        raise RecordError(f"of {own[-1].world!r} nothing was stored before the recording ended")
+    if not fitting:
+        known = ", ".join(f"{run.number} of {run.world!r}" for run in own if run.has_ticks)
+        raise RecordError(f"no episode {number} holds any tick; those that do: {known or 'none'}")
+    return list({run.world: run for run in fitting}.values())
+
+
+def world_of(run: Run, database: Database) -> RecordedWorld:
+    """The world of a run, as far as it was recorded.
+
+    Raises:
+        RecordError: a file is missing or damaged.
+    """
+    archive: OpenedFolder | History
+    if isinstance(run, FolderRun):
+        archive = OpenedFolder(run, database.writer())
+        ticks, models = archive.ticks, {table: run.read(f"models/{table}") for table in MODELS}
+    else:
+        assert isinstance(run, StoredRun)
+        archive = run.history(database.writer())
+        ticks, models = archive.ticks(), archive.all_models()
+    record = Record(
+        None,
+        ticks,
+        members_of(models),
+        archive.tables,
+        archive.fetch,
+        lambda asked: archive.near(asked, None),
+        geometries_of(models),
+    )
+    return RecordedWorld(run.world, record, archive)
+
+
+# -- folders ----------------------------------------------------------------------------------
+
+
+class OpenedFolder:
+    """A run in a folder, to be read (`ssduck.history.Archive`).
+
+    Args:
+        run: which.
         writer: a connection of its own, that reads the files.
+
+    Attributes:
+        ticks: those that are stored.
+        tables: those that have rows of them.
+        recording: what was kept of each.
     """
 
-    def __init__(self, episode: Episode, writer: Writer) -> None:
-        self.episode = episode
+    def __init__(self, run: FolderRun, writer: Writer) -> None:
+        self._run = run
         self._writer = writer
-        self._starts: list[int] = []
-        self.ticks = Ticks()
-        for file in episode.files("ticks"):
-            rows = _read_ticks(file)
-            self._starts.append(int(rows["tick"][0].as_py()))
-            for number, time in zip(
-                rows["tick"].to_pylist(), rows["time"].to_pylist(), strict=True
-            ):
-                self.ticks.append(number, time)
-        if not self._starts:
-            raise RecordError(f"{episode.path} holds no whole part of {episode.world!r}")
+        self._starts, self.ticks = run.ticks()
+        self.tables = run.tables
+        kept = [table for table in run.tables if table not in ("ticks", FRAMES)]
+        self.recording = _recording({**run.recording, "tables": kept}, run.about)
         # All of them have to be there, so that no query fails later.
-        self._files = {table: episode.files(table) for table in episode.tables}
+        self._files = {table: run.files(table) for table in run.tables}
 
     def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:  # noqa: ARG002
         """What the view of a table's history selects; None for what is not recorded."""
         if table not in self._files:
             return None
-        columns = ", ".join(_quoted(column.name) for column in TABLES[table])
+        columns = ", ".join(quoted(column.name) for column in TABLES[table])
         return f"SELECT {columns} FROM {_scan(self._files[table])}"  # noqa: S608
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
         return {
-            model_name(table): f"SELECT * FROM {_scan(self.episode.files(f'models/{table}'))}"  # noqa: S608
+            model_name(table): f"SELECT * FROM {_scan(self._run.files(f'models/{table}'))}"  # noqa: S608
             for table in MODELS
         }
-
-    def record(self) -> Record:
-        """What is kept of the world."""
-        models = {table: self.episode.read(f"models/{table}") for table in MODELS}
-        return Record(
-            None,
-            self.ticks,
-            members_of(models),
-            self.episode.tables,
-            self.fetch,
-            lambda asked: self.near(asked, None),
-        )
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
         files = self._files[table][begin:end]
-        columns = ", ".join(map(_quoted, columns_of(table)))
+        columns = ", ".join(map(quoted, columns_of(table)))
         if not files:
             files, first, last = self._files[table][:1], 0, -1
         chosen = "tick BETWEEN ? AND ?"
         if table == "links":  # those of bodies of one link are as the body
-            entities = _scan(self.episode.files("models/entities"))
+            entities = _scan(self._run.files("models/entities"))
             chosen += f" AND entity IN (SELECT id FROM {entities} WHERE links > 1)"  # noqa: S608
         return self._writer.rows(
             f"SELECT {columns} FROM {_scan(files)} WHERE {chosen}",  # noqa: S608
@@ -100,97 +203,99 @@ class OpenedFolder:
         self._writer.close()
 
 
-def _read_ticks(file: Path) -> pa.Table:
-    try:
-        return pq.ParquetFile(file).read(["tick", "time"])
-    except (pa.ArrowException, OSError, KeyError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
-
-
 def _scan(files: Sequence[Path]) -> str:
     names = ", ".join(exp.Literal.string(str(file.resolve())).sql("duckdb") for file in files)
     return f"read_parquet([{names}], hive_partitioning = false)"
 
 
-def _quoted(name: str) -> str:
-    return exp.to_identifier(name, quoted=True).sql("duckdb")
+# -- DuckDB files -----------------------------------------------------------------------------
 
 
-def world_of(episode: Episode, writer: Writer) -> RecordedWorld:
-    """The world of an episode, as far as it was recorded.
-
-    Raises:
-        RecordError: a file is missing or damaged.
-    """
-    archive = OpenedFolder(episode, writer)
-    return RecordedWorld(episode.world, archive.record(), archive)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StoredRun:
     """A run that is recorded in a DuckDB file.
 
     Attributes:
-        schema: what holds it.
+        path: the file.
+        catalog: what it is attached as.
+        schema: what holds the run.
         world: the name of the world.
-        number: of the episode, from 1.
+        number: of the episode, from 0.
+        told: what the record tells of itself.
+        reader: a connection that can read it.
     """
 
+    path: Path
+    catalog: str
     schema: str
     world: str
     number: int
+    told: dict[str, Any]
+    reader: Writer
+
+    def history(self, reader: Writer) -> History:
+        """What is stored of it."""
+        recording = _recording(self.told["recording"], self.path)
+        return History(self.schema, reader, recording, catalog=self.catalog)
+
+    @property
+    def has_ticks(self) -> bool:
+        """Whether anything was stored."""
+        return self.episode.ticks > 0
+
+    @cached_property
+    def episode(self) -> Episode:
+        """What it holds."""
+        history = self.history(self.reader)
+        return Episode.of(
+            self.path,
+            self.world,
+            self.number,
+            started=self.told["started"],
+            tables=history.recording.tables,
+            every=history.recording.every,
+            entities=history.recording.entities,
+            ticks=history.ticks(),
+        )
 
 
-def stored_runs(writer: Writer) -> list[StoredRun]:
-    """The runs that are recorded in a DuckDB file, by world and number."""
+def _stored_runs(path: Path, catalog: str, reader: Writer) -> list[StoredRun]:
+    file, about = (exp.Literal.string(text).sql("duckdb") for text in (catalog, ABOUT))
+    schemas = reader.fetchall(
+        f"SELECT schema_name FROM duckdb_tables() WHERE database_name = {file} "  # noqa: S608
+        f"AND table_name = {about}"
+    )
     found = []
-    for schema, text in abouts(writer):
-        number = schema.rpartition("_")[2]
-        found.append(StoredRun(schema, json.loads(text)["world"], int(number)))
+    for (schema,) in schemas:
+        place = ".".join(map(quoted, (catalog, schema, ABOUT)))
+        rows = reader.fetchall(f"SELECT about FROM {place}")  # noqa: S608
+        told = _told(path, schema, rows)
+        number = int(schema.rpartition("_")[2])
+        found.append(StoredRun(path, catalog, schema, told["world"], number, told, reader))
+    if not found:
+        raise RecordError(f"nothing is recorded in the DuckDB file {path}")
     return sorted(found, key=lambda run: (run.world, run.number))
 
 
-def chosen_runs(
-    found: Sequence[StoredRun], world: str | None, episode: int | None
-) -> list[StoredRun]:
-    """One run of each world, or of one: the last, or that of a number.
-
-    Raises:
-        RecordError: there is none such.
-    """
-    if not found:
-        raise RecordError("nothing is recorded in this DuckDB file")
-    names = sorted({run.world for run in found})
-    if world is not None and world not in names:
-        told = f"nothing of a world {world!r} is recorded"
-        raise RecordError(told, suggestions=nearest(world, names))
-    chosen = []
-    for name in names if world is None else [world]:
-        own = [run for run in found if run.world == name]
-        picked = own if episode is None else [run for run in own if run.number == episode]
-        if not picked:
-            known = ", ".join(str(run.number) for run in own)
-            raise RecordError(f"there is no episode {episode} of {name!r}; there are {known}")
-        chosen.append(picked[-1])
-    return chosen
+def _told(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
+    """What a record tells of itself."""
+    try:
+        told: dict[str, Any] = json.loads(rows[0][0])
+        version = told["version"]
+        named = told["world"], told["recording"], told["started"], int(schema.rpartition("_")[2])
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise RecordError(f"{path} is damaged: {schema} does not tell what it holds") from error
+    assert named
+    if version > VERSION:
+        raise RecordError(
+            f"{schema} in {path} is a record of version {version}; this ssduck reads those up to "
+            f"{VERSION}: install a newer one"
+        )
+    return told
 
 
-def world_of_run(run: StoredRun, writer: Writer) -> RecordedWorld:
-    """The world of a run in a DuckDB file, as far as it was stored.
-
-    Raises:
-        RecordError: nothing was stored, or it is of a newer version.
-    """
-    history = History.stored(run.schema, writer)
-    ticks = history.ticks()
-    if not len(ticks):
-        raise RecordError(f"of {run.world!r} nothing was stored before the file was left")
-    record = Record(
-        None,
-        ticks,
-        history.members(),
-        history.tables,
-        history.fetch,
-        lambda asked: history.near(asked, None),
-    )
-    return RecordedWorld(run.world, record, history)
+def _recording(told: dict[str, Any], path: Path) -> Recording:
+    try:
+        return Recording(**told)
+    except TypeError as error:  # ArgumentError is one
+        raise RecordError(f"{path} is damaged: what was kept is none that there is") from error

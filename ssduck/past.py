@@ -75,6 +75,7 @@ class Record:
         tables: which tables are recorded.
         fetch: gives the rows of a table at the ticks from one to another.
         near: gives the pairs of entities whose boxes are near at some ticks, with their poses.
+        geometries: the numbers of geometries by their keys; None for those of the world.
     """
 
     world: World
@@ -87,9 +88,11 @@ class Record:
         tables: Sequence[str],
         fetch: Callable[[str, int, int], pa.Table],
         near: Callable[[Near], pa.Table],
+        geometries: dict[str, int] | None = None,
     ) -> None:
         if world is not None:
             self.world = world
+        self._geometries = geometries
         self.ticks = ticks
         self.tables = frozenset(tables)
         self.members = members
@@ -332,7 +335,8 @@ class Record:
     def _placing(self, ids: tuple[int, ...]) -> _Placing:
         if ids not in self._placings:
             members = [self.members[id] for id in ids]
-            template = Snapshot()
+            numbers = self._geometries
+            template = Snapshot(self.world.snapshot.geometries if numbers is None else numbers)
             layout = Layout(members, watched=False)
             posed = Posed(
                 0.0,
@@ -447,6 +451,14 @@ class PastWorld(World):
     def __init__(self, record: Record, posed: Posed, snapshot: Snapshot) -> None:
         self._begin(posed, snapshot, record.world.name, record.world.camera)
         self._record = record
+        self._recorded = snapshot.tables["entities"].reals("time", "zmax").copy()
+
+    def _take(self) -> None:
+        super()._take()
+        # Other tables are worked out of poses; this one is to the last digit as it was.
+        entities = self.snapshot.tables["entities"]
+        entities.reals("time", "zmax")[:] = self._recorded
+        entities.written()
 
     def ask(self, tables: Iterable[str]) -> None:
         """See to it that there are these tables; what was recorded is there."""
@@ -489,6 +501,9 @@ class RecordedWorld(PastWorld):
         record.world = self
         posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
         super().__init__(record, posed, snapshot)
+        snapshot.tables["ticks"]["wall_time"][:] = record.rows("ticks", snapshot.number)[
+            "wall_time"
+        ]
         self.archive = archive
         self._tick = snapshot.number
         self._times, first = np.unique(record.ticks.times, return_index=True)
@@ -558,6 +573,13 @@ class RecordedWorld(PastWorld):
     def entity(self, id: int) -> Entity:
         """The handle of an entity that is there, by its id."""
         return World.entity(self, id)
+
+    def __repr__(self) -> str:
+        numbers, times = self._record.ticks.numbers, self._record.ticks.times
+        return (
+            f"<RecordedWorld {self.name!r}: {len(self)} entities, ticks {numbers[0]} to "
+            f"{numbers[-1]}, t={times[0]:g} s to {times[-1]:g} s>"
+        )
 
 
 @dataclass(frozen=True, eq=False)

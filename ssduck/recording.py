@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.errors import ArgumentError, nearest
+from ssduck.errors import ArgumentError, SelectScriptError, nearest
 from ssduck.geometry import Array, Geometry, Indices
 from ssduck.layout import Layout, Member
 from ssduck.messages import shown
@@ -168,10 +168,16 @@ class Ring:
         return self.count + count <= self.capacity
 
     def reserve(self, count: int, ticks: int) -> None:
-        """Make room for some ticks of so many rows; nothing may wait in it."""
+        """Make room for some ticks of so many rows, beside what waits if it cannot be stored."""
         wanted = max(min(count * ticks, RING_ROWS), count, _LEAST_ROWS)
-        if wanted > self.capacity:
-            self._make(wanted)
+        if self.takes(count) and wanted <= self.capacity:
+            return
+        waiting, before = slice(0, self.count), (self.integers, self.reals, self.flags)
+        self._make(max(wanted, self.count + count, 2 * self.count))
+        self.reals[:, waiting] = before[1][:, waiting]
+        for now, then in ((self.integers, before[0]), (self.flags, before[2])):
+            for name, column in then.items():
+                now[name][waiting] = column[waiting]
 
     def run(self, count: int) -> slice:
         """The place of so many new rows."""
@@ -204,6 +210,15 @@ class Ticks:
 
     def __len__(self) -> int:
         return self._end - self._first
+
+    @classmethod
+    def of(cls, numbers: npt.ArrayLike, times: npt.ArrayLike) -> Ticks:
+        """Such ticks, ascending; times in seconds."""
+        ticks = cls()
+        ticks._numbers = np.array(numbers, dtype=np.int64)
+        ticks._times = np.array(times, dtype=np.float64)
+        ticks._end = len(ticks._numbers)
+        return ticks
 
     def append(self, number: int, time: float) -> None:
         """Note one more."""
@@ -242,7 +257,7 @@ class Store(Protocol):
     def add_members(
         self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
     ) -> None:
-        """Keep what entities are, before rows of theirs; geometries by their numbers."""
+        """Keep what entities are, all or none of it; geometries by their numbers."""
 
     def add(self, rows: Mapping[str, pa.Table]) -> None:
         """Keep the rows of whole ticks, all or none of them."""
@@ -282,28 +297,54 @@ class Recorder:
         self.members: dict[int, Member] = {}
         self._told = 0
         self._rows: _Rows | None = None
+        # Entities of which the store has not been told, and what numbers their geometries.
+        self._new: list[Member] = []
+        self._geometry_id: Callable[[Geometry], int] | None = None
 
     def note(self, snapshot: Snapshot) -> None:
-        """Keep a tick, if it is one to be kept; the caller holds its world."""
+        """Keep a tick, if it is one to be kept; the caller holds its world.
+
+        Raises:
+            RecordError: what waits cannot be stored in a folder; this tick waits with it.
+            SqlError: the same of a database.
+        """
         self._told += 1
         if (self._told - 1) % self.recording.every:
             return
         rows = self._rows_of(snapshot)
         counts = {table: rows.count(snapshot, table) for table in self.rings}
+        failed = self._tried(self._tell_new)
         if self._is_due(snapshot.time) or not all(
             self.rings[table].takes(count) for table, count in counts.items()
         ):
-            self.flush()
+            failed = failed or self._tried(self.flush)
             for table, count in counts.items():
                 self.rings[table].reserve(count, self._waits)
         for table, count in counts.items():
             rows.copy(snapshot, table, self.rings[table], self.rings[table].run(count))
         self.ticks.append(snapshot.number, snapshot.time)
-        if not snapshot.is_whole:
-            self.flush()  # where the ring has what is no number, the store has NULL
+        if not snapshot.is_whole:  # where the ring has what is no number, the store has NULL
+            failed = failed or self._tried(self.flush)
+        if failed is not None:
+            raise failed
+
+    @staticmethod
+    def _tried(store: Callable[[], None]) -> SelectScriptError | None:
+        """Why something could not be stored; None if it was."""
+        try:
+            store()
+        except SelectScriptError as error:
+            return error
+        return None
 
     def flush(self) -> None:
-        """Store what waits, and drop what is too old."""
+        """Store what waits, and drop what is too old.
+
+        Raises:
+            RecordError: it cannot be stored in a folder; it waits on.
+            SqlError: the same of a database.
+        """
+        self._tell_new()
         if self.rings["ticks"].count:
             self._store.add({table: ring.rows() for table, ring in self.rings.items()})
             for ring in self.rings.values():
@@ -355,10 +396,17 @@ class Recorder:
         if self._rows is None or not self._rows.fit(snapshot):
             self._rows = _Rows(snapshot, self.recording.entities)
             new = [m for m in self._rows.members if m.id not in self.members]
-            if new:
-                self._store.add_members(new, snapshot.geometry_id)
-                self.members |= {member.id: member for member in new}
+            self._new += new
+            self._geometry_id = snapshot.geometry_id
+            self.members |= {member.id: member for member in new}
         return self._rows
+
+    def _tell_new(self) -> None:
+        """Store what entities are, before rows of theirs."""
+        if self._new:
+            assert self._geometry_id is not None
+            self._store.add_members(self._new, self._geometry_id)
+            self._new = []
 
 
 def _ring(table: str) -> Ring:

@@ -49,9 +49,10 @@ class Snapshot:
         untold: tables whose rows nobody knows, and why: asking for them is an error.
         sensing: what its sensors have measured.
         calls: how often the narrow phase was called, over all ticks.
+        geometries: the numbers of geometries in the table of geometries, by their keys.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, geometries: dict[str, int] | None = None) -> None:
         self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
         self.number = 0
         self.time = 0.0
@@ -71,7 +72,7 @@ class Snapshot:
         # Tables that are read with every tick, asked for or not.
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
-        self._geometries: dict[str, int] = {}
+        self.geometries: dict[str, int] = {} if geometries is None else geometries
         self.sensing = Sensing()
         self.calls = Counter()
         self._shapes: Shapes | None = None
@@ -241,7 +242,7 @@ class Snapshot:
 
     def geometry_id(self, geometry: Geometry) -> int:
         """The number of a geometry in the table of geometries: equal ones have one."""
-        return self._geometries.setdefault(geometry.key, len(self._geometries) + 1)
+        return self.geometries.setdefault(geometry.key, len(self.geometries) + 1)
 
     def shapes(self) -> Shapes:
         """The shapes of this tick, to be compared; the table of shapes has to be asked for."""
@@ -404,7 +405,8 @@ class Snapshot:
 
     def _finish(self) -> None:
         """Date the tables that were written, and let their readers see it."""
-        self.tables["ticks"]["wall_time"].fill(time.time())
+        if not self._is_past:
+            self.tables["ticks"]["wall_time"].fill(time.time())
         for name in ("entities", "ticks", *self._read):
             table = self.tables[name]
             table["tick"].fill(self.number)

@@ -255,10 +255,16 @@ class World(Followed, WorldSpellings):
     def _take(self) -> None:
         self._update_members()
         self.snapshot.take(self._simulator, self._members)
+        failed = None
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
-                recorder.note(self.snapshot)
+                try:
+                    recorder.note(self.snapshot)
+                except SelectScriptError as error:  # a full disk is no trouble of the others
+                    failed = failed or error
+        if failed is not None:
+            raise failed
 
     @property
     def is_final(self) -> bool:

@@ -1,0 +1,265 @@
+"""Kill recorders, and open what they left: `python -m tools.kill [COUNT] [--seed N] [--to KIND]`.
+
+A process of its own records a small world and stores it at random moments; it tells each tick, and
+each tick that is stored. It is killed at a random moment. Its record has to open, to hold all that
+was told to be stored, whole ticks only, with the rows and the values that they had. The exit status
+is 1 if one does not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import RecordError
+
+Kind: TypeAlias = Literal["parquet", "file"]
+TABLES = ("entities", "links", "joints", "shapes", "contacts")
+BALLS = 8
+# Seconds after which a recorder is killed at the latest.
+LONGEST = 1.2
+EACH = 20
+
+
+def place_of(ball: int, tick: int) -> list[float]:
+    """Where a ball is put at a tick, m."""
+    return [ball * 1.0, math.sin(tick * 0.01 + ball), 1.0 + tick * 0.001]
+
+
+def angle_of(tick: int) -> float:
+    """Where the joint of the arm is put at a tick, rad."""
+    return math.sin(tick * 0.02)
+
+
+# -- the process that is killed ---------------------------------------------------------------
+
+
+def record(kind: Kind, path: str, seed: int) -> None:
+    """Record, and tell of it on standard output, until this process is killed."""
+    chance = random.Random(seed)  # noqa: S311  # no secret
+    world, move = _world(chance)
+    recording = Recording(tables=TABLES)
+    _tell(begun=True)
+    if kind == "file":
+        ss = ssduck.Interpreter(path, recording=recording)
+        ss.add_variable("lab", world)
+        flush = ss.flush
+    else:
+        ss = ssduck.Interpreter()
+        ss.add_variable("lab", world)
+        flush = ss.record_to(path, "lab", recording).flush  # type: ignore[assignment]
+    while True:
+        number = world.snapshot.number
+        _tell(tick=number, counts={name: world.snapshot.tables[name].count for name in TABLES})
+        if chance.random() < 0.1:
+            flush()
+            _tell(stored=number)
+        move(number + 1)
+        world.step()
+
+
+def _world(chance: random.Random) -> tuple[ssduck.World, Any]:
+    """A world, and what puts its bodies where they are to be at a tick."""
+    import pybullet
+
+    client = pybullet.connect(pybullet.DIRECT)
+    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.2, 0.2, 0.2])
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
+    balls = [pybullet.createMultiBody(1, ball) for _ in range(BALLS)]
+    pybullet.createMultiBody(0, box, basePosition=[0, 0, -5])
+    pushed = pybullet.createMultiBody(1, box)
+    arm = pybullet.createMultiBody(
+        0,
+        box,
+        basePosition=[0, 0, -9],
+        linkMasses=[1],
+        linkCollisionShapeIndices=[ball],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[[0, 0, 0.5]],
+        linkOrientations=[[0, 0, 0, 1]],
+        linkInertialFramePositions=[[0, 0, 0]],
+        linkInertialFrameOrientations=[[0, 0, 0, 1]],
+        linkParentIndices=[0],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE],
+        linkJointAxis=[[1, 0, 0]],
+    )
+    names = {body: f"ball {number}" for number, body in enumerate(balls)} | {arm: "arm"}
+    guests: list[int] = []
+
+    def move(tick: int) -> None:
+        for number, body in enumerate(balls):
+            place = place_of(number, tick)
+            pybullet.resetBasePositionAndOrientation(body, place, [0, 0, 0, 1])
+            pybullet.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0])
+        # It touches what stands below at every other tick.
+        height = -4.61 if tick % 2 else -3
+        pybullet.resetBasePositionAndOrientation(pushed, [0, 0, height], [0, 0, 0, 1])
+        pybullet.resetJointState(arm, 0, angle_of(tick), 0)
+        if chance.random() < 0.05:
+            if guests:
+                pybullet.removeBody(guests.pop())
+            else:
+                guests.append(pybullet.createMultiBody(0, box, basePosition=[0, 0, -20]))
+
+    world = ssduck.World.attach(client, names=names)
+    move(2)  # the first tick that is recorded: contacts are read with it
+    return world, move
+
+
+def _tell(**told: Any) -> None:
+    sys.stdout.write(json.dumps(told) + "\n")
+    sys.stdout.flush()
+
+
+# -- what is looked at then -------------------------------------------------------------------
+
+
+@dataclass
+class Told:
+    """What a recorder told before it was killed.
+
+    Attributes:
+        counts: of each tick, how many rows each table had.
+        stored: the last tick that was told to be stored; 0 for none.
+    """
+
+    counts: dict[int, dict[str, int]] = field(default_factory=dict)
+    stored: int = 0
+
+
+def killed(kind: Kind, path: Path, seed: int) -> Told:
+    """Start a recorder, kill it at a random moment; what it told."""
+    code = f"from tools.kill import record; record({kind!r}, {str(path)!r}, {seed})"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)  # noqa: S603
+    assert process.stdout is not None
+    while not process.stdout.readline().startswith('{"begun"'):
+        if process.poll() is not None:
+            raise RuntimeError("the recorder ended by itself")
+    time.sleep(random.Random(seed).uniform(0.0, LONGEST))  # noqa: S311
+    process.kill()
+    rest, _ = process.communicate()
+    told = Told()
+    for line in rest.splitlines():
+        with contextlib.suppress(ValueError):  # the last one may be cut off
+            entry = json.loads(line)
+            if "tick" in entry:
+                told.counts[entry["tick"]] = entry["counts"]
+            told.stored = entry.get("stored", told.stored)
+    return told
+
+
+def faults(path: Path, told: Told) -> tuple[list[str], int]:
+    """What is wrong with a record, and how many ticks it holds."""
+    try:
+        ss = ssduck.open(path)
+    except RecordError as error:
+        # Nothing may be there yet.
+        return ([f"it does not open: {error}"] if told.stored else []), 0
+    with ss:
+        ticks = ss.past("lab").ticks
+        return list(_faults(ss, ticks, told)), len(ticks)
+
+
+def _faults(ss: ssduck.Interpreter, ticks: list[int], told: Told) -> Any:
+    if ticks[-1] < told.stored:
+        yield f"tick {told.stored} was stored; the last one is {ticks[-1]}"
+    if ticks != list(range(ticks[0], ticks[-1] + 1)):
+        yield "ticks are missing in between"
+    known = [tick for tick in told.counts if tick <= ticks[-1]]
+    if ticks[-1] not in told.counts or ticks[0] > min(known):
+        yield f"ticks {ticks[0]} to {ticks[-1]} are kept, of {min(known)} to {max(told.counts)}"
+    for table in TABLES:
+        rows = ss.sql(f"SELECT tick, count(*) FROM {table}_history GROUP BY tick").fetchall()  # noqa: S608
+        found = dict(rows)
+        for tick in ticks:
+            wanted = told.counts.get(tick, {}).get(table)
+            if found.get(tick, 0) != wanted:
+                yield f"tick {tick} has {found.get(tick, 0)} rows of {table}, not {wanted}"
+        if set(found) - set(ticks):
+            yield f"{table} has rows of ticks that are not there"
+    query = "SELECT tick, name, x, y, z FROM entities_history WHERE name LIKE 'ball%'"
+    for tick, name, *place in ss.sql(query).fetchall():
+        if not _close(place, place_of(int(name.split()[1]), tick)):
+            yield f"{name} is at {place} at tick {tick}"
+    for tick, angle in ss.sql("SELECT tick, position FROM joints_history").fetchall():
+        if not _close([angle], [angle_of(tick)]):
+            yield f"the joint is at {angle} at tick {tick}"
+
+
+def _close(found: list[float], wanted: list[float]) -> bool:
+    return all(abs(a - b) < 1e-9 for a, b in zip(found, wanted, strict=True))
+
+
+@dataclass
+class Run:
+    """Kills recorders one after the other, and counts.
+
+    Attributes:
+        kinds: where to they record, in turn.
+        found: what was wrong, by the seed.
+        stored: in how many records something was told to be stored.
+        ticks: how many ticks were found in all of them.
+    """
+
+    kinds: tuple[Kind, ...]
+    found: dict[int, list[str]] = field(default_factory=dict)
+    stored: int = 0
+    ticks: int = 0
+
+    def add(self, seed: int) -> None:
+        """One more."""
+        kind = self.kinds[seed % len(self.kinds)]
+        folder = Path(tempfile.mkdtemp(prefix="ssduck-kill-"))
+        try:
+            path = folder / ("run.duckdb" if kind == "file" else "run")
+            told = killed(kind, path, seed)
+            wrong, ticks = faults(path, told)
+        finally:
+            shutil.rmtree(folder)
+        self.stored += told.stored > 0
+        self.ticks += ticks
+        if wrong:
+            self.found[seed] = wrong
+            print(f"seed {seed}, {kind}: {len(wrong)} faults, {'; '.join(wrong[:3])}", flush=True)
+
+
+KINDS: dict[str, tuple[Kind, ...]] = {
+    "parquet": ("parquet",),
+    "file": ("file",),
+    "both": ("parquet", "file"),
+}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Kill recorders, and open what they left.")
+    parser.add_argument("count", nargs="?", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0, help="the first recorder's")
+    parser.add_argument("--to", choices=list(KINDS), default="both", help="what is recorded to")
+    given = parser.parse_args()
+    run, started = Run(KINDS[given.to]), time.monotonic()
+    for number in range(given.count):
+        run.add(given.seed + number)
+        if (number + 1) % EACH == 0:
+            print(f"{number + 1} killed, {len(run.found)} records with faults", flush=True)
+    print(
+        f"{given.count} killed in {time.monotonic() - started:.0f} s, {run.stored} of them after "
+        f"something was stored; {run.ticks} ticks found, {len(run.found)} records with faults"
+    )
+    return 1 if run.found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
