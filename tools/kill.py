@@ -24,7 +24,7 @@ from typing import Any, Literal, TypeAlias
 
 import ssduck
 from ssduck import Recording
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, SelectScriptError
 
 Kind: TypeAlias = Literal["parquet", "file"]
 TABLES = ("entities", "links", "joints", "shapes", "contacts")
@@ -168,6 +168,8 @@ def faults(path: Path, told: Told) -> tuple[list[str], int]:
     except RecordError as error:
         # Nothing may be there yet.
         return ([f"it does not open: {error}"] if told.stored else []), 0
+    except SelectScriptError as error:
+        return [f"it opens with another error: {error}"], 0
     with ss:
         ticks = ss.past("lab").ticks
         return list(_faults(ss, ticks, told)), len(ticks)
