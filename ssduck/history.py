@@ -12,7 +12,8 @@ takes no time and gives its memory back.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, Protocol
@@ -134,19 +135,31 @@ class History:
         self._writer.close()
 
     def _make(self, world: str) -> None:
-        self._writer.run(f"CREATE SCHEMA {quoted(self.schema)}")
         about = {
             "version": VERSION,
             "world": world,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "recording": asdict(self.recording),
         }
-        self._writer.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
-        for table, columns in MODELS.items():
-            self._writer.run(_create(self.place(f"{table} model"), columns))
-        for table in self.tables:
-            for slot in range(self._slots):
-                self._writer.run(_create(self._slot(table, slot), self._columns(table)))
+        with self._whole():
+            self._writer.run(f"CREATE SCHEMA {quoted(self.schema)}")
+            self._writer.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
+            for table, columns in MODELS.items():
+                self._writer.run(_create(self.place(f"{table} model"), columns))
+            for table in self.tables:
+                for slot in range(self._slots):
+                    self._writer.run(_create(self._slot(table, slot), self._columns(table)))
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """What is written in here is stored together, or not at all."""
+        self._writer.run("BEGIN")
+        try:
+            yield
+        except BaseException:
+            self._writer.run("ROLLBACK")
+            raise
+        self._writer.run("COMMIT")
 
     @property
     def views(self) -> dict[str, str]:
@@ -212,15 +225,10 @@ class History:
 
     def _insert(self, rows: Mapping[str, pa.Table]) -> None:
         """Add rows to tables, all or none of them."""
-        self._writer.run("BEGIN")
-        try:
+        with self._whole():
             for place, own in rows.items():
                 if own.num_rows:
                     self._writer.insert(place, own)
-        except BaseException:
-            self._writer.run("ROLLBACK")
-            raise
-        self._writer.run("COMMIT")
 
     def _turn(self, tick: int) -> None:
         """Take the next slot, if a quarter of what is kept is in this one."""

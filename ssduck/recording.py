@@ -299,6 +299,8 @@ class Recorder:
         self._rows: _Rows | None = None
         # Entities of which the store has not been told, and what numbers their geometries.
         self._new: list[Member] = []
+        # How many ticks wait before storing them is tried again.
+        self._tries_at = 0
         self._geometry_id: Callable[[Geometry], int] | None = None
 
     def note(self, snapshot: Snapshot) -> None:
@@ -314,10 +316,14 @@ class Recorder:
         rows = self._rows_of(snapshot)
         counts = {table: rows.count(snapshot, table) for table in self.rings}
         failed = self._tried(self._tell_new)
+        waiting = self.rings["ticks"].count
         if self._is_due(snapshot.time) or not all(
             self.rings[table].takes(count) for table, count in counts.items()
         ):
-            failed = failed or self._tried(self.flush)
+            if waiting >= self._tries_at:
+                failed = failed or self._tried(self.flush)
+                # What grows is not tried again at each tick.
+                self._tries_at = waiting + self._waits if failed else 0
             for table, count in counts.items():
                 self.rings[table].reserve(count, self._waits)
         for table, count in counts.items():
@@ -349,6 +355,7 @@ class Recorder:
             self._store.add({table: ring.rows() for table, ring in self.rings.items()})
             for ring in self.rings.values():
                 ring.clear()
+            self._tries_at = 0
         oldest = self._oldest()
         if oldest is not None:
             self.ticks.forget_before(self._store.drop_before(oldest))

@@ -69,6 +69,8 @@ class Folder:
 
     def add(self, rows: Mapping[str, pa.Table]) -> None:
         """Keep the rows of whole ticks as a part, all or none of them."""
+        if not self._told:  # the world is empty
+            self.add_members((), lambda _: 0)
         for table, own in rows.items():
             if table != "ticks":
                 self._write(table, self._count, self._whole(table, own, rows["entities"]))

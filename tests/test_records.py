@@ -854,6 +854,29 @@ def test_files_of_another_version_or_damaged(tmp_path, client, about, told):
         ssduck.open(path)
 
 
+def test_names_that_recorded_runs_have_are_taken(tmp_path, client):
+    with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client))
+        with pytest.raises(ArgumentError, match="a recorded run is called so in SQL"):
+            ss.add_variable("lab_record_0", world)
+        with pytest.raises(ArgumentError, match="no entity 'nobody'"):
+            ss.record("lab", Recording(entities=("nobody",)))
+        world.step()
+        assert ss.past("lab").ticks == [1, 2]  # it was recorded on
+
+
+def test_what_was_never_closed_is_stored_when_the_interpreter_is(tmp_path, client):
+    ss = ssduck.Interpreter()
+    world = ss.add_variable("lab", ssduck.World.attach(client))
+    ss.record_to(tmp_path / "run")
+    world.step()
+    ss.close()
+    world.step()
+    assert ssduck.episodes(tmp_path / "run")[0].last_tick == world.snapshot.number - 1
+    with ssduck.open(tmp_path / "run") as opened:  # an empty world, then and now
+        assert opened.eval("count(SELECT this FROM lab{} AS list);") == 0
+
+
 # -- a full disk ------------------------------------------------------------------------------
 
 FULL = """
