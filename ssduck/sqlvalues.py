@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -155,6 +156,8 @@ def literal(value: Any) -> exp.Expr:
     """A value as it is written in DuckDB's SQL."""
     if isinstance(value, list):
         return exp.Array(expressions=[literal(element) for element in value])
+    if isinstance(value, float) and not math.isfinite(value):
+        return exp.cast(exp.Literal.string(str(value)), "DOUBLE")
     if isinstance(value, float):
         # DuckDB takes a number for a DOUBLE, and not for a DECIMAL, by its exponent.
         text = repr(float(value))

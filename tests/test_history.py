@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 import threading
 import weakref
 from typing import Any
@@ -543,3 +544,25 @@ def test_a_window_is_compared_once(looked_at: ssduck.Interpreter) -> None:
     ).fetchall()
     assert 0 < pairs <= meeting
     assert found
+
+
+def test_a_long_window_has_its_values_written_in(falling: ssduck.Interpreter) -> None:
+    from ssduck import queries
+
+    _step(falling, 60)
+    for name in ("board", "ball_0"):
+        falling.add_variable(name, falling.call_variable("lab")[name])
+    program = (
+        "SELECT tick(this) FROM lab{} WHERE this == ball_0 AND near(board, this, 0.4) AS list;"
+    )
+    wanted = falling.eval(program)
+    told: list[str] = []
+    falling._database._tracer = told.append
+    before, queries.LONG = queries.LONG, 10
+    try:
+        assert falling.eval(program) == wanted != []
+    finally:
+        queries.LONG = before
+    (sql,) = [sql for sql in told if "entities_history" in sql]
+    assert re.search(r"BETWEEN 1 AND 6\d", sql)
+    assert "$" not in sql
