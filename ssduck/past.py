@@ -501,11 +501,9 @@ class RecordedWorld(PastWorld):
         record.world = self
         posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
         super().__init__(record, posed, snapshot)
-        snapshot.tables["ticks"]["wall_time"][:] = record.rows("ticks", snapshot.number)[
-            "wall_time"
-        ]
         self.archive = archive
         self._tick = snapshot.number
+        self._tell_wall_time()
         self._times, first = np.unique(record.ticks.times, return_index=True)
         self._firsts = record.ticks.numbers[first]
         steps = np.diff(self._times)
@@ -569,6 +567,12 @@ class RecordedWorld(PastWorld):
 
     def _take(self) -> None:
         self._simulator = self._record.take(self.snapshot, self._tick)
+        self._tell_wall_time()
+
+    def _tell_wall_time(self) -> None:
+        """What time of day it was at the tick."""
+        told = self._record.rows("ticks", self._tick)["wall_time"]
+        self.snapshot.tables["ticks"]["wall_time"][:] = told
 
     def entity(self, id: int) -> Entity:
         """The handle of an entity that is there, by its id."""

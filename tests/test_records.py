@@ -251,6 +251,18 @@ def test_each_past_tick_is_the_same(tmp_path, client):
                 assert opened.eval(program) == ss.eval(program)
 
 
+def test_the_time_of_day_goes_along(tmp_path, client):
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client))
+        world.step()
+        ss.export(tmp_path / "run")
+        wanted = rows(ss, "ticks_history")
+    with ssduck.open(tmp_path / "run") as opened:
+        assert rows(opened, "ticks") == wanted[1:]
+        opened.call_variable("lab").seek(0.0)
+        assert rows(opened, "ticks") == wanted[:1]
+
+
 def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     opened = kitchen[2]["folder"]
     world = opened.call_variable("kitchen")
