@@ -911,6 +911,7 @@ class Database:
         if bound.kept is None:
             return
         kept = bound.kept
+        kept.record.is_closed = True
         if kept.recorder is None:
             bound.kept = None
             kept.history.close(forget=False)

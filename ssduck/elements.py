@@ -131,7 +131,12 @@ def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> Follower:
 
 
 def pairs_then(
-    candidates: Candidates, apart: exp.Expr, row: Span, ids: tuple[exp.Expr, exp.Expr], name: str
+    candidates: Candidates,
+    apart: exp.Expr,
+    row: Span,
+    ids: tuple[exp.Expr, exp.Expr],
+    columns: tuple[exp.Expr, exp.Expr],
+    name: str,
 ) -> Follower:
     """Whether a relation holds of two entities at the tick of a row: all ticks asked at once.
 
@@ -139,7 +144,8 @@ def pairs_then(
         candidates: whose pairs: those that collide, or are within a distance.
         apart: that distance.
         row: the ticks, and that of the row.
-        ids: of the entities.
+        ids: of the entities, as far as they are the same at each tick.
+        columns: their ids at the row.
         name: what the table of pairs is called.
     """
     arguments: list[exp.Expr] = [
@@ -153,12 +159,12 @@ def pairs_then(
         arguments.append(exp.cast(apart.copy(), "DOUBLE"))
     found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
     each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
-    columns = [
+    parts = [
         exp.alias_(exp.func("list_extract", exp.column("p"), exp.Literal.number(place)), column)
         for place, column in enumerate(("tick", "a", "b", "known"), start=1)
     ]
-    table = exp.select(*columns).from_(each).subquery(exp.to_identifier(name, quoted=True))
-    equal = zip(("tick", "a", "b"), (row.tick, *ids), strict=True)
+    table = exp.select(*parts).from_(each).subquery(exp.to_identifier(name, quoted=True))
+    equal = zip(("tick", "a", "b"), (row.tick, *columns), strict=True)
     on = exp.and_(*(exp.EQ(this=column_of(name, c), expression=e.copy()) for c, e in equal))
     join = exp.Join(this=table, side="LEFT", on=on)
     none = exp.Is(this=column_of(name, "tick"), expression=exp.Null())

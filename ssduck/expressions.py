@@ -88,6 +88,8 @@ class Expressions:
         self._parameters: dict[str, exp.Expr] = {}
         # Of sources that are several ticks, which ones, by the tick of the current row.
         self.spans: dict[str, Span] = {}
+        # The ticks of sources that are a world at its present one, beside its past.
+        self.present: set[str] = set()
 
     def inside(self) -> Expressions:
         """The expressions of a query nested in this one."""
@@ -378,10 +380,13 @@ class Expressions:
             return
         if not rows:
             schemas = {handle.tag.schema for handle in handles.values()}
-            rows = [v for v in self._all_rows() if v.tag.past and v.tag.schema in schemas]
+            found = [v for v in self._all_rows() if v.tag.past and v.tag.schema in schemas]
+            rows = found[-1:]
         if not rows:
             return
         row = rows[0]
+        if row.column is not None and row.column("tick").sql() in self.present:
+            return  # they are at that tick
         for name, handle in handles.items():
             if handle.tag.schema != row.tag.schema:
                 continue
@@ -417,7 +422,8 @@ class Expressions:
         key = (relation.name, apart.sql(), span.tick.sql(), *(id.sql() for id in ids))
         if key not in self.followers:
             name = self.context.alias("pairs then")
-            self.followers[key] = pairs_then(candidates, apart, span, ids, name)
+            columns = a.column("id"), b.column("id")
+            self.followers[key] = pairs_then(candidates, apart, span, ids, columns, name)
         return self.followers[key].value
 
     def _leading(self, tick: exp.Expr) -> str:
@@ -452,7 +458,12 @@ class Expressions:
         elif known.tag.type == "text":
             models = exp.table_("entities_model", db=span.schema)
             of_name = exp.EQ(this=exp.column("name"), expression=known.sql.copy())
-            id = exp.select("id").from_(models).where(of_name).subquery()
+            # There may have been several of a name: then it may be any.
+            told = exp.case(exp.Count(this=exp.Star())).when(
+                "1", exp.func("any_value", exp.column("id"))
+            )
+            told = told.when("0", exp.Literal.number(-1)).else_(exp.Literal.number(0))
+            id = exp.select(told).from_(models).where(of_name).subquery()
         if id is not None:
             self.spans[span.tick.sql()] = replace(span, id=id)
 

@@ -457,6 +457,8 @@ class Interpreter(TriggerVerbs):
             ArgumentError: it is no world of this interpreter, or has no entity of a name.
             UnsupportedError: it is a record itself.
         """
+        if not isinstance(recording, Recording | None):
+            raise ArgumentError(f"what is kept is told by a Recording, not {shown(recording)}")
         with self._lock:
             self._database.record(self._world(world), recording)
             self._planner.forget()
@@ -537,6 +539,7 @@ class Interpreter(TriggerVerbs):
         """
         chosen = self.eval(entities) if isinstance(entities, str | Compiled) else entities
         names = None if chosen is None else _names(chosen)
+        start, end = (None if time is None else seconds_of(time) for time in (start, end))
         with self._lock:
             worlds = (
                 [w for w in self._database.worlds.values() if self._database.keeps(w)]
@@ -867,6 +870,8 @@ def _names(entities: Iterable[str | Entity]) -> tuple[str, ...]:
         if not isinstance(entity, str | Entity):
             raise ArgumentError(f"entities are to be names or entities, not {shown(entity)}")
         found.append(entity if isinstance(entity, str) else entity.name)
+    if not found:
+        raise ArgumentError("there are no entities to be written")
     return tuple(dict.fromkeys(found))
 
 

@@ -50,7 +50,8 @@ def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]
 
 
 def _same(a: Any, b: Any) -> bool:
-    return type(a) is type(b) and bool(a == b)
+    is_nan = a != a and b != b  # noqa: PLR0124  # what is no number is as it was
+    return type(a) is type(b) and (is_nan or bool(a == b))
 
 
 def _ends(value: Any) -> tuple[float, float]:

@@ -7,6 +7,7 @@ expression; what it gives is made of these in Python.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from ssduck.errors import ArgumentError, UnsupportedError
 from ssduck.evaluate import Frame
 from ssduck.functions import Function
 from ssduck.intervals import changes_of, intervals_of
+from ssduck.messages import shown
 from ssduck.operators import truth
 from ssduck.past import Past, Record
 from ssduck.tree import Aged, Bare, Call, Given, Index, Name, Node, Query, Source, This
@@ -112,11 +114,18 @@ def _changes(series: Series, age: Any) -> list[list[Any]]:
 
 def _least(series: Series, age: Any) -> list[Any] | None:
     times, values = series.at(series.record.past(age))
-    known = [(value, time) for time, value in zip(times, values, strict=True) if value is not None]
+    known = [(value, time) for time, value in zip(times, values, strict=True) if _is_number(value)]
+    others = [v for v in values if v is not None and not isinstance(v, int | float)]
+    if others:
+        raise ArgumentError(f"least takes an expression of numbers, not {shown(others[0])}")
     if not known:
         return None
     value, time = min(known, key=lambda entry: entry[0])
     return [time, value]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not math.isnan(value)
 
 
 FORMS: dict[str, Form] = {

@@ -7,6 +7,7 @@ and `kitchen{}` are: some ticks of a record, whose entities are handles that sta
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Frames
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
+from ssduck.temporal import seconds_of
 from ssduck.world import World
 
 if TYPE_CHECKING:
@@ -106,6 +108,8 @@ class Record:
             OrderedDict()
         )
         self._placings: dict[tuple[int, ...], _Placing] = {}
+        # Whether another record has taken its place, or none.
+        self.is_closed = False
         # How often the narrow phase is called counts for the world, at whatever tick.
         self.calls = Counter() if world is None else world.snapshot.calls
 
@@ -113,9 +117,11 @@ class Record:
 
     def until_now(self) -> tuple[npt.NDArray[np.int64], Array]:
         """The numbers and times of the ticks that are kept, up to the world's present one."""
-        numbers = self.ticks.numbers
-        end = int(np.searchsorted(numbers, self.world.snapshot.number, side="right"))
-        return numbers[:end], self.ticks.times[:end]
+        with self.world.lock:
+            self.check_open()
+            numbers = self.ticks.numbers
+            end = int(np.searchsorted(numbers, self.world.snapshot.number, side="right"))
+            return numbers[:end], self.ticks.times[:end]
 
     def past(self, age: float | None) -> Past:
         """Some ticks: the one at a time, those of the last seconds, or all.
@@ -164,12 +170,14 @@ class Record:
         Raises:
             EvaluationError: the tick is not kept, or not any more.
         """
-        if tick not in self._worlds:
-            while len(self._worlds) >= MOST_WORLDS:
-                self._worlds.popitem(last=False)
-            self._worlds[tick] = PastWorld(self, *self.taken(tick))
-        self._worlds.move_to_end(tick)
-        return self._worlds[tick]
+        with self.world.lock:
+            self._place_of(tick)
+            if tick not in self._worlds:
+                while len(self._worlds) >= MOST_WORLDS:
+                    self._worlds.popitem(last=False)
+                self._worlds[tick] = PastWorld(self, *self.taken(tick))
+            self._worlds.move_to_end(tick)
+            return self._worlds[tick]
 
     def taken(self, tick: int) -> tuple[Posed, Snapshot]:
         """What stands for a simulator at a tick, and the snapshot of it.
@@ -225,7 +233,20 @@ class Record:
             snapshot.tables[table].fill(len(told["tick"]), told)
         return posed
 
+    def check_open(self) -> None:
+        """Complain if it is kept no longer.
+
+        Raises:
+            EvaluationError: something else is recorded of the world since, or nothing.
+        """
+        if self.is_closed:
+            raise EvaluationError(
+                f"what was recorded of {self.world.name!r} is kept no longer: it is recorded anew, "
+                "or not at all"
+            )
+
     def _place_of(self, tick: int) -> int:
+        self.check_open()
         place = int(np.searchsorted(self.ticks.numbers, tick))
         if place == len(self.ticks) or self.ticks.numbers[place] != tick:
             raise EvaluationError(
@@ -315,6 +336,11 @@ class Record:
 
     def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
         """The columns of a table at a tick; NaN for what is not known."""
+        with self.world.lock:
+            return self._rows(table, tick)
+
+    def _rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
+        self.check_open()
         number = tick // BLOCK
         # What is recorded meanwhile makes a block another one.
         last = min((number + 1) * BLOCK - 1, int(self.ticks.numbers[-1]))
@@ -326,8 +352,9 @@ class Record:
         self._blocks.move_to_end(key)
         block = self._blocks[key]
         if table not in block:
-            found = self.fetch(table, number * BLOCK, last).sort_by("tick")
-            block[table] = {name: found[name].to_numpy() for name in found.column_names}
+            found = self.fetch(table, number * BLOCK, last)
+            order = np.argsort(found["tick"].to_numpy(), kind="stable")
+            block[table] = {name: found[name].to_numpy()[order] for name in found.column_names}
         columns = block[table]
         first, end = np.searchsorted(columns["tick"], [tick, tick + 1])
         return {name: column[first:end] for name, column in columns.items()}
@@ -499,6 +526,7 @@ class RecordedWorld(PastWorld):
     def __init__(self, name: str, record: Record, archive: Archive) -> None:
         self.name, self.camera = name, Camera()
         record.world = self
+        self.lock = threading.RLock()  # reading a record takes it
         posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
         super().__init__(record, posed, snapshot)
         self.archive = archive
@@ -532,7 +560,9 @@ class RecordedWorld(PastWorld):
 
         Raises:
             EvaluationError: nothing of that time is recorded.
+            ArgumentError: it is no finite number.
         """
+        time = seconds_of(time, "a time")
         with self.lock:
             self._check_not_held()
             times = self._record.ticks.times
@@ -622,11 +652,31 @@ class Past:
 
     @property
     def _chosen(self) -> tuple[list[int], list[float]]:
+        with self.record.world.lock:
+            self.check()
+            numbers = self.record.ticks.numbers
+            ends = (
+                np.searchsorted(numbers, self.first),
+                np.searchsorted(numbers, self.last, "right"),
+            )
+            chosen = slice(*ends)
+            return numbers[chosen].tolist(), self.record.ticks.times[chosen].tolist()
+
+    def check(self) -> None:
+        """Complain if some of the ticks are kept no longer.
+
+        Raises:
+            EvaluationError: they are not, or nothing of that record is.
+        """
+        self.record.check_open()
         numbers = self.record.ticks.numbers
-        chosen = slice(
-            np.searchsorted(numbers, self.first), np.searchsorted(numbers, self.last, "right")
-        )
-        return numbers[chosen].tolist(), self.record.ticks.times[chosen].tolist()
+        if not len(numbers) or self.first < numbers[0]:
+            told = (
+                f"the first that is kept is tick {numbers[0]}" if len(numbers) else "none is kept"
+            )
+            raise EvaluationError(
+                f"tick {self.first} of {self.world.name!r} is kept no longer; {told}"
+            )
 
     def __iter__(self) -> Iterator[Entity]:
         """The entities at each tick, tick by tick."""
@@ -650,11 +700,19 @@ class Past:
         return self.record.at(self.ticks[-1])[name]
 
     def __repr__(self) -> str:
-        times = self.times
+        try:
+            times = self.times
+        except EvaluationError as error:
+            return f"<Past of {self.world.name!r}: {error.message}>"
         told = f"t={times[0]:g} s" if not self.is_window else f"{len(times)} ticks"
         if self.is_window and times:
             told += f" from {times[0]:g} s to {times[-1]:g} s"
         return f"<Past of {self.world.name!r}: {told}>"
+
+
+def at_moment(entity: Entity, moment: Moment) -> Entity:
+    """The handle of an entity as it is at a tick."""
+    return type(entity)(entity.world, entity.id, entity.name, entity.kind, moment)
 
 
 def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | None:
@@ -671,8 +729,9 @@ def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | 
         return values
     first = next((v for v in values if isinstance(v, Entity) and v.moment is not None), None)
     if first is None:
-        past = (v for v in elements if isinstance(v, Entity) and v.moment is not None)
-        first = next((v for v in past if v.world in worlds), None)
+        # Those of the query itself come last.
+        past = [v for v in elements if isinstance(v, Entity) and v.moment is not None]
+        first = next((v for v in reversed(past) if v.world in worlds), None)
     if first is None:
         return values
     moment = first.moment
@@ -680,7 +739,7 @@ def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | 
     found: list[Any] = []
     for value in values:
         if isinstance(value, Entity) and value.moment is None and value.world is first.world:
-            there = moment.record.entity(moment.tick, value.id)
+            there = at_moment(value, moment)
             if not there.is_there:
                 return None
             found.append(there)
@@ -704,4 +763,4 @@ class Now:
     def __iter__(self) -> Iterator[Entity]:
         """The entities."""
         for entity in self.world:
-            yield self.record.entity(self.tick, entity.id)
+            yield at_moment(entity, Moment(self.record, self.tick))

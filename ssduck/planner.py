@@ -8,11 +8,13 @@ from typing import Any, Protocol
 from ssduck.database import Database
 from ssduck.deferred import Deferred
 from ssduck.dependencies import aliases_of, is_impure, mentions, sees_outside, states
+from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.evaluate import Frame, Scope
 from ssduck.functions import Function
 from ssduck.limits import Limits
 from ssduck.messages import kind_of, shown
+from ssduck.past import Past
 from ssduck.plan import Plan, Shape
 from ssduck.queries import Planned, RowByRow, SqlFailedError, is_small
 from ssduck.resolve import resolve
@@ -168,7 +170,11 @@ class Planner:
         if any(mentions(source.value, states(query)) for source in query.sources):
             raise NotSqlError
         while True:
-            values = beside_past(self._values(query, frame))
+            elements = frame.own_elements()
+            values = beside_past(self._values(query, frame), elements)
+            self._check_records(values)
+            if any(isinstance(value, Entity) and value.moment is not None for value in elements):
+                raise NotSqlError  # handles in it go with a row of a query around it
             shapes = shapes_of(query, values, self._database.schema_of)
             if quickest and query.sources and is_small(query, shapes, values):
                 raise _SmallError(values, shapes)
@@ -213,6 +219,15 @@ class Planner:
         self._plans.setdefault(query, []).append(planned)
         return planned
 
+    def _check_records(self, values: Sequence[Any]) -> None:
+        """Complain of the past of a world that is recorded for another interpreter, too."""
+        for value in values:
+            known = isinstance(value, Past) and value.world in self._database.worlds.values()
+            if known and self._database.record_of(value.world) is not value.record:
+                raise EvaluationError(
+                    f"this past of {value.world.name!r} is of another interpreter's record"
+                )
+
     # -- row by row -------------------------------------------------------------------------
 
     def _run_row_by_row(self, query: Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
@@ -221,7 +236,8 @@ class Planner:
             [] if mentions(source.value, changed) else frame.value(source.value)
             for source in query.sources
         ]
-        values = beside_past(values)
+        values = beside_past(values, frame.own_elements())
+        self._check_records(values)
         shapes = shapes_of(query, values, self._database.schema_of)
         return self._rows_of(query, shapes, frame, check).run(frame, values)
 

@@ -68,7 +68,8 @@ class Recording:
     def __post_init__(self) -> None:
         for name in ("tables", "entities"):
             value = getattr(self, name)
-            if isinstance(value, str):
+            is_list = isinstance(value, list | tuple | set | frozenset)
+            if value is not None and not (is_list and all(isinstance(v, str) for v in value)):
                 raise ArgumentError(f"{name} is to be a list of names, not {shown(value)}")
             if value is not None:
                 object.__setattr__(self, name, tuple(value))
@@ -84,7 +85,8 @@ class Recording:
             value = getattr(self, name)
             if value is not None and (type(value) is not int or value < 1):
                 raise ArgumentError(f"{name} is to be a whole number above 0, not {shown(value)}")
-        if self.seconds is not None and not 0.0 < self.seconds < math.inf:
+        is_number = isinstance(self.seconds, int | float) and not isinstance(self.seconds, bool)
+        if self.seconds is not None and not (is_number and 0.0 < self.seconds < math.inf):
             raise ArgumentError(f"seconds is to be a number above 0, not {shown(self.seconds)}")
 
     @property

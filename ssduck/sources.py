@@ -196,9 +196,25 @@ _ARROW_TYPES = {
 }
 
 
-def beside_past(values: Sequence[Any]) -> list[Any]:
-    """The values of sources; a world whose past is one as well, as it is at its present tick."""
-    records = {value.world: value.record for value in values if isinstance(value, Past)}
+def beside_past(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
+    """The values of sources; a world whose past is one as well, as it is at its present tick.
+
+    Args:
+        values: of the sources of a query.
+        elements: those of the queries around it that it depends on.
+
+    Raises:
+        EvaluationError: a past is kept no longer.
+    """
+    records = {
+        value.world: value.moment.record
+        for value in elements
+        if isinstance(value, Entity) and value.moment is not None
+    }
+    for value in values:
+        if isinstance(value, Past):
+            value.check()
+            records[value.world] = value.record
     return [
         Now(records[value], value.snapshot.number)
         if isinstance(value, World) and value in records

@@ -174,6 +174,7 @@ class _Translator:
         name = self.context.alias(f"{shape.alias} then")
         assert shape.schema is not None
         if shape.moments == "now":
+            self.sql.present.add(column_of(name, "tick").sql())
             return present_table(shape.schema, name)
         first, last = (
             self.context.parameter(end, Binding("", source=shape.alias, end=end, tag=INTEGER))

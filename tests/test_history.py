@@ -566,3 +566,164 @@ def test_a_long_window_has_its_values_written_in(falling: ssduck.Interpreter) ->
     (sql,) = [sql for sql in told if "entities_history" in sql]
     assert re.search(r"BETWEEN 1 AND 6\d", sql)
     assert "$" not in sql
+
+
+# -- what is kept no longer, and nested queries ---------------------------------------------
+
+
+def test_a_past_that_is_recorded_anew_is_refused(falling: ssduck.Interpreter) -> None:
+    _step(falling, 10)
+    then = falling.past("lab", 0.01)
+    falling.add_variable("then", then)
+    falling.add_variable("handle", then["ball_0"])
+    falling.record("lab", Recording())
+    _step(falling, 2)
+    for program in ("SELECT z FROM then AS list;", "SELECT z(this) FROM [handle] AS list;"):
+        with pytest.raises(EvaluationError, match="is kept no longer"):
+            falling.eval(program)
+    with pytest.raises(EvaluationError, match="is kept no longer"):
+        then["ball_0"]
+    assert "is kept no longer" in repr(then)
+
+
+def test_a_past_that_was_dropped_is_refused(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(ticks=8))
+    _step(falling, 2)
+    then = falling.past("lab", falling.call_variable("lab").time)
+    falling.add_variable("then", then)
+    handle = then["ball_0"]
+    assert handle.position[2] < 1.0
+    falling.add_variable("handle", handle)
+    _step(falling, 60)
+    for program in (
+        "SELECT z FROM then AS list;",
+        "z(handle);",
+        "SELECT z(this) FROM [handle] AS list;",
+    ):
+        with pytest.raises(EvaluationError, match="is kept no longer"):
+            falling.eval(program)
+    with pytest.raises(EvaluationError, match="is kept no longer"):
+        _ = handle.position
+
+
+def test_the_past_of_another_interpreter_is_refused(falling: ssduck.Interpreter) -> None:
+    _step(falling, 3)
+    with ssduck.Interpreter() as other:
+        other.add_variable("lab", falling.call_variable("lab"))
+        falling.add_variable("then", other.past("lab"))
+        with pytest.raises(EvaluationError, match="another interpreter's record"):
+            falling.eval("SELECT z FROM then AS list;")
+
+
+NESTED = [
+    "SELECT (SELECT z(ball) FROM [1] WHERE tick(a.this) > 0 AS value), z(ball) "
+    "FROM a=lab{0.0} WHERE id(a.this) == 'board' AS list;",
+    "SELECT tick(a.this) FROM a=lab{} WHERE (SELECT z(ball) FROM [1] WHERE tick(a.this) > 0 "
+    "AS value) > 0.99 AND id(a.this) == 'board' AS list;",
+    "SELECT tick(a.this), count(SELECT b.this FROM b=lab{} WHERE b.this == a.this AND "
+    "z(b.this) > z(ball) AS list) FROM a=lab{-0.01} AS list;",
+    "SELECT tick(a.this), count(SELECT b.this FROM b=lab WHERE z(b.this) < z(a.this) AS list) "
+    "FROM a=lab{0.0} AS list;",
+    "SELECT id(a.this), count(SELECT b.this FROM b=lab WHERE z(b.this) < z(ball) AS list) "
+    "FROM a=lab{0.0} AS list;",
+]
+
+
+@pytest.mark.parametrize("program", NESTED)
+def test_nested_queries_of_the_past(falling: ssduck.Interpreter, program: str) -> None:
+    _step(falling, 40)
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    as_sql, row_by_row = _both(falling, program)
+    assert repr(as_sql) == repr(row_by_row)
+    assert as_sql
+
+
+def test_a_handle_in_a_nested_query_goes_with_the_row(falling: ssduck.Interpreter) -> None:
+    _step(falling, 40)
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    assert falling.eval(NESTED[0]) == [1.0, 1.0]
+
+
+def test_a_name_that_two_had() -> None:
+    client, bodies = _falling(1)
+    world = ssduck.World.attach(client, names={0: "board"})
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        (name,) = [entity.name for entity in world if entity.name != "board"]
+        _step(ss, 3)
+        pybullet.removeBody(bodies[0], client)
+        _step(ss, 3)
+        pybullet.createMultiBody(1, ball, basePosition=[0, 0, 0.6], physicsClientId=client)
+        _step(ss, 3)
+        program = (
+            "SELECT tick(a.this) FROM a=lab{}, b=lab{} WHERE id(a.this) == '" + name + "' "
+            "AND id(b.this) == 'board' AND near(a.this, b.this, 1.0) AS list;"
+        )
+        as_sql, row_by_row = _both(ss, program)
+        assert as_sql == row_by_row
+        assert len(as_sql) >= 6
+        assert ss.eval(program.replace("'board'", "'nobody'")) == []
+    pybullet.disconnect(client)
+
+
+def test_the_present_beside_a_past_that_lacks_it(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(every=3, entities=("ball_0",)))
+    _step(falling, 2)
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    program = (
+        "SELECT id(now.this), near(now.this, ball, 5) FROM now=lab, x=lab{0.0} "
+        "WHERE x.this == ball AS list;"
+    )
+    for found in _both(falling, program):
+        assert found == ["board", True, "ball_0", False, "ball_1", True]
+
+
+def test_a_bounded_record_is_exported_in_order(falling: ssduck.Interpreter, tmp_path: Any) -> None:
+    falling.record("lab", Recording(ticks=40))
+    _step(falling, 170)
+    ticks = falling.past("lab").ticks
+    falling.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        assert record.past("lab").ticks == ticks
+        live = falling.sql("SELECT * FROM entities_history ORDER BY tick, id").fetchall()
+        assert record.sql("SELECT * FROM entities_history ORDER BY tick, id").fetchall() == live
+
+
+def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter) -> None:
+    world = falling.call_variable("lab")
+    _step(falling, 20)
+    ends = threading.Event()
+
+    def steps() -> None:
+        while not ends.is_set():
+            world.step()
+
+    thread = threading.Thread(target=steps)
+    thread.start()
+    try:
+        for _ in range(15):
+            past = falling.past("lab", -0.02)
+            entities = list(past)
+            assert len(entities) == 3 * len(past.ticks)
+            assert all(len(entity.position) == 3 for entity in entities[::7])
+    finally:
+        ends.set()
+        thread.join()
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda ss: ss.export("none", entities=[]), "no entities to be written"),
+        (lambda ss: ss.export("none", start="a"), "number of seconds"),
+        (lambda ss: ss.record("lab", "x"), "told by a Recording, not 'x'"),
+        (lambda _: Recording(seconds="1"), "seconds is to be a number above 0"),
+        (lambda _: Recording(tables=3), "tables is to be a list of names"),
+        (lambda ss: ss.eval("least(IF(z(ball) > 0.99; 'a'; 1));"), "expression of numbers"),
+    ],
+)
+def test_what_is_no_argument(falling: ssduck.Interpreter, call: Any, told: str) -> None:
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    with pytest.raises(ArgumentError, match=told):
+        call(falling)
