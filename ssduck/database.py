@@ -362,6 +362,8 @@ class Database:
         # In DuckDB 2.0.0 a range join of a prepared statement ends the database at its second run,
         # from 1,000 rows on, where it is a merge join; a nested loop is right.
         self.run("SET merge_join_threshold = 1000000000")
+        # A checkpoint rewrites what was stored a little at a time, and takes longer than storing it.
+        self.run("SET checkpoint_threshold = '256MB'")
         # It would be drawn on standard output, amid what a program prints there.
         self.run("SET enable_progress_bar = false")
         # A name that no table has is an error, not a variable of the caller's.
@@ -716,8 +718,7 @@ class Database:
         schema = self._free_schema(world.name)
         history = History(schema, Writer(self._connection), recording, world.name)
         recorder = Recorder(recording, history)
-        tables = tuple(recorder.rings)
-        record = Record(world, recorder.ticks, recorder.members, tables, recorder.fetch)
+        record = Record(world, recorder.ticks, recorder.members, recorder.tables, recorder.fetch)
         bound.kept = _Kept(history, record, recorder)
         self._recorders.append(recorder)
         world.record(recorder)
@@ -734,10 +735,10 @@ class Database:
         self._recorders.remove(kept.recorder)
         kept.recorder.flush()
         kept.history.close(forget=self._path == ":memory:")
-        for table in kept.recorder.rings:
-            name = _waiting(bound.key, table)
-            if bound.versions.pop(name, None) is not None:
-                self.unshow(name)
+        for table in kept.recorder.tables:
+            for name in _waiting(bound.key, table):
+                if bound.versions.pop(name, None) is not None:
+                    self.unshow(name)
 
     def _free_schema(self, world: str) -> str:
         taken = {
@@ -751,8 +752,8 @@ class Database:
             rows = None
             if bound.kept is not None:
                 waits = bound.kept.recorder is not None
-                ring = partial(_waiting, bound.key) if waits else None
-                rows = bound.kept.history.select(table, ring)
+                rings = partial(_waiting, bound.key) if waits else None
+                rows = bound.kept.history.select(table, rings)
             if rows is None:
                 refused = exp.select("*").from_(exp.table_(_live(bound.key, table), quoted=True))
                 _refuse(refused, not_recorded(table, bound.world.name))
@@ -866,8 +867,10 @@ class Database:
         for table, live in bound.world.snapshot.tables.items():
             self._show_buffers(bound, table, _live(bound.key, table), live)
         if bound.kept is not None and bound.kept.recorder is not None:
-            for table, ring in bound.kept.recorder.rings.items():
-                self._show_buffers(bound, history_name(table), _waiting(bound.key, table), ring)
+            for half, rings in enumerate(bound.kept.recorder.halves):
+                for table, ring in rings.items():
+                    name = _waiting(bound.key, table)[half]
+                    self._show_buffers(bound, history_name(table), name, ring)
 
     def _show_buffers(
         self, bound: _Bound, table: str, name: str, buffers: LiveTable | Ring
@@ -960,14 +963,18 @@ def _unopened(path: str, error: duckdb.Error) -> SqlError:
 
 def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder]) -> None:
     """Store what waits, and close."""
+    if any(recorder.is_storing_here for recorder in recorders):
+        # Garbage is collected by whatever thread; this one cannot wait for itself.
+        threading.Thread(target=_finish, args=(connection, recorders)).start()
+        return
     for recorder in recorders:
         recorder.flush()
     connection.close()
 
 
-def _waiting(key: str, table: str) -> str:
+def _waiting(key: str, table: str) -> tuple[str, str]:
     """What the rows are called that wait to be stored, among DuckDB's temporary views."""
-    return f"{key}: {table} that wait"
+    return f"{key}: {table} that wait", f"{key}: {table} that wait, too"
 
 
 def _live(key: str, table: str) -> str:

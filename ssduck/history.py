@@ -3,8 +3,9 @@
 What differs from tick to tick is stored in tables of numbers, what an entity is once, beside
 them. The views `<table>_history` join the two, and what waits in the rings with what is stored.
 
-A world's history is a schema of its own. Its rows are written by a connection of their own:
-the world is held meanwhile, so that no query of it sees the one half and not the other. Where
+A world's history is a schema of its own. Its rows are written by a connection of their own,
+while queries go on: up to which tick it is stored is part of what is written together, and of
+what waits, queries see what is later than that. Where
 older ticks are dropped, the tables are as many `SLOTS`: the oldest is dropped as a whole, which
 takes no time and gives its memory back.
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -31,6 +32,12 @@ SLOTS = QUARTERS + 2
 # The version of what is stored, and the table that tells it.
 VERSION = 1
 _ABOUT = "ssduck record"
+# The table that tells up to which tick all is stored.
+_STORED = "stored until"
+
+
+# Gives the names of the tables in which the rows of a table wait.
+Waiting: TypeAlias = Callable[[str], Sequence[str]]
 
 
 class Writer(Protocol):
@@ -58,7 +65,7 @@ class Writer(Protocol):
 class Archive(Protocol):
     """Where ticks are stored that can be read."""
 
-    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:
+    def select(self, table: str, rings: Waiting | None) -> str | None:
         """What the view of a table's history selects; None for what is not recorded."""
 
     def models(self) -> dict[str, str]:
@@ -111,6 +118,7 @@ class History:
         self._writer.run(f"CREATE SCHEMA {_quoted(self.schema)}")
         about = {"version": VERSION, "world": world, "recording": asdict(self.recording)}
         self._writer.insert_new(self._place(_ABOUT), pa.table({"about": [json.dumps(about)]}))
+        self._writer.insert_new(self._place(_STORED), pa.table({"tick": pa.array([-1], pa.int64())}))
         for table, columns in MODELS.items():
             self._writer.run(_create(self._place(f"{table} model"), columns))
         for table in self.tables:
@@ -186,6 +194,8 @@ class History:
             for table, own in rows.items():
                 kept = _changes(table, own) if self._is_changed(table) else own
                 self._writer.insert(self._slot(table, slot), kept)
+            last = int(rows["ticks"]["tick"][-1].as_py())
+            self._writer.run(f"UPDATE {self._place(_STORED)} SET tick = {last}")  # noqa: S608
         except BaseException:
             self._writer.run("ROLLBACK")
             raise
@@ -245,30 +255,34 @@ class History:
             "ON ticks.tick = rows.at"
         )
 
-    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:
+    def select(self, table: str, rings: Waiting | None) -> str | None:
         """What the view of a table's history selects; None for what is not recorded.
 
         Args:
             table: a table of a world.
-            ring: the name of the table in which the rows of a table wait, if any do.
+            rings: the names of the tables in which the rows of a table wait, if any do.
         """
         if table not in self.tables:
             return None
-        return history_of(table, self._all(table, ring), self._all("entities", ring), self._model)
+        return history_of(table, self._all(table, rings), self._all("entities", rings), self._model)
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
         return {f"{table}_model": f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
 
-    def _all(self, table: str, ring: Callable[[str], str] | None) -> str:
+    def _all(self, table: str, rings: Waiting | None) -> str:
         """A SELECT of all rows of a table, those that wait among them."""
-        if ring is None:
+        if rings is None:
             return self._stored(table)
         flags = STORED[table].flags if table in STORED else ()
         told = _listed(name for name in columns_of(table) if name not in flags)
         told += "".join(f", {_quoted(name)}::BOOLEAN AS {_quoted(name)}" for name in flags)
-        waiting = f"SELECT {told} FROM {_quoted(ring(table))} WHERE tick >= 0"  # noqa: S608
-        return f"{self._stored(table)} UNION ALL {waiting}"
+        later = f"tick > (SELECT tick FROM {self._place(_STORED)})"  # noqa: S608
+        waiting = [
+            f"SELECT {told} FROM {_quoted(ring)} WHERE {later}"  # noqa: S608
+            for ring in rings(table)
+        ]
+        return " UNION ALL ".join([self._stored(table), *waiting])
 
     def _model(self, table: str) -> str:
         return self._place(f"{table} model")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from sqlglot import exp
 
 from ssduck.errors import RecordError, nearest
 from ssduck.folder import Episode
-from ssduck.history import History, Writer, abouts, columns_of
+from ssduck.history import History, Waiting, Writer, abouts, columns_of
 from ssduck.models import MODELS, members_of
 from ssduck.past import Record
 from ssduck.recording import Ticks
@@ -47,7 +47,7 @@ class OpenedFolder:
         # All of them have to be there, so that no query fails later.
         self._files = {table: episode.files(table) for table in episode.tables}
 
-    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:  # noqa: ARG002
+    def select(self, table: str, rings: Waiting | None) -> str | None:  # noqa: ARG002
         """What the view of a table's history selects; None for what is not recorded."""
         if table not in self._files:
             return None

@@ -2,12 +2,14 @@
 
 A `Recorder` is told of each tick and copies its rows into rings: numpy buffers that an Arrow
 table looks into, so that whoever holds that sees them at once. When a ring is full, all of them
-are given to a store together, so that what is stored ends with a whole tick.
+are given to a store together, so that what is stored ends with a whole tick. That takes a thread
+of its own, for as long as many ticks take; meanwhile the next ones go to a second set of rings.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -134,6 +136,9 @@ class Ring:
         arrow: the table; its unused rows are of tick -1.
         version: counts up whenever `arrow` became another object.
         count: how many rows wait.
+        capacity: how many can.
+        ticks: the numbers of their ticks.
+        reals: (columns, capacity).
     """
 
     def __init__(
@@ -147,8 +152,12 @@ class Ring:
     def _make(self, capacity: int) -> None:
         integers, reals, flags = self._names
         self.capacity = capacity
+        # Who laid out the rows, of how many a tick, and whether from the first one on.
+        self._laid: tuple[object, int] | None = None
+        self._is_laid_whole = False
         self.integers = {name: np.zeros(capacity, dtype=np.int64) for name in integers}
-        self.integers["tick"].fill(-1)
+        self.ticks = self.integers["tick"]
+        self.ticks.fill(-1)
         self.reals = np.zeros((len(reals), capacity))
         self.flags = {name: np.zeros(capacity, dtype=np.uint8) for name in flags}
         columns: list[npt.NDArray[Any]] = [
@@ -178,6 +187,23 @@ class Ring:
         first, self.count = self.count, self.count + count
         return slice(first, self.count)
 
+    def lay(self, owner: object, count: int, columns: Callable[[], Mapping[str, Any]]) -> None:
+        """See to it that the rows to come have what is the same in each tick.
+
+        Args:
+            owner: what makes them; asked again, it has nothing else to tell.
+            count: of rows a tick.
+            columns: gives integers and flags of them.
+        """
+        if not count or self._laid == (owner, count):
+            return
+        times = -(-(self.capacity - self.count) // count)
+        for name, values in columns().items():
+            column = self.flags[name] if name in self.flags else self.integers[name]
+            column[self.count :] = np.tile(values, times)[: self.capacity - self.count]
+        self._laid = owner, count
+        self._is_laid_whole = self.count == 0
+
     def rows(self) -> pa.Table:
         """What waits; what is no number is NULL."""
         waiting = self.arrow.slice(0, self.count)
@@ -190,8 +216,10 @@ class Ring:
 
     def clear(self) -> None:
         """Forget what waited."""
-        self.integers["tick"][: self.count] = -1
+        self.ticks[: self.count] = -1
         self.count = 0
+        if not self._is_laid_whole:
+            self._laid = None
 
 
 class Ticks:
@@ -254,16 +282,62 @@ class Store(Protocol):
         """Drop old ticks; tells which one is the first that is still there."""
 
 
+class _Storing:
+    """Rows on their way to a store, in a thread of their own.
+
+    Args:
+        store: where to.
+        rings: that hold them; nobody writes these meanwhile.
+    """
+
+    def __init__(self, store: Store, rings: Mapping[str, Ring]) -> None:
+        self.rings = rings
+        self._store = store
+        self._failure: BaseException | None = None
+        self._thread: threading.Thread | None = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._add()
+        except BaseException as error:  # noqa: BLE001  # raised by who waits
+            self._failure = error
+
+    def _add(self) -> None:
+        self._store.add({table: ring.rows() for table, ring in self.rings.items()})
+
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing has to be waited for."""
+        return self._thread is None or not self._thread.is_alive()
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the running thread is the one that stores."""
+        return self._thread is threading.current_thread()
+
+    def finish(self) -> None:
+        """Wait for it; what failed is tried again by the next one who waits."""
+        if self._thread is None:
+            self._add()
+            return
+        self._thread.join()
+        self._thread = None
+        if self._failure is not None:
+            raise self._failure
+
+
 class Recorder:
     """Keeps the ticks of a world.
 
     Args:
         recording: what of them.
         store: where.
-        waits: so many ticks wait at most to be stored.
+        waits: so many ticks wait at most before they are stored.
 
     Attributes:
-        rings: what waits to be stored, by table.
+        halves: what waits to be stored, by table: ticks go to the one, and what went to the
+            other is being stored.
         ticks: those that are kept.
         members: the entities that they tell of, by id; of those that are gone, too.
     """
@@ -272,55 +346,88 @@ class Recorder:
         self.recording = recording
         self._waits = waits
         self._store = store
-        self.rings = {table: _ring(table) for table in ("ticks", *recording.tables)}
-        if "links" not in recording.tables:
-            self.rings[FRAMES] = Ring(("tick", "entity", "link"), FRAME_REALS)
+        self.halves = _rings(recording), _rings(recording)
+        self._rings = self.halves[0]
+        self._storing: _Storing | None = None
+        self._lock = threading.RLock()
         self.ticks = Ticks()
         self.members: dict[int, Member] = {}
         self._told = 0
         self._rows: _Rows | None = None
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """The tables that are kept."""
+        return tuple(self._rings)
+
+    @property
+    def is_storing_here(self) -> bool:
+        """Whether the running thread is the one that stores what waited."""
+        return self._storing is not None and self._storing.is_here
 
     def note(self, snapshot: Snapshot) -> None:
         """Keep a tick, if it is one to be kept; the caller holds its world."""
         self._told += 1
         if (self._told - 1) % self.recording.every:
             return
-        rows = self._rows_of(snapshot)
-        counts = {table: rows.count(snapshot, table) for table in self.rings}
+        with self._lock:
+            self._keep(snapshot, self._rows_of(snapshot))
+            if not snapshot.is_whole:
+                self.flush()  # where the ring has what is no number, the store has NULL
+            elif self._storing is not None and self._storing.is_done:
+                self._settle()
+
+    def _keep(self, snapshot: Snapshot, rows: _Rows) -> None:
+        counts = {table: rows.count(snapshot, table) for table in self._rings}
         if self._is_due(snapshot.time) or not all(
-            self.rings[table].takes(count) for table, count in counts.items()
+            self._rings[table].takes(count) for table, count in counts.items()
         ):
-            self.flush()
+            self._hand_over()
             for table, count in counts.items():
-                self.rings[table].reserve(count, self._waits)
+                self._rings[table].reserve(count, self._waits)
         for table, count in counts.items():
-            rows.copy(snapshot, table, self.rings[table], self.rings[table].run(count))
+            rows.copy(snapshot, table, self._rings[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
-        if not snapshot.is_whole:
-            self.flush()  # where the ring has what is no number, the store has NULL
 
     def flush(self) -> None:
         """Store what waits, and drop what is too old."""
-        if self.rings["ticks"].count:
-            self._store.add({table: ring.rows() for table, ring in self.rings.items()})
-            for ring in self.rings.values():
-                ring.clear()
+        with self._lock:
+            self._hand_over()
+            self._settle()
+
+    def _hand_over(self) -> None:
+        """Let what waits be stored, once the other half is; the next ticks go to that one."""
+        self._settle()
+        if self._rings["ticks"].count:
+            self._storing = _Storing(self._store, self._rings)
+            self._rings = self.halves[self._rings is self.halves[0]]
+
+    def _settle(self) -> None:
+        """Wait for what is being stored, and drop what is too old."""
+        if self._storing is None:
+            return
+        self._storing.finish()
+        for ring in self._storing.rings.values():
+            ring.clear()
+        self._storing = None
         oldest = self._oldest()
         if oldest is not None:
             self.ticks.forget_before(self._store.drop_before(oldest))
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last, those that wait among them."""
-        stored = self._store.fetch(table, first, last)
-        waiting = self.rings[table].rows()
-        ticks = waiting["tick"].to_numpy()
-        inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
-        copied = inside.select(stored.column_names).cast(stored.schema)
-        return pa.concat_tables([stored, copied])
+        with self._lock:
+            self._settle()
+            stored = self._store.fetch(table, first, last)
+            waiting = self._rings[table].rows()
+            ticks = waiting["tick"].to_numpy()
+            inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
+            copied = inside.select(stored.column_names).cast(stored.schema)
+            return pa.concat_tables([stored, copied])
 
     def _is_due(self, time: float) -> bool:
         """Whether what waits is to be stored: so many ticks, or a quarter of what is kept."""
-        waiting = self.rings["ticks"].count
+        waiting = self._rings["ticks"].count
         if not waiting:
             return False
         recording = self.recording
@@ -354,6 +461,13 @@ class Recorder:
         return self._rows
 
 
+def _rings(recording: Recording) -> dict[str, Ring]:
+    rings = {table: _ring(table) for table in ("ticks", *recording.tables)}
+    if "links" not in recording.tables:
+        rings[FRAMES] = Ring(("tick", "entity", "link"), FRAME_REALS)
+    return rings
+
+
 def _ring(table: str) -> Ring:
     stored = STORED[table]
     return Ring(stored.integers, stored.names_of_reals(table), stored.flags)
@@ -384,6 +498,7 @@ class _Rows:
             _frames_of(part, self._layout, kept)
             for part in (self._layout.still, self._layout.moving)
         ]
+        self._frames_count = sum(len(frames.places) for frames in self._frames)
         self._picked: dict[str, Indices | None] = {
             table: None if names is None else self._pick(snapshot, table)
             for table in ("entities", "joints", "shapes")
@@ -409,7 +524,7 @@ class _Rows:
     def count(self, snapshot: Snapshot, table: str) -> int:
         """How many rows of a table there are to be kept."""
         if table == FRAMES:
-            return sum(len(frames.places) for frames in self._frames)
+            return self._frames_count
         picked = self._selected(snapshot, table)
         return snapshot.tables[table].count if picked is None else len(picked)
 
@@ -423,34 +538,45 @@ class _Rows:
         live = snapshot.tables[table]
         return np.flatnonzero(np.logical_and(*(np.isin(live[side], self._ids) for side in sides)))
 
-    def copy(self, snapshot: Snapshot, table: str, ring: Ring, run: slice) -> None:
-        """Copy the rows of a table into a ring."""
+    def copy(self, snapshot: Snapshot, table: str, ring: Ring, count: int) -> None:
+        """Copy the rows of a table, of which there are so many, into a ring."""
+        if table in self._picked or table == FRAMES:
+            ring.lay(self, count, lambda: self._fixed(snapshot, table))
+        run = ring.run(count)
+        ring.ticks[run] = snapshot.number
         if table == FRAMES:
             self._copy_frames(snapshot, ring, run)
             return
         live: LiveTable = snapshot.tables[table]
         stored, picked = STORED[table], self._selected(snapshot, table)
         reals = live.reals(*stored.reals)
-        for name in stored.integers:
-            column = live[name]
-            ring.integers[name][run] = column if picked is None else column[picked]
         ring.reals[:, run] = reals if picked is None else reals[:, picked]
-        for name in stored.flags:
-            ring.flags[name][run] = self._flags[name]
+        if table not in self._picked:
+            for name in stored.integers[1:]:
+                column = live[name]
+                ring.integers[name][run] = column if picked is None else column[picked]
+
+    def _fixed(self, snapshot: Snapshot, table: str) -> dict[str, npt.NDArray[Any]]:
+        """The columns of integers and flags, but for the ticks."""
+        if table == FRAMES:
+            owners = {"entity": [f.entities for f in self._frames]}
+            links = {"link": [f.links for f in self._frames]}
+            return {name: np.concatenate(parts) for name, parts in (owners | links).items()}
+        stored, picked = STORED[table], self._picked[table]
+        live = snapshot.tables[table]
+        own = {n: live[n] if picked is None else live[n][picked] for n in stored.integers[1:]}
+        return own | {name: self._flags[name] for name in stored.flags}
 
     def _copy_frames(self, snapshot: Snapshot, ring: Ring, run: slice) -> None:
+        ring.reals[0, run] = snapshot.time
         first = run.start
         for own, (_, frames) in zip(self._frames, snapshot.parts, strict=True):
             if not len(own.places):
                 continue
             to = slice(first, first + len(own.places))
             first = to.stop
-            ring.integers["tick"][to] = snapshot.number
-            ring.integers["entity"][to] = own.entities
-            ring.integers["link"][to] = own.links
-            ring.reals[0, to] = snapshot.time
-            ring.reals[1:4, to] = frames.positions[own.places].T
-            ring.reals[4:, to] = frames.states[own.places, 3:7].T
+            ring.reals[1:4, to] = frames.positions.take(own.places, axis=0).T
+            ring.reals[4:, to] = frames.states[:, 3:7].take(own.places, axis=0).T
 
 
 @dataclass(frozen=True, eq=False)
