@@ -37,7 +37,16 @@ from ssduck.functions import Function
 from ssduck.history import Archive, History, history_name, not_recorded
 from ssduck.limits import Limits, Meter
 from ssduck.past import Record
-from ssduck.recording import FRAMES, RECORDABLE, Recorder, Recording, Ring, unknown_names
+from ssduck.recording import (
+    FRAMES,
+    MEMORY_TICKS,
+    RECORDABLE,
+    RING_TICKS,
+    Recorder,
+    Recording,
+    Ring,
+    unknown_names,
+)
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
 from ssduck.types import Signature, Tag, converter, is_exactly
@@ -717,7 +726,9 @@ class Database:
             raise error
         schema = self._free_schema(world.name)
         history = History(schema, Writer(self._connection), recording, world.name)
-        recorder = Recorder(recording, history)
+        # Of a file, what waits is lost when the process is killed; of memory, all is.
+        waits = MEMORY_TICKS if self._path == ":memory:" else RING_TICKS
+        recorder = Recorder(recording, history, waits)
         record = Record(world, recorder.ticks, recorder.members, recorder.tables, recorder.fetch)
         bound.kept = _Kept(history, record, recorder)
         self._recorders.append(recorder)

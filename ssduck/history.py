@@ -97,6 +97,8 @@ class History:
         self._slots = SLOTS if recording.is_bounded else 1
         # Of each slot in use, the oldest first: its number, and its first tick.
         self._used: list[tuple[int, int]] = [(0, 0)]
+        # Of the last one: how many ticks it has, and the times of the first and the last.
+        self._filled, self._times = 0, (0.0, 0.0)
         self._geometries: set[int] = set()
         self.tables = ("ticks", *(t for t in RECORDABLE if t in recording.tables))
         if "links" not in recording.tables:
@@ -187,31 +189,32 @@ class History:
 
     def add(self, rows: Mapping[str, pa.Table]) -> None:
         """Keep the rows of whole ticks, all or none of them."""
-        self._turn(int(rows["ticks"]["tick"][0].as_py()))
+        numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
+        self._turn(int(numbers[0]))
         slot, _ = self._used[-1]
         self._writer.run("BEGIN")
         try:
             for table, own in rows.items():
+                if not own.num_rows:
+                    continue
                 kept = _changes(table, own) if self._is_changed(table) else own
                 self._writer.insert(self._slot(table, slot), kept)
-            last = int(rows["ticks"]["tick"][-1].as_py())
-            self._writer.run(f"UPDATE {self._place(_STORED)} SET tick = {last}")  # noqa: S608
+            self._writer.run(f"UPDATE {self._place(_STORED)} SET tick = {numbers[-1]}")  # noqa: S608
         except BaseException:
             self._writer.run("ROLLBACK")
             raise
         self._writer.run("COMMIT")
+        first = self._times[0] if self._filled else times[0]
+        self._filled, self._times = self._filled + len(times), (float(first), float(times[-1]))
 
     def _turn(self, tick: int) -> None:
         """Take the next slot, if a quarter of what is kept is in this one."""
         if self._slots == 1:
             return
-        number, _ = self._used[-1]
-        ((count, seconds),) = self._writer.fetchall(
-            f"SELECT count(*), max(time) - min(time) FROM {self._slot('ticks', number)}"  # noqa: S608
-        )
-        if not count:
-            self._used[-1] = number, tick
+        if not self._filled:
+            self._used[-1] = self._used[-1][0], tick
             return
+        count, seconds = self._filled, self._times[1] - self._times[0]
         recording = self.recording
         full = recording.ticks is not None and count >= recording.ticks // QUARTERS
         # What is stored together ends a tick before a quarter is over.
@@ -220,6 +223,7 @@ class History:
         free = set(range(SLOTS)) - {number for number, _ in self._used}
         if full and free:
             self._used.append((free.pop(), tick))
+            self._filled = 0
 
     def drop_before(self, tick: int) -> int:
         """Drop slots whose ticks are all older; tells the first tick that is still there."""

@@ -27,9 +27,12 @@ from ssduck.tables import TABLES, LiveTable
 
 # What may be chosen; `ticks` are kept always, and geometries once.
 RECORDABLE = ("entities", "links", "joints", "shapes", "contacts", "sensings")
-# So many ticks wait at most to be stored, and so many rows of a table.
+# So many ticks wait to be stored, and so many rows of a table; where the disk is slower than the
+# ticks, up to so many rows.
 RING_TICKS = 240
+MEMORY_TICKS = 960
 RING_ROWS = 1 << 17
+MOST_ROWS = 1 << 19
 _LEAST_ROWS = 1024
 # Of what is kept, a quarter at a time is stored together, and dropped together.
 QUARTERS = 4
@@ -181,6 +184,14 @@ class Ring:
         wanted = max(min(count * ticks, RING_ROWS), count, _LEAST_ROWS)
         if wanted > self.capacity:
             self._make(wanted)
+
+    def grow(self, count: int) -> None:
+        """Make room for so many rows more, and for as many as wait."""
+        before = *self.integers.values(), self.reals, *self.flags.values()
+        self._make(2 * self.count + count)
+        after = *self.integers.values(), self.reals, *self.flags.values()
+        for old, new in zip(before, after, strict=True):
+            new[..., : self.count] = old[..., : self.count]
 
     def run(self, count: int) -> slice:
         """The place of so many new rows."""
@@ -379,15 +390,24 @@ class Recorder:
 
     def _keep(self, snapshot: Snapshot, rows: _Rows) -> None:
         counts = {table: rows.count(snapshot, table) for table in self._rings}
-        if self._is_due(snapshot.time) or not all(
-            self._rings[table].takes(count) for table, count in counts.items()
-        ):
+        full = [table for table, count in counts.items() if not self._rings[table].takes(count)]
+        if (full or self._is_due(snapshot.time)) and not self._goes_on():
             self._hand_over()
+            full = []
+        if not self._rings["ticks"].count:
             for table, count in counts.items():
                 self._rings[table].reserve(count, self._waits)
+        for table in full:
+            self._rings[table].grow(counts[table])
         for table, count in counts.items():
             rows.copy(snapshot, table, self._rings[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
+
+    def _goes_on(self) -> bool:
+        """Whether more ticks are to wait: those before them are still being stored."""
+        if self._storing is None or self._storing.is_done or self.recording.is_bounded:
+            return False
+        return all(ring.count < MOST_ROWS for ring in self._rings.values())
 
     def flush(self) -> None:
         """Store what waits, and drop what is too old."""
