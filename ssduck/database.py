@@ -34,8 +34,9 @@ from ssduck.errors import (
 from ssduck.export import exported
 from ssduck.folder import PART_TICKS, Folder, FolderRecording
 from ssduck.functions import Function
-from ssduck.history import Archive, History, history_name, not_recorded
+from ssduck.history import Archive, History, Shown, history_name, not_recorded
 from ssduck.limits import Limits, Meter
+from ssduck.memory import Memory
 from ssduck.past import Record
 from ssduck.recording import (
     FRAMES,
@@ -44,7 +45,6 @@ from ssduck.recording import (
     RING_TICKS,
     Recorder,
     Recording,
-    Ring,
     unknown_names,
 )
 from ssduck.shapes import ANSWERS, Shapes
@@ -255,11 +255,19 @@ class _Bound:
 
 @dataclass(frozen=True)
 class _Kept:
-    """The history of a world: who keeps it, where, and how it is told."""
+    """The history of a world: who keeps it, where, and how it is told.
+
+    Attributes:
+        history: where it is stored.
+        record: tells it.
+        recorder: keeps it; None if it is only read.
+        shown: the rows that DuckDB is shown where they are, by table.
+    """
 
     history: Archive
     record: Record
     recorder: Recorder | None = None
+    shown: tuple[Mapping[str, Shown], ...] = ()
 
 
 class Writer:
@@ -371,7 +379,7 @@ class Database:
         # In DuckDB 2.0.0 a range join of a prepared statement ends the database at its second run,
         # from 1,000 rows on, where it is a merge join; a nested loop is right.
         self.run("SET merge_join_threshold = 1000000000")
-        # A checkpoint rewrites what was stored a little at a time, and takes longer than storing it.
+        # A checkpoint rewrites what was stored since the last one, and is slower than storing it.
         self.run("SET checkpoint_threshold = '256MB'")
         # It would be drawn on standard output, amid what a program prints there.
         self.run("SET enable_progress_bar = false")
@@ -725,12 +733,14 @@ class Database:
         for error in unknown_names(recording, world.snapshot.members):
             raise error
         schema = self._free_schema(world.name)
-        history = History(schema, Writer(self._connection), recording, world.name)
+        in_memory = self._path == ":memory:" and not recording.changed
+        make = Memory if in_memory else History
+        history = make(schema, Writer(self._connection), recording, world.name)
         # Of a file, what waits is lost when the process is killed; of memory, all is.
-        waits = MEMORY_TICKS if self._path == ":memory:" else RING_TICKS
+        waits = MEMORY_TICKS if in_memory else RING_TICKS
         recorder = Recorder(recording, history, waits)
         record = Record(world, recorder.ticks, recorder.members, recorder.tables, recorder.fetch)
-        bound.kept = _Kept(history, record, recorder)
+        bound.kept = _Kept(history, record, recorder, (*recorder.halves, *history.shown))
         self._recorders.append(recorder)
         world.record(recorder)
 
@@ -877,14 +887,14 @@ class Database:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         for table, live in bound.world.snapshot.tables.items():
             self._show_buffers(bound, table, _live(bound.key, table), live)
-        if bound.kept is not None and bound.kept.recorder is not None:
-            for half, rings in enumerate(bound.kept.recorder.halves):
-                for table, ring in rings.items():
-                    name = _waiting(bound.key, table)[half]
-                    self._show_buffers(bound, history_name(table), name, ring)
+        if bound.kept is not None:
+            for part, tables in enumerate(bound.kept.shown):
+                for table, rows in tables.items():
+                    name = _waiting(bound.key, table)[part]
+                    self._show_buffers(bound, history_name(table), name, rows)
 
     def _show_buffers(
-        self, bound: _Bound, table: str, name: str, buffers: LiveTable | Ring
+        self, bound: _Bound, table: str, name: str, buffers: LiveTable | Shown
     ) -> None:
         if bound.versions.get(name) != buffers.version:
             if name in bound.versions:

@@ -36,6 +36,16 @@ _ABOUT = "ssduck record"
 _STORED = "stored until"
 
 
+class Shown(Protocol):
+    """Rows that DuckDB looks into where they are."""
+
+    version: int
+
+    @property
+    def arrow(self) -> pa.Table:
+        """The rows; another object, if the version is another one."""
+
+
 # Gives the names of the tables in which the rows of a table wait.
 Waiting: TypeAlias = Callable[[str], Sequence[str]]
 
@@ -86,7 +96,13 @@ class History:
         writer: a connection of its own.
         recording: what is kept of each tick.
         world: what the world is called; None to read what is stored there already.
+
+    Attributes:
+        shown: the rows that DuckDB is to be shown where they are, by table.
     """
+
+    keeps = False
+    shown: tuple[Mapping[str, Shown], ...] = ()
 
     def __init__(
         self, schema: str, writer: Writer, recording: Recording, world: str | None = None
@@ -117,15 +133,20 @@ class History:
         self._writer.close()
 
     def _make(self, world: str) -> None:
-        self._writer.run(f"CREATE SCHEMA {_quoted(self.schema)}")
+        self._make_models()
         about = {"version": VERSION, "world": world, "recording": asdict(self.recording)}
         self._writer.insert_new(self._place(_ABOUT), pa.table({"about": [json.dumps(about)]}))
-        self._writer.insert_new(self._place(_STORED), pa.table({"tick": pa.array([-1], pa.int64())}))
-        for table, columns in MODELS.items():
-            self._writer.run(_create(self._place(f"{table} model"), columns))
+        self._writer.insert_new(
+            self._place(_STORED), pa.table({"tick": pa.array([-1], pa.int64())})
+        )
         for table in self.tables:
             for slot in range(self._slots):
                 self._writer.run(_create(self._slot(table, slot), self._columns(table)))
+
+    def _make_models(self) -> None:
+        self._writer.run(f"CREATE SCHEMA {_quoted(self.schema)}")
+        for table, columns in MODELS.items():
+            self._writer.run(_create(self._model(table), columns))
 
     @classmethod
     def stored(cls, schema: str, writer: Writer) -> History:
@@ -183,7 +204,7 @@ class History:
         """Keep what entities are, before rows of theirs; geometries by their numbers."""
         for table, rows in models_of(members, geometry_id, self._geometries).items():
             if rows.num_rows:
-                self._writer.insert(self._place(f"{table} model"), rows)
+                self._writer.insert(self._model(table), rows)
                 if table == "geometries":
                     self._geometries |= set(rows["id"].to_pylist())
 
@@ -278,15 +299,16 @@ class History:
         """A SELECT of all rows of a table, those that wait among them."""
         if rings is None:
             return self._stored(table)
+        later = f"tick > (SELECT tick FROM {self._place(_STORED)})"  # noqa: S608
+        waiting = [self._of_ring(table, ring, later) for ring in rings(table)]
+        return " UNION ALL ".join([self._stored(table), *waiting])
+
+    def _of_ring(self, table: str, ring: str, condition: str) -> str:
+        """A SELECT of the rows of a ring."""
         flags = STORED[table].flags if table in STORED else ()
         told = _listed(name for name in columns_of(table) if name not in flags)
         told += "".join(f", {_quoted(name)}::BOOLEAN AS {_quoted(name)}" for name in flags)
-        later = f"tick > (SELECT tick FROM {self._place(_STORED)})"  # noqa: S608
-        waiting = [
-            f"SELECT {told} FROM {_quoted(ring)} WHERE {later}"  # noqa: S608
-            for ring in rings(table)
-        ]
-        return " UNION ALL ".join([self._stored(table), *waiting])
+        return f"SELECT {told} FROM {_quoted(ring)} WHERE {condition}"  # noqa: S608
 
     def _model(self, table: str) -> str:
         return self._place(f"{table} model")

@@ -9,6 +9,7 @@ of its own, for as long as many ticks take; meanwhile the next ones go to a seco
 from __future__ import annotations
 
 import math
+import sys
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -150,6 +151,7 @@ class Ring:
         self._names = integers, reals, flags
         self.version = 0
         self.count = 0
+        self._lent: list[list[npt.NDArray[Any]]] = []
         self._make(_LEAST_ROWS)
 
     def _make(self, capacity: int) -> None:
@@ -158,11 +160,12 @@ class Ring:
         # Who laid out the rows, of how many a tick, and whether from the first one on.
         self._laid: tuple[object, int] | None = None
         self._is_laid_whole = False
-        self.integers = {name: np.zeros(capacity, dtype=np.int64) for name in integers}
+        numbers = self._numbers_of(capacity)
+        self.integers = dict(zip(integers, numbers[: len(integers)], strict=True))
         self.ticks = self.integers["tick"]
         self.ticks.fill(-1)
-        self.reals = np.zeros((len(reals), capacity))
-        self.flags = {name: np.zeros(capacity, dtype=np.uint8) for name in flags}
+        self.reals = numbers[len(integers)]
+        self.flags = dict(zip(flags, numbers[len(integers) + 1 :], strict=True))
         columns: list[npt.NDArray[Any]] = [
             *self.integers.values(),
             *self.reals,
@@ -174,6 +177,23 @@ class Ring:
         ]
         self.arrow = pa.table(arrays, names=[*integers, *reals, *flags])
         self.version += 1
+
+    def _numbers_of(self, capacity: int) -> list[npt.NDArray[Any]]:
+        """Buffers of integers, reals and flags: old ones that nobody looks into any more, or new.
+
+        Memory that a process has already is had five times faster than other.
+        """
+        integers, reals, flags = self._names
+        free = [own for own in self._lent if _is_free(own)]
+        self._lent = [own for own in self._lent if not any(own is other for other in free)]
+        for own in free:
+            if len(own[0]) == capacity:
+                return own
+        return [
+            *(np.zeros(capacity, dtype=np.int64) for _ in integers),
+            np.zeros((len(reals), capacity)),
+            *(np.zeros(capacity, dtype=np.uint8) for _ in flags),
+        ]
 
     def takes(self, count: int) -> bool:
         """Whether it has room for so many rows more."""
@@ -187,9 +207,9 @@ class Ring:
 
     def grow(self, count: int) -> None:
         """Make room for so many rows more, and for as many as wait."""
-        before = *self.integers.values(), self.reals, *self.flags.values()
+        before: list[npt.NDArray[Any]] = [*self.integers.values(), self.reals, *self.flags.values()]
         self._make(2 * self.count + count)
-        after = *self.integers.values(), self.reals, *self.flags.values()
+        after = [*self.integers.values(), self.reals, *self.flags.values()]
         for old, new in zip(before, after, strict=True):
             new[..., : self.count] = old[..., : self.count]
 
@@ -225,12 +245,29 @@ class Ring:
             waiting = waiting.set_column(place, waiting.column_names[place], column)
         return waiting
 
+    def taken(self) -> pa.Table:
+        """What waits; the ring has nothing to do with it any more."""
+        rows = self.rows()
+        if 2 * self.count < self.capacity:
+            rows = rows.take(pa.array(np.arange(self.count)))
+            self.clear()
+        else:
+            self._lent.append([*self.integers.values(), self.reals, *self.flags.values()])
+            self._make(self.capacity)
+            self.count = 0
+        return rows
+
     def clear(self) -> None:
         """Forget what waited."""
         self.ticks[: self.count] = -1
         self.count = 0
         if not self._is_laid_whole:
             self._laid = None
+
+
+def _is_free(numbers: list[npt.NDArray[Any]]) -> bool:
+    """Whether nobody but its list, and who asks, knows these buffers."""
+    return all(sys.getrefcount(numbers[place]) == 2 for place in range(len(numbers)))
 
 
 class Ticks:
@@ -276,7 +313,13 @@ class Ticks:
 
 
 class Store(Protocol):
-    """What keeps the rows of ticks."""
+    """What keeps the rows of ticks.
+
+    Attributes:
+        keeps: whether it keeps them where they are, which takes no time.
+    """
+
+    keeps: bool
 
     def add_members(
         self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
@@ -348,7 +391,7 @@ class Recorder:
 
     Attributes:
         halves: what waits to be stored, by table: ticks go to the one, and what went to the
-            other is being stored.
+            other is being stored; one is enough where that takes no time.
         ticks: those that are kept.
         members: the entities that they tell of, by id; of those that are gone, too.
     """
@@ -357,7 +400,7 @@ class Recorder:
         self.recording = recording
         self._waits = waits
         self._store = store
-        self.halves = _rings(recording), _rings(recording)
+        self.halves = tuple(_rings(recording) for _ in range(1 if store.keeps else 2))
         self._rings = self.halves[0]
         self._storing: _Storing | None = None
         self._lock = threading.RLock()
@@ -418,7 +461,10 @@ class Recorder:
     def _hand_over(self) -> None:
         """Let what waits be stored, once the other half is; the next ticks go to that one."""
         self._settle()
-        if self._rings["ticks"].count:
+        if self._rings["ticks"].count and self._store.keeps:
+            self._store.add({table: ring.taken() for table, ring in self._rings.items()})
+            self._drop()
+        elif self._rings["ticks"].count:
             self._storing = _Storing(self._store, self._rings)
             self._rings = self.halves[self._rings is self.halves[0]]
 
@@ -430,6 +476,9 @@ class Recorder:
         for ring in self._storing.rings.values():
             ring.clear()
         self._storing = None
+        self._drop()
+
+    def _drop(self) -> None:
         oldest = self._oldest()
         if oldest is not None:
             self.ticks.forget_before(self._store.drop_before(oldest))
@@ -481,11 +530,21 @@ class Recorder:
         return self._rows
 
 
+def in_parts(table: str) -> pa.Schema:
+    """What the columns of a ring of a table are called, and of which types they are."""
+    ring = _frames_ring() if table == FRAMES else _ring(table)
+    return ring.arrow.schema
+
+
 def _rings(recording: Recording) -> dict[str, Ring]:
     rings = {table: _ring(table) for table in ("ticks", *recording.tables)}
     if "links" not in recording.tables:
-        rings[FRAMES] = Ring(("tick", "entity", "link"), FRAME_REALS)
+        rings[FRAMES] = _frames_ring()
     return rings
+
+
+def _frames_ring() -> Ring:
+    return Ring(("tick", "entity", "link"), FRAME_REALS)
 
 
 def _ring(table: str) -> Ring:

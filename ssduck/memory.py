@@ -1,0 +1,118 @@
+"""The history of a world in memory: the rings that are full, as they are.
+
+Nothing is copied: DuckDB looks into them where they are (`ssduck.recording`), which costs a tick a
+tenth of what storing it in DuckDB's tables does. The oldest are dropped as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.history import History, Waiting
+from ssduck.models import MODELS
+from ssduck.recording import QUARTERS, STORED, in_parts
+
+# Fewer rows are put together with those before them.
+_LEAST_ROWS = 4096
+
+
+class Kept:
+    """The rows of a table, in parts.
+
+    Attributes:
+        parts: the oldest first.
+        version: counts up whenever `arrow` becomes another object.
+    """
+
+    def __init__(self, columns: pa.Schema) -> None:
+        self._empty = columns.empty_table()
+        self.parts: list[pa.Table] = []
+        self.version = 0
+
+    @property
+    def arrow(self) -> pa.Table:
+        """All rows."""
+        return pa.concat_tables([self._empty, *self.parts])
+
+
+class Memory(History):
+    """The kept ticks of a world in memory; see `ssduck.history.History`.
+
+    Attributes:
+        shown: what DuckDB is to be shown of it, by table.
+    """
+
+    keeps = True
+
+    def _make(self, world: str) -> None:  # noqa: ARG002
+        self._make_models()
+        self._kept = {table: Kept(in_parts(table)) for table in self.tables}
+        self.shown = (self._kept,)
+        # The first tick of each part, and the time of its first and its last.
+        self._parts: list[tuple[int, float, float]] = []
+
+    # -- writing ----------------------------------------------------------------------------
+
+    def add(self, rows: Mapping[str, pa.Table]) -> None:
+        """Keep the rows of whole ticks."""
+        numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
+        joined = self._joins(len(numbers), float(times[-1]))
+        for table, kept in self._kept.items():
+            new = rows[table]
+            if joined:
+                new = pa.concat_tables([kept.parts.pop(), new]).combine_chunks()
+            kept.parts.append(new)
+            kept.version += 1
+        if joined:
+            first, since, _ = self._parts.pop()
+        else:
+            first, since = int(numbers[0]), float(times[0])
+        self._parts.append((first, since, float(times[-1])))
+
+    def _joins(self, ticks: int, until: float) -> bool:
+        """Whether so many ticks more go to the last part, for it is a small one."""
+        if not self._parts or max(k.parts[-1].num_rows for k in self._kept.values()) > _LEAST_ROWS:
+            return False
+        recording = self.recording
+        ticks += self._kept["ticks"].parts[-1].num_rows
+        if recording.ticks is not None and ticks > recording.ticks // QUARTERS:
+            return False
+        seconds = until - self._parts[-1][1]
+        return recording.seconds is None or seconds <= recording.seconds / QUARTERS
+
+    def drop_before(self, tick: int) -> int:
+        """Drop parts whose ticks are all older; tells the first tick that is still there."""
+        while len(self._parts) > 1 and self._parts[1][0] <= tick:
+            del self._parts[0]
+            for kept in self._kept.values():
+                del kept.parts[0]
+                kept.version += 1
+        return self._parts[0][0]
+
+    # -- reading ----------------------------------------------------------------------------
+
+    def fetch(self, table: str, first: int, last: int) -> pa.Table:
+        """The kept rows of a table at ticks from first to last, what waits left out."""
+        starts = [start for start, _, _ in self._parts]
+        begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
+        end = int(np.searchsorted(starts, last, side="right"))
+        kept = self._kept[table]
+        found = pa.concat_tables([in_parts(table).empty_table(), *kept.parts[begin:end]])
+        ticks = found["tick"].to_numpy()
+        found = found.filter(pa.array((ticks >= first) & (ticks <= last)))
+        for name in STORED[table].flags if table in STORED else ():
+            place = found.column_names.index(name)
+            found = found.set_column(place, name, found[name].cast(pa.bool_()))
+        return found
+
+    def _all(self, table: str, rings: Waiting | None) -> str:
+        """A SELECT of all rows of a table, those that wait among them."""
+        assert rings is not None
+        return " UNION ALL ".join(self._of_ring(table, ring, "tick >= 0") for ring in rings(table))
+
+    def models(self) -> dict[str, str]:
+        """What the views select that tell what entities are, by their names."""
+        return {f"{table}_model": f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
