@@ -214,6 +214,8 @@ def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:
     for select in reading:
         if select.args.get("from_"):
             select.join(row.copy(), join_type="cross", copy=False)
+            joins = select.args["joins"]
+            joins.insert(0, joins.pop())  # conditions of the others may be about it
         else:
             select.from_(row.copy(), copy=False)
 
