@@ -198,6 +198,7 @@ def _used(ss: ssduck.Interpreter, place: Path) -> int:
 def fill(ss: ssduck.Interpreter, world: ssduck.World, ticks: int, step: int = 6000) -> None:
     """Keep ticks that were never simulated: things go about, some of them over the table."""
     recorder = _recorder(ss)
+    world.ask(("shapes", "links"))  # later it would be a tick of its own
     ss.flush()
     ids = np.array([member.id for member in world.snapshot.members])
     first = world.snapshot.number + 1
@@ -390,7 +391,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--sizes", type=int, nargs="+", default=(40, 300, 1000), help="of worlds")
     parser.add_argument("--ticks", type=int, default=2400, help="that are kept each time")
     parser.add_argument("--long", type=int, default=250_000, help="ticks of the long run")
-    parser.add_argument("--near", type=int, default=2000, help="ticks that shapes are compared at")
+    parser.add_argument(
+        "--near", type=int, default=20_000, help="ticks that shapes are compared at"
+    )
     parser.add_argument("--gigabytes", type=float, default=0.1, help="of the record")
     parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
     given = parser.parse_args(arguments)

@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ssduck.changes import Changed
     from ssduck.entities import Entity, Sensor
     from ssduck.errors import SelectScriptError
     from ssduck.folder import Episode, episodes
@@ -12,9 +13,11 @@ if TYPE_CHECKING:
     from ssduck.limits import Limits
     from ssduck.past import Past
     from ssduck.recording import Recording
+    from ssduck.triggers import TriggerWarning
     from ssduck.world import World
 
 __all__ = [
+    "Changed",
     "Entity",
     "Episode",
     "Interpreter",
@@ -23,6 +26,7 @@ __all__ = [
     "Recording",
     "SelectScriptError",
     "Sensor",
+    "TriggerWarning",
     "World",
     "episodes",
     "load",
@@ -30,6 +34,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Changed": "changes",
     "Entity": "entities",
     "Episode": "folder",
     "Interpreter": "interpreter",
@@ -38,6 +43,7 @@ _HOMES = {
     "Recording": "recording",
     "SelectScriptError": "errors",
     "Sensor": "entities",
+    "TriggerWarning": "triggers",
     "World": "world",
     "episodes": "folder",
     "load": "interpreter",

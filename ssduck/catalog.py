@@ -6,12 +6,15 @@ relations' formulas in it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlglot import exp
 
 from ssduck.elements import pairs_of
+from ssduck.history import history_name, model_name
+from ssduck.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_INTERVALS
+from ssduck.models import MODEL_COMMENTS, MODELS
 from ssduck.relations import Candidates, Relation
 from ssduck.tables import ROWS, TABLES
 from ssduck.udfs import RELATIONS
@@ -72,7 +75,10 @@ def _dotted(place: Sequence[str], name: str) -> str:
 
 
 def described(
-    worlds: Sequence[str], only: str | None, known: Collection[str] | None
+    worlds: Sequence[str],
+    only: str | None,
+    known: Collection[str] | None,
+    recorded: Collection[str] = (),
 ) -> Iterator[str]:
     """The statements that make the macros and comments.
 
@@ -83,10 +89,13 @@ def described(
         worlds: the schemas of all worlds; one may have several.
         only: that of the only world.
         known: those that were described before; None if nothing was.
+        recorded: those whose ticks are recorded.
     """
     for relation in RELATIONS.values() if known is None else looking_up():
         yield relation.macro(only)
         yield relation.comment()
+    if known is None:
+        yield from _of_intervals()
     for table in TABLE_MACROS:
         if only is not None:
             yield table.macro(("temp",), only)
@@ -102,7 +111,19 @@ def described(
         for table in TABLE_MACROS:
             yield table.macro((schema,), schema)
             yield table.comment((schema,))
-        yield from _comments(schema)
+        yield from _comments(schema, recorded=schema in recorded)
+
+
+def _of_intervals() -> Iterator[str]:
+    """What makes intervals of rows, and the relations of these."""
+    yield f"CREATE OR REPLACE TEMP MACRO intervals(source) AS TABLE {INTERVALS}"
+    about = exp.Literal.string(ABOUT_INTERVALS).sql("duckdb")
+    yield f"COMMENT ON MACRO TABLE temp.main.intervals IS {about}"
+    for name, allen in RELATIONS_OF_INTERVALS.items():
+        if name not in RELATIONS:  # else it is one more of that relation
+            yield f"CREATE OR REPLACE TEMP MACRO {name}(a, b) AS ({allen.formula})"
+            about = exp.Literal.string(allen.about).sql("duckdb")
+            yield f"COMMENT ON MACRO temp.main.{name} IS {about}"
 
 
 def looking_up() -> Iterator[Relation]:
@@ -126,14 +147,26 @@ def dropped(world: str, *, described: bool) -> Iterator[str]:
         yield f"DROP MACRO TABLE {_dotted((world,), table.name)}"
 
 
-def _comments(schema: str) -> Iterator[str]:
+def _comments(schema: str, *, recorded: bool) -> Iterator[str]:
     """What the tables of a world hold."""
     for table, columns in TABLES.items():
-        view = exp.table_(table, db=schema, quoted=True)
-        yield _comment("VIEW", view, f"A row is {ROWS[table]}.")
-        for column in columns:
-            place = exp.column(column.name, table=table, db=schema, quoted=True)
-            yield _comment("COLUMN", place, column.comment)
+        told = {column.name: column.comment for column in columns}
+        yield from _comments_on(schema, table, f"A row is {ROWS[table]}.", told)
+        if table != "geometries":
+            about = f"A row is {ROWS[table]}, at each recorded tick."
+            yield from _comments_on(schema, history_name(table), about, told)
+    for table in MODELS if recorded else ():
+        about = f"What is the same at each recorded tick. A row is {ROWS[table]}."
+        known = {column.name: column.comment for column in TABLES[table]} | MODEL_COMMENTS[table]
+        told = {name: known[name] for name in MODELS[table]}
+        yield from _comments_on(schema, model_name(table), about, told)
+
+
+def _comments_on(schema: str, view: str, about: str, columns: Mapping[str, str]) -> Iterator[str]:
+    yield _comment("VIEW", exp.table_(view, db=schema, quoted=True), about)
+    for name, comment in columns.items():
+        place = exp.column(name, table=view, db=schema, quoted=True)
+        yield _comment("COLUMN", place, comment)
 
 
 def _comment(kind: str, place: exp.Expr, text: str) -> str:

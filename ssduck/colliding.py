@@ -147,6 +147,29 @@ def colliding(scene: Scene, deeper: float, is_deeper: Callable[[int, int], bool]
     return _found(scene, _candidates(scene, 0.0), rules, -deeper, is_deeper)
 
 
+def colliding_of(
+    scene: Scene, shapes: Pairs, deeper: float, is_deeper: Callable[[int, int], bool]
+) -> Found:
+    """As `colliding`, of these pairs of shapes."""
+    rules = _by_spheres, _by_planes, _by_axes, _by_cores
+    return _found(scene, _usable(scene, shapes), rules, -deeper, is_deeper)
+
+
+def within_of(
+    scene: Scene, shapes: Pairs, apart: float, is_within: Callable[[int, int], bool]
+) -> Found:
+    """As `all_within`, of these pairs of shapes."""
+    rules = _by_spheres, _by_planes, _by_cores
+    return _found(scene, _usable(scene, shapes), rules, apart, is_within)
+
+
+def _usable(scene: Scene, shapes: Pairs) -> Pairs:
+    first, second = shapes
+    usable = scene.known & scene.sorts.is_shown
+    both = usable[first] & usable[second]
+    return first[both], second[both]
+
+
 def all_within(scene: Scene, apart: float, is_within: Callable[[int, int], bool]) -> Found:
     """The pairs of entities with shapes that are at most so far apart; what meets is 0 apart.
 

@@ -34,10 +34,10 @@ from ssduck.errors import (
 from ssduck.export import exported
 from ssduck.folder import PART_TICKS, Folder, FolderRecording
 from ssduck.functions import Function
-from ssduck.history import Archive, History, Shown, history_name, not_recorded
+from ssduck.history import Archive, History, Near, Shown, history_name, not_recorded
 from ssduck.limits import Limits, Meter
 from ssduck.memory import Memory
-from ssduck.past import Record
+from ssduck.past import Record, RecordedWorld
 from ssduck.recording import (
     FRAMES,
     MEMORY_TICKS,
@@ -49,9 +49,10 @@ from ssduck.recording import (
 )
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
+from ssduck.then import TOLD
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import NARROW
-from ssduck.world import UNNAMED, RecordedWorld, World
+from ssduck.udfs import NARROW, THEN, THEN_COLLIDING, THEN_TOLD
+from ssduck.world import UNNAMED, World
 
 T = TypeVar("T")
 
@@ -238,8 +239,8 @@ class _Bound:
     versions: dict[str, int] = field(default_factory=dict)
     kept: _Kept | None = None
 
-    def shapes(self, tick: int | None) -> Shapes:
-        """The shapes at a tick, or at the present one.
+    def shapes(self, tick: int | None, ids: Sequence[int]) -> Shapes:
+        """The shapes at a tick, those of some entities at least, or at the present one.
 
         Raises:
             EvaluationError: the tick is not recorded.
@@ -252,7 +253,24 @@ class _Bound:
                 f"the shapes of {self.world.name!r} are known of its tick {snapshot.number} only: "
                 "its ticks are not recorded, so that rows of another one cannot be compared"
             )
-        return self.kept.record.at(tick).shapes()
+        return self.kept.record.shapes(tick, ids)
+
+    def told(self, what: str, tick: int, a: int, b: int) -> list[float]:
+        """What contacts or sensors told at a recorded tick.
+
+        Raises:
+            UnsupportedError: they are not recorded.
+        """
+        if self.kept is None:
+            raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
+        record = self.kept.record
+
+        def rows(table: str) -> Mapping[str, Any]:
+            if table not in record.tables:
+                raise UnsupportedError(not_recorded(table, self.world.name))
+            return record.rows(table, tick)
+
+        return TOLD[what](rows, a, b)
 
 
 @dataclass(frozen=True)
@@ -312,9 +330,17 @@ class Writer:
             finally:
                 self._connection.unregister(_INCOMING)
 
-    def rows(self, sql: str, parameters: Sequence[Any] = ()) -> pa.Table:
-        """All rows of a SELECT."""
-        with self._lock:
+    def rows(
+        self,
+        sql: str,
+        parameters: Sequence[Any] = (),
+        tables: Mapping[str, pa.Table] | None = None,
+    ) -> pa.Table:
+        """All rows of a SELECT; it may read tables that are given."""
+        with self._lock, ExitStack() as stack:
+            for name, table in (tables or {}).items():
+                self._connection.register(name, table)
+                stack.callback(self._connection.unregister, name)
             try:
                 return self._connection.sql(sql, params=parameters).to_arrow_table()
             except duckdb.Error as error:
@@ -389,6 +415,9 @@ class Database:
         self.run("SET python_enable_replacements = false")
         for name in NARROW:
             self._add_narrow(name)
+        for name in THEN:
+            self._add_then(name)
+        self._add_told()
         # The worlds whose relations and tables users' SQL was told of; None: not even the others.
         self._told_of: set[str] | None = None
         self._confine(self.meter.limits)
@@ -618,8 +647,9 @@ class Database:
                         "shapes are compared at one tick: these rows are of the ticks "
                         f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
                     )
-                shapes = worlds[world].shapes(*ticks) if ticks else worlds[world].shapes(None)
-                return answer(shapes, *arguments[1:entities:2], *arguments[entities:])
+                ids = arguments[1:entities:2]
+                shapes = worlds[world].shapes(ticks.pop() if ticks else None, ids)
+                return answer(shapes, *ids, *arguments[entities:])
             except BaseException as error:
                 raised[:] = [error]
                 raise
@@ -634,6 +664,41 @@ class Database:
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
             side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
+
+    def _add_then(self, name: str) -> None:
+        """Make a function of the narrow phase over many ticks one of SQL."""
+        worlds, raised = self._narrow_worlds, self._raised
+        collide = name == THEN_COLLIDING
+
+        def call(world: str, first: int, last: int, a: int, b: int, *apart: float) -> Any:
+            try:
+                kept = worlds[world].kept
+                if kept is None:
+                    raise EvaluationError(f"the ticks of {world!r} are not recorded")
+                asked = Near(first, last, a, b, 0.0 if collide else apart[0])
+                return kept.record.pairs(asked, collide=collide)
+            except BaseException as error:
+                raised[:] = [error]
+                raise
+
+        taken: list[Any] = ["VARCHAR", *["BIGINT"] * 4, *([] if collide else ["DOUBLE"])]
+        _give_arity(call, len(taken))
+        self._connection.create_function(name, call, taken, "BIGINT[][]", side_effects=True)
+
+    def _add_told(self) -> None:
+        """Make what contacts and sensors told at recorded ticks a function of SQL."""
+        worlds, raised = self._narrow_worlds, self._raised
+
+        def call(world: str, what: str, tick: int, a: int, b: int) -> list[float]:
+            try:
+                return worlds[world].told(what, tick, a, b)
+            except BaseException as error:
+                raised[:] = [error]
+                raise
+
+        types: list[Any] = ["VARCHAR", "VARCHAR", "BIGINT", "BIGINT", "BIGINT"]
+        _give_arity(call, len(types))
+        self._connection.create_function(THEN_TOLD, call, types, "DOUBLE[]", side_effects=True)
 
     # -- worlds ---------------------------------------------------------------------------
 
@@ -708,8 +773,6 @@ class Database:
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
         self._make_history_views(name, bound)
-        if self._told_of is not None:
-            self._told_of.discard(name)
         self._forget_plans()
 
     # -- what is kept -----------------------------------------------------------------------
@@ -741,7 +804,9 @@ class Database:
         # Of a file, what waits is lost when the process is killed; of memory, all is.
         waits = MEMORY_TICKS if in_memory else RING_TICKS
         recorder = Recorder(recording, history, waits)
-        record = Record(world, recorder.ticks, recorder.members, recorder.tables, recorder.fetch)
+        record = Record(
+            world, recorder.ticks, recorder.members, recorder.tables, recorder.fetch, recorder.near
+        )
         bound.kept = _Kept(history, record, recorder, (*recorder.halves, *history.shown))
         self._recorders.append(recorder)
         world.record(recorder)
@@ -771,6 +836,8 @@ class Database:
         return next(name for name in names if name.casefold() not in taken)
 
     def _make_history_views(self, name: str, bound: _Bound) -> None:
+        if self._told_of is not None:
+            self._told_of.discard(name)
         for table in ("ticks", *RECORDABLE):
             rows = None
             if bound.kept is not None:
@@ -877,7 +944,7 @@ class Database:
         schemas = list(self._narrow_worlds)
         if self._told_of != set(schemas):
             only = schemas[0] if len(self.worlds) == 1 else None
-            for statement in described(schemas, only, self._told_of):
+            for statement in described(schemas, only, self._told_of, self.records):
                 self.run(statement)
             self._told_of = set(schemas)
 

@@ -15,6 +15,8 @@ T = TypeVar("T")
 
 # Calls that do something, or see more than their arguments: made row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
+# Calls whose argument is evaluated at each recorded tick (ssduck.over_time).
+OVER_TIME = frozenset(("since", "heldFor", "holds", "changes", "least"))
 
 
 def known(look: Callable[[Node], T]) -> Callable[[Node], T]:

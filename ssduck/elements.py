@@ -9,7 +9,7 @@ from sqlglot import exp
 
 from ssduck.relations import MOST_IDS, Candidates
 from ssduck.sqlvalues import NotSqlError, SqlValue
-from ssduck.types import ANY, IDS, Tag
+from ssduck.types import ANY, FLAG, IDS, Tag
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,14 @@ def world_table(schema: str, name: str) -> Element:
     )
 
 
-def past_table(schema: str, name: str, first: exp.Expr, last: exp.Expr) -> Element:
-    """The entities of a world at recorded ticks."""
+def past_table(
+    schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
+) -> Element:
+    """The entities of a world at recorded ticks, or one of them."""
     rows = exp.select("*").from_(exp.table_("entities_history", db=schema))
     rows = rows.where(exp.Between(this=exp.column("tick"), low=first, high=last))
+    if id is not None:
+        rows = rows.where(exp.EQ(this=exp.column("id"), expression=id))
     return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
 
 
@@ -124,6 +128,57 @@ def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> Follower:
     same_id = exp.EQ(this=column_of(name, "id"), expression=id.copy())
     join = exp.Join(this=table, side="LEFT", on=exp.and_(same_tick, same_id))
     return Follower(past_value(schema, name), join)
+
+
+def pairs_then(
+    candidates: Candidates, apart: exp.Expr, row: Span, ids: tuple[exp.Expr, exp.Expr], name: str
+) -> Follower:
+    """Whether a relation holds of two entities at the tick of a row: all ticks asked at once.
+
+    Args:
+        candidates: whose pairs: those that collide, or are within a distance.
+        apart: that distance.
+        row: the ticks, and that of the row.
+        ids: of the entities.
+        name: what the table of pairs is called.
+    """
+    arguments: list[exp.Expr] = [
+        exp.Literal.string(row.schema),
+        row.first.copy(),
+        row.last.copy(),
+        *(exp.Literal.number(0) if isinstance(id, exp.Column) else id.copy() for id in ids),
+    ]
+    called = THEN_NAMES[candidates.of]
+    if candidates.of != "colliding":
+        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
+    each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
+    columns = [
+        exp.alias_(exp.func("list_extract", exp.column("p"), exp.Literal.number(place)), column)
+        for place, column in enumerate(("tick", "a", "b", "known"), start=1)
+    ]
+    table = exp.select(*columns).from_(each).subquery(exp.to_identifier(name, quoted=True))
+    equal = zip(("tick", "a", "b"), (row.tick, *ids), strict=True)
+    on = exp.and_(*(exp.EQ(this=column_of(name, c), expression=e.copy()) for c, e in equal))
+    join = exp.Join(this=table, side="LEFT", on=on)
+    none = exp.Is(this=column_of(name, "tick"), expression=exp.Null())
+    known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
+    holds = exp.case().when(none, exp.false()).when(known, exp.true())
+    return Follower(SqlValue(holds, FLAG), join)
+
+
+@dataclass(frozen=True)
+class Span:
+    """The ticks that rows of the past are of, the tick of the current one, the only id."""
+
+    schema: str
+    first: exp.Expr
+    last: exp.Expr
+    tick: exp.Expr
+    id: exp.Expr | None = None
+
+
+THEN_NAMES = {"colliding": "then colliding", "within": "then within"}
 
 
 def _unnested_past(

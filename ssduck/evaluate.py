@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
 from ssduck.deferred import Deferred
-from ssduck.dependencies import aliases_of, free_aliases, is_impure
+from ssduck.dependencies import OVER_TIME, aliases_of, free_aliases, is_impure
 from ssduck.errors import (
     ArgumentError,
     SelectScriptError,
@@ -89,6 +89,9 @@ class Scope(Protocol):
 
     def function(self, name: str) -> Callable[[list[Any]], Any] | None:
         """A function that is no relation."""
+
+    def over_time(self, node: Call, frame: Frame) -> Any:
+        """The value of a call whose argument is evaluated at each recorded tick."""
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call."""
@@ -345,6 +348,8 @@ class Compiler:
 
     def _call(self, node: Call) -> Thunk:
         self._scope.check_call(node)
+        if node.name in OVER_TIME:
+            return lambda frame: frame.scope.over_time(node, frame)
         thunks = [self.thunk(argument) for argument in node.arguments]
 
         function = self._scope.builtin(node.name)

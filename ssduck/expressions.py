@@ -15,8 +15,8 @@ from sqlglot import exp
 
 from ssduck import subqueries, tree
 from ssduck.arithmetic import arithmetic, double_of
-from ssduck.dependencies import IMPURE, free_aliases, is_impure
-from ssduck.elements import Follower, follower
+from ssduck.dependencies import IMPURE, OVER_TIME, free_aliases, is_impure
+from ssduck.elements import Follower, Span, follower, pairs_then
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.formulas import expanded, looked_up
 from ssduck.messages import shown
@@ -84,7 +84,10 @@ class Expressions:
         self.locals: Mapping[str, SqlValue] = around.locals if around else {}
         self._are_constant: dict[Node, bool] = {}
         # Handles at the ticks of rows of the past, by both.
-        self.followers: dict[tuple[str, str], Follower] = {}
+        self.followers: dict[tuple[str, ...], Follower] = {}
+        self._parameters: dict[str, exp.Expr] = {}
+        # Of sources that are several ticks, which ones, by the tick of the current row.
+        self.spans: dict[str, Span] = {}
 
     def inside(self) -> Expressions:
         """The expressions of a query nested in this one."""
@@ -134,7 +137,7 @@ class Expressions:
                     and not is_impure(node)
                     and not any(self._is_changing(part) for part in node.walk())
                 )
-            case Call(name=name) if name in RELATIONS or name in IMPURE:
+            case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
                 return False
         return all(self.is_constant(child) for child in node.children())
 
@@ -261,10 +264,10 @@ class Expressions:
 
     def _call(self, node: Call) -> SqlValue:
         self.names.check_call(node)
+        if node.name in IMPURE or node.name in OVER_TIME:
+            raise NotSqlError
         if node.name in RELATIONS:
             return self._relation(RELATIONS[node.name], node)
-        if node.name in IMPURE:
-            raise NotSqlError
         if node.name == "count" and isinstance(node.arguments[0], Query):
             return subqueries.counted(self, node.arguments[0])
         values = [self.value(argument) for argument in node.arguments]
@@ -338,6 +341,9 @@ class Expressions:
             for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
         }
         self._follow(values)
+        then = self._at_all_ticks(relation, values, count)
+        if then is not None:
+            return then
         formula = relation.expressions[count]
         if relation.result == "entity":
             (entity,) = values.values()
@@ -382,6 +388,69 @@ class Expressions:
                 raise NotSqlError
             values[name] = self._follower(str(row.tag.schema), tick, id).value
 
+    def _at_all_ticks(
+        self, relation: Relation, values: Mapping[str, SqlValue], count: int
+    ) -> SqlValue | None:
+        """A relation of shapes at all ticks of a window at once; None where there are none."""
+        candidates = relation.candidates
+        if candidates is None or not candidates.are_exact:
+            return None
+        a, b, *others = values.values()
+        if not (a.tag.past and b.tag.past):
+            return None
+        if a.column is None or b.column is None or self.around is not None:
+            return None
+        span = self.spans.get(self._leading(a.column("tick")))
+        other = self.spans.get(self._leading(b.column("tick")))
+        if span is None or other is None or span.schema != other.schema:
+            return None
+        if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in others):
+            return None
+        known = dict(zip(list(values)[2:], others, strict=True))
+        apart = expanded(relation.apart_of(count), known)
+        ids = self._id_of(a), self._id_of(b)
+        key = (relation.name, apart.sql(), span.tick.sql(), *(id.sql() for id in ids))
+        if key not in self.followers:
+            name = self.context.alias("pairs then")
+            self.followers[key] = pairs_then(candidates, apart, span, ids, name)
+        return self.followers[key].value
+
+    def _leading(self, tick: exp.Expr) -> str:
+        """The tick of the source that a handle goes with; of a source its own."""
+        for (row, *_), known in self.followers.items():
+            column = known.value.column
+            if column is not None and column("tick").sql() == tick.sql():
+                return row
+        return tick.sql()
+
+    def _id_of(self, value: SqlValue) -> exp.Expr:
+        """The id of an entity: a parameter where it is the same at each tick."""
+        assert value.column is not None
+        for (_, id, *_), known in self.followers.items():
+            if known.value is value:
+                return self._parameters[id]
+        span = self.spans.get(value.column("tick").sql())
+        return value.column("id") if span is None or span.id is None else span.id
+
+    def note_only(self, row: This, other: Node) -> None:
+        """Note that a source's element is one entity: a constant, or one of a constant name."""
+        value = self.rows.get(row.alias or self.only or "")
+        if value is None or value.column is None or not value.tag.past:
+            return
+        span = self.spans.get(value.column("tick").sql())
+        known = self.value(other) if span is not None and span.id is None else None
+        if span is None or known is None:
+            return
+        id: exp.Expr | None = None
+        if known.tag.type == "entity" and known.tag.schema == span.schema and known.column:
+            id = known.column("id")
+        elif known.tag.type == "text":
+            models = exp.table_("entities_model", db=span.schema)
+            of_name = exp.EQ(this=exp.column("name"), expression=known.sql.copy())
+            id = exp.select("id").from_(models).where(of_name).subquery()
+        if id is not None:
+            self.spans[span.tick.sql()] = replace(span, id=id)
+
     def _is_of_own_row(self, tick: exp.Expr) -> bool:
         """Whether a tick is that of a source of this query, and not of one around it."""
         own = {
@@ -396,6 +465,7 @@ class Expressions:
         if key not in self.followers:
             name = self.context.alias("handle then")
             self.followers[key] = follower(schema, name, tick, id)
+            self._parameters[id.sql()] = id
         return self.followers[key]
 
     def _argument(self, parameter: Parameter, node: Node) -> SqlValue:

@@ -303,6 +303,10 @@ class Folder:
         """Refuse: what is in a folder is read by opening it."""
         raise RecordError(f"{table}: open {self.path} to read what is recorded there")
 
+    def near(self, asked: Any, waiting: pa.Table | None) -> pa.Table:  # noqa: ARG002
+        """Refuse, as `fetch`."""
+        raise RecordError(f"open {self.path} to read what is recorded there")
+
 
 class FolderRecording:
     """The ticks of a world on their way to a folder, until it is closed.

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -26,6 +26,7 @@ from ssduck.geometry import Geometry
 from ssduck.layout import Member
 from ssduck.models import KEYS, MODELS, members_of, models_of
 from ssduck.recording import FRAME_REALS, FRAMES, QUARTERS, RECORDABLE, STORED, Recording, Ticks
+from ssduck.relations import BOX
 from ssduck.tables import TABLES
 
 SLOTS = QUARTERS + 2
@@ -62,8 +63,13 @@ class Writer(Protocol):
     def insert_new(self, place: str, rows: pa.Table) -> None:
         """Make a table of rows."""
 
-    def rows(self, sql: str, parameters: Sequence[Any] = ()) -> pa.Table:
-        """All rows of a SELECT."""
+    def rows(
+        self,
+        sql: str,
+        parameters: Sequence[Any] = (),
+        tables: Mapping[str, pa.Table] | None = None,
+    ) -> pa.Table:
+        """All rows of a SELECT; it may read tables that are given."""
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """All rows of a SELECT, as tuples."""
@@ -83,6 +89,9 @@ class Archive(Protocol):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
+
+    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
 
     def close(self, *, forget: bool) -> None:
         """Let go of it; what is stored is dropped, or not."""
@@ -265,6 +274,10 @@ class History:
             (first, last),
         )
 
+    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
+        return near_rows(self._writer, self._stored("entities"), asked, waiting)
+
     def _stored(self, table: str) -> str:
         """A SELECT of the stored rows of a table."""
         return " UNION ALL ".join(self._of_slot(table, slot) for slot in range(self._slots))
@@ -293,7 +306,7 @@ class History:
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
-        return {f"{table}_model": f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
+        return {model_name(table): f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
 
     def _all(self, table: str, rings: Waiting | None) -> str:
         """A SELECT of all rows of a table, those that wait among them."""
@@ -314,6 +327,65 @@ class History:
         return self._place(f"{table} model")
 
 
+@dataclass(frozen=True)
+class Near:
+    """Which pairs of entities are asked for, at which ticks.
+
+    Attributes:
+        first: the first tick,
+        last: and the last one.
+        a: the one entity's id; 0 for any.
+        b: the other's.
+        apart: how far apart their boxes may be along each axis, m.
+    """
+
+    first: int
+    last: int
+    a: int
+    b: int
+    apart: float
+
+
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_WAITING = "entities that wait"
+
+
+def near_rows(
+    writer: Writer, stored: str | None, asked: Near, waiting: pa.Table | None
+) -> pa.Table:
+    """Pairs of entities whose boxes are near at a tick, or are not known, with both poses.
+
+    Args:
+        writer: a connection of its own.
+        stored: a SELECT of the stored rows of entities, if any are.
+        asked: which pairs.
+        waiting: rows of entities that wait to be stored.
+    """
+    columns = ("tick", "id", *_POSE, *BOX)
+    places = [] if stored is None else [f"({stored}) AS stored"]
+    if waiting is not None:
+        places.append(f'"{_WAITING}"')
+    rows = " UNION ALL ".join(
+        f"SELECT {_listed(columns)} FROM {place} WHERE tick BETWEEN ? AND ?"  # noqa: S608
+        for place in places
+    )
+    values = [asked.first, asked.last] * len(places)
+    poses = ", ".join(f'{side}."{name}" AS {side}_{name}' for side in "ab" for name in _POSE)
+    sides = (("a", "b"), ("b", "a"))
+    far = [f"{s}.{axis}min > {t}.{axis}max + far" for axis in "xyz" for s, t in sides]
+    only = [f"{side}.id = {id}" for side, id in (("a", asked.a), ("b", asked.b)) if id]
+    sql = (
+        f"WITH seen AS ({rows}), "  # noqa: S608
+        f"asked AS (SELECT {asked.apart!r}::DOUBLE + 1e-9 AS far) "
+        f"SELECT a.tick AS tick, a.id AS a, b.id AS b, {poses} "
+        "FROM seen AS a JOIN seen AS b ON a.tick = b.tick CROSS JOIN asked "
+        f"WHERE {' AND '.join(['a.id <> b.id', *only])} "
+        f"AND ({' OR '.join(far)}) IS NOT TRUE ORDER BY tick"
+    )
+    tables = {} if waiting is None else {_WAITING: waiting}
+    return writer.rows(sql, values, tables)
+
+
 def abouts(writer: Writer) -> list[tuple[str, str]]:
     """The schemas that hold histories, and what each one tells of itself."""
     schemas = writer.fetchall(
@@ -330,6 +402,11 @@ def abouts(writer: Writer) -> list[tuple[str, str]]:
 def history_name(table: str) -> str:
     """What the view of a table with all recorded ticks is called."""
     return f"{table}_history"
+
+
+def model_name(table: str) -> str:
+    """What the view of a table with what is the same at each tick is called."""
+    return f"{table}_model"
 
 
 def not_recorded(table: str, world: str) -> str:

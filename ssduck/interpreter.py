@@ -38,11 +38,13 @@ from ssduck.evaluate import Frame
 from ssduck.explain import told
 from ssduck.folder import FolderRecording, chosen_episode, episodes, is_folder
 from ssduck.functions import BUILTINS, Function
+from ssduck.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.keys import plain
 from ssduck.language import is_reserved, parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
 from ssduck.opened import chosen_runs, stored_runs, world_of, world_of_run
+from ssduck.over_time import FORMS, OverTime
 from ssduck.past import Past
 from ssduck.past import together as entities_together
 from ssduck.planner import Planner
@@ -50,11 +52,13 @@ from ssduck.recording import RECORDABLE, Recording
 from ssduck.relations import Relation
 from ssduck.result import Result
 from ssduck.rows import check_columns, formed
+from ssduck.running import run
 from ssduck.scenes import find_scene
 from ssduck.sources import within
 from ssduck.temporal import History, aged, history_of, kept, seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
+from ssduck.triggers import Triggers, TriggerVerbs
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
@@ -165,7 +169,7 @@ class Compiled:
         return self._interpreter._sql_of(self.tree, dialect)  # noqa: SLF001  # one room
 
 
-class Interpreter:
+class Interpreter(TriggerVerbs):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -196,13 +200,20 @@ class Interpreter:
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
         self._functions.update((command.name, command) for command in self._commands())
+        self._functions.update((name, form.function) for name, form in FORMS.items())
+        for name, allen in RELATIONS_OF_INTERVALS.items():
+            if name not in RELATIONS:
+                self._functions[name] = allen.function
+        self._over_time = OverTime()
         self._own: list[World] = []
         self._planner = Planner(self._database, self, self._limits, row_by_row=row_by_row)
         self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._texts: list[str] = []
+        self._triggers = Triggers(self)
 
     def close(self) -> None:
-        """Close the database, and the world that `load` made; yours stay open."""
+        """End the triggers, close the database and the world that `load` made; yours stay open."""
+        self._triggers.close()
         for world in self._own:
             world.close()
         self._database.close()
@@ -335,6 +346,8 @@ class Interpreter:
                 self._planner.forget()
                 self._forget()  # the time may be an earlier one now
             self._variables[name] = _plain(value)
+        if isinstance(value, World):
+            self._triggers.rebound()
         return value
 
     def call_variable(self, name: str) -> Any:
@@ -563,6 +576,35 @@ class Interpreter:
     callVariable = call_variable  # noqa: N815
     addFunction = add_function  # noqa: N815
 
+    # -- simulated time -------------------------------------------------------------------
+
+    def run(
+        self,
+        seconds: float,
+        *,
+        realtime: bool | float = False,
+        progress: bool | Literal["always"] = False,
+        every: int | None = None,
+    ) -> None:
+        """Run all worlds in lockstep for so much simulated time, each in its own time step.
+
+        Wherever a trigger is due in one of them, or the clock or `every` asks for a tick, all run
+        up to that moment before any trigger is evaluated. What-if worlds stay as they are. The
+        arguments and errors are those of `World.run`.
+
+        Raises:
+            UnknownNameError: there is no world.
+        """
+        worlds = [world for world in self.worlds if world.timestep]
+        if not worlds:
+            raise UnknownNameError("there is no world that could run: add_variable one, or load")
+        run(worlds, seconds, realtime=realtime, progress=progress, every=every)
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds that are bound to variables, the first one first."""
+        return list(self._database.worlds.values())
+
     # -- raw SQL --------------------------------------------------------------------------
 
     def sql(self, text: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> Result:
@@ -701,12 +743,27 @@ class Interpreter:
         """The value of a function call outside SQL."""
         function = self._functions.get(node.name)
         if function is None:
+            if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
+                return RELATIONS_OF_INTERVALS[node.name].function(arguments)
             if node.name in RELATIONS:
                 return self._relation(node, arguments)
             raise unknown_function(node, self._known_functions())
         if node.name == "eval":
             return self._run_text(arguments[0], frame)
         return function(arguments)
+
+    def over_time(self, node: Call, frame: Frame) -> Any:
+        """The value of a call whose argument is evaluated at each recorded tick."""
+        age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
+
+        def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
+            found = self._planner.run(query, Frame(self, given=given), _unchecked)
+            listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
+            return listed
+
+        with self._reading(node):
+            series = self._over_time.series(node, frame, self._database.record_of, rows)
+            return FORMS[node.name].make(series, None if age is None else seconds_of(age))
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""

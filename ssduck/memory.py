@@ -11,8 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 import pyarrow as pa
 
-from ssduck.history import History, Waiting
-from ssduck.models import MODELS
+from ssduck.history import History, Near, Waiting, near_rows
 from ssduck.recording import QUARTERS, STORED, in_parts
 
 # Fewer rows are put together with those before them.
@@ -96,11 +95,7 @@ class Memory(History):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The kept rows of a table at ticks from first to last, what waits left out."""
-        starts = [start for start, _, _ in self._parts]
-        begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
-        end = int(np.searchsorted(starts, last, side="right"))
-        kept = self._kept[table]
-        found = pa.concat_tables([in_parts(table).empty_table(), *kept.parts[begin:end]])
+        found = self._between(table, first, last)
         ticks = found["tick"].to_numpy()
         found = found.filter(pa.array((ticks >= first) & (ticks <= last)))
         for name in STORED[table].flags if table in STORED else ():
@@ -108,11 +103,22 @@ class Memory(History):
             found = found.set_column(place, name, found[name].cast(pa.bool_()))
         return found
 
+    def _between(self, table: str, first: int, last: int) -> pa.Table:
+        """The parts of a table that have the ticks from first to last."""
+        starts = [start for start, _, _ in self._parts]
+        begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
+        end = int(np.searchsorted(starts, last, side="right"))
+        return pa.concat_tables(
+            [in_parts(table).empty_table(), *self._kept[table].parts[begin:end]]
+        )
+
+    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
+        kept = self._between("entities", asked.first, asked.last)
+        rows = kept if waiting is None else pa.concat_tables([kept, waiting])
+        return near_rows(self._writer, None, asked, rows)
+
     def _all(self, table: str, rings: Waiting | None) -> str:
         """A SELECT of all rows of a table, those that wait among them."""
         assert rings is not None
         return " UNION ALL ".join(self._of_ring(table, ring, "tick >= 0") for ring in rings(table))
-
-    def models(self) -> dict[str, str]:
-        """What the views select that tell what entities are, by their names."""
-        return {f"{table}_model": f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608

@@ -23,7 +23,6 @@ MODELS: dict[str, dict[str, str]] = {
         "kind": "VARCHAR",
         "parent": "VARCHAR",
         "mass": "DOUBLE",
-        # How many links it has, whether it can move, where a sensor sits and what it is.
         "links": "BIGINT",
         "movable": "BOOLEAN",
         "host": "BIGINT",
@@ -73,6 +72,23 @@ MODELS: dict[str, dict[str, str]] = {
         "vertices": "DOUBLE[3][]",
         "faces": "INTEGER[3][]",
     },
+}
+# What those mean that no table of a tick has, or that mean something else there.
+MODEL_COMMENTS: dict[str, dict[str, str]] = {
+    "entities": {
+        "links": "how many links it has",
+        "movable": "whether the simulation can move it; none for a sensor",
+        "host": "id of the entity that a sensor sits on",
+        "host_link": "number of the link that a sensor sits on",
+        "sensor": "what a sensor is, as JSON",
+    },
+    "links": {},
+    "joints": dict.fromkeys(("axis_x", "axis_y", "axis_z"), "axis in the frame of the link"),
+    "shapes": {
+        **dict.fromkeys("xyz", "position in the frame of the link, m"),
+        **dict.fromkeys(("qw", "qx", "qy", "qz"), "orientation in the frame of the link"),
+    },
+    "geometries": {},
 }
 # By which columns rows of a tick and what is fixed belong together.
 KEYS = {

@@ -17,8 +17,16 @@ from threading import RLock
 
 import numpy as np
 
-from ssduck.broad import Flags
-from ssduck.colliding import Found, Scene, Sorts, all_within, colliding
+from ssduck.broad import Flags, Pairs
+from ssduck.colliding import (
+    Found,
+    Scene,
+    Sorts,
+    all_within,
+    colliding,
+    colliding_of,
+    within_of,
+)
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
 from ssduck.overlap import (
@@ -139,6 +147,30 @@ class Narrow:
                 self.note(found.compared.tolist())
                 self._all_within[apart] = found
             return self._all_within[apart]
+
+    def of_pairs(self, sorts: Sorts, shapes: Pairs, apart: float | None) -> Found:
+        """Which entities collide, or are as near, of some pairs of shapes.
+
+        Args:
+            sorts: what the shapes are, and whose.
+            shapes: the pairs; no others are compared.
+            apart: metres; None for those that collide.
+        """
+        with self._lock:
+            scene = self._scene(sorts)
+            if apart is None:
+                found = colliding_of(scene, shapes, COLLIDES, self._are_deep)
+            elif apart < 0.0:
+                return Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
+            else:
+                found = within_of(scene, shapes, apart, partial(self._are_within, apart=apart))
+            self.note(found.compared.tolist())
+            return found
+
+    @property
+    def are_known(self) -> Flags:
+        """Of each entity whether its poses are numbers and its shapes are known."""
+        return np.array(self._are_known, dtype=bool)
 
     def note(self, pairs: Iterable[int]) -> None:
         """Count pairs of entities, by their numbers, as compared.

@@ -14,12 +14,20 @@ from sqlglot import exp
 
 from ssduck.errors import RecordError, nearest
 from ssduck.folder import Episode
-from ssduck.history import History, Waiting, Writer, abouts, columns_of
+from ssduck.history import (
+    History,
+    Near,
+    Waiting,
+    Writer,
+    abouts,
+    columns_of,
+    model_name,
+    near_rows,
+)
 from ssduck.models import MODELS, members_of
-from ssduck.past import Record
+from ssduck.past import Record, RecordedWorld
 from ssduck.recording import Ticks
 from ssduck.tables import TABLES
-from ssduck.world import RecordedWorld
 
 
 class OpenedFolder:
@@ -57,14 +65,21 @@ class OpenedFolder:
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
         return {
-            f"{table}_model": f"SELECT * FROM {_scan(self.episode.files(f'models/{table}'))}"  # noqa: S608
+            model_name(table): f"SELECT * FROM {_scan(self.episode.files(f'models/{table}'))}"  # noqa: S608
             for table in MODELS
         }
 
     def record(self) -> Record:
         """What is kept of the world."""
         models = {table: self.episode.read(f"models/{table}") for table in MODELS}
-        return Record(None, self.ticks, members_of(models), self.episode.tables, self.fetch)
+        return Record(
+            None,
+            self.ticks,
+            members_of(models),
+            self.episode.tables,
+            self.fetch,
+            lambda asked: self.near(asked, None),
+        )
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
@@ -82,6 +97,12 @@ class OpenedFolder:
             f"SELECT {columns} FROM {_scan(files)} WHERE {chosen}",  # noqa: S608
             (first, last),
         )
+
+    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks."""
+        rows = self.select("entities", None)
+        assert rows is not None
+        return near_rows(self._writer, rows, asked, waiting)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Read no more."""
@@ -173,5 +194,12 @@ def world_of_run(run: StoredRun, writer: Writer) -> RecordedWorld:
     ticks = history.ticks()
     if not len(ticks):
         raise RecordError(f"of {run.world!r} nothing was stored before the file was left")
-    record = Record(None, ticks, history.members(), history.tables, history.fetch)
+    record = Record(
+        None,
+        ticks,
+        history.members(),
+        history.tables,
+        history.fetch,
+        lambda asked: history.near(asked, None),
+    )
     return RecordedWorld(run.world, record, history)

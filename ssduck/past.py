@@ -8,33 +8,45 @@ and `kitchen{}` are: some ticks of a record, whose entities are handles that sta
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.entities import Entity, Moment, Sensor
 from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices, rotation_matrices
 from ssduck.layout import Layout, Member, Part
+from ssduck.many_ticks import Frames as LinkFrames
+from ssduck.many_ticks import Models, Side
 from ssduck.recording import FRAMES, STORED, Ticks
+from ssduck.scenes import Camera
 from ssduck.separation import Counter
+from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Frames
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
 from ssduck.world import World
 
 if TYPE_CHECKING:
-    from ssduck.world import PastWorld
+    from ssduck.history import Archive, Near
 
 # So many ticks are fetched at once, and kept as worlds.
 BLOCK = 64
 MOST_BLOCKS = 8
 MOST_WORLDS = 256
+# After so many questions about a tick all shapes of it are placed.
+FEW = 8
+MOST_ASKED = 100_000
 
 _NAN = float("nan")
+# Tables that are worked out of poses, and those that nobody but a simulator knows.
+_AS_READ = frozenset(("links", "joints", "shapes"))
+_AS_RECORDED = frozenset(("contacts", "sensings"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +74,7 @@ class Record:
         members: the entities that they tell of, by id.
         tables: which tables are recorded.
         fetch: gives the rows of a table at the ticks from one to another.
+        near: gives the pairs of entities whose boxes are near at some ticks, with their poses.
     """
 
     world: World
@@ -73,6 +86,7 @@ class Record:
         members: Mapping[int, Member],
         tables: Sequence[str],
         fetch: Callable[[str, int, int], pa.Table],
+        near: Callable[[Near], pa.Table],
     ) -> None:
         if world is not None:
             self.world = world
@@ -80,11 +94,17 @@ class Record:
         self.tables = frozenset(tables)
         self.members = members
         self.fetch = fetch
+        self._near = near
+        self._models = Models(members)
+        # How often shapes at a tick were asked for.
+        self._asked: dict[int, int] = {}
         self._worlds: OrderedDict[int, PastWorld] = OrderedDict()
-        self._blocks: OrderedDict[tuple[int, int], dict[str, pa.Table]] = OrderedDict()
+        self._blocks: OrderedDict[tuple[int, int], dict[str, dict[str, npt.NDArray[Any]]]] = (
+            OrderedDict()
+        )
         self._placings: dict[tuple[int, ...], _Placing] = {}
         # How often the narrow phase is called counts for the world, at whatever tick.
-        self.calls = Counter()
+        self.calls = Counter() if world is None else world.snapshot.calls
 
     # -- which ticks ------------------------------------------------------------------------
 
@@ -135,8 +155,6 @@ class Record:
         Raises:
             EvaluationError: the tick is not kept, or not any more.
         """
-        from ssduck.world import PastWorld
-
         if tick not in self._worlds:
             while len(self._worlds) >= MOST_WORLDS:
                 self._worlds.popitem(last=False)
@@ -156,21 +174,19 @@ class Record:
                 f"tick {tick} of {self.world.name!r} is not recorded, or is kept no longer"
             )
         rows = self.rows("entities", tick)
-        ids = rows["id"].to_numpy()
+        ids = rows["id"]
         placing = self._placing(tuple(np.sort(ids).tolist()))
         snapshot = placing.template.past(tick, _untold(self))
         layout = snapshot.layout
         order = np.argsort(ids)[np.searchsorted(np.sort(ids), [m.id for m in layout.members])]
-        reals = np.array(
-            [_numbers(rows[name]) for name in STORED["entities"].names_of_reals("entities")]
-        )
+        reals = np.array([rows[name] for name in _REALS])
         states = np.concatenate((reals[1:14, order].T, self._states_of_links(tick)))
         states[placing.bases[:, 0], 7:] = states[placing.bases[:, 1], 7:]
         flags = {
             name: frozenset(
                 member.body
                 for member, row in zip(layout.members, order.tolist(), strict=True)
-                if member.body is not None and not rows[name][row].as_py()
+                if member.body is not None and not rows[name][row]
             )
             for name in ("enabled", "visible")
         }
@@ -190,8 +206,84 @@ class Record:
         snapshot.calls = self.calls
         return posed, snapshot
 
-    def rows(self, table: str, tick: int) -> pa.Table:
-        """The rows of a table at a tick."""
+    def pairs(self, asked: Near, *, collide: bool) -> list[list[int]]:
+        """The pairs of entities that collide, or are as near, at some ticks.
+
+        Args:
+            asked: which ones.
+            collide: whether they are to collide.
+
+        Returns:
+            [tick, a, b, 1] of each of which it holds, with a 0 where it is not known.
+        """
+        rows = self._near(asked)
+        ticks = rows["tick"].to_numpy()
+        sides = [
+            Side(
+                rows[side].to_numpy(),
+                LinkFrames(_columns(rows, side, ("x", "y", "z")), _columns(rows, side, _TURN)),
+                partial(self._link_frames, ticks),
+            )
+            for side in "ab"
+        ]
+        apart = None if collide else asked.apart
+        holds, known = self._models.together(sides[0], sides[1], apart, self.calls)
+        found = np.flatnonzero(holds | ~known)
+        columns = (ticks, sides[0].ids, sides[1].ids, known.astype(np.int64))
+        listed: list[list[int]] = np.array([column[found] for column in columns]).T.tolist()
+        return listed
+
+    def _link_frames(
+        self, ticks: npt.NDArray[np.int64], rows: Indices, id: int, link: int
+    ) -> LinkFrames:
+        """Where a link of an entity is at the ticks of some rows."""
+        table = "links" if "links" in self.tables else FRAMES
+        found = np.full((len(rows), 7), _NAN)
+        for tick in np.unique(ticks[rows]).tolist():
+            found[ticks[rows] == tick] = self._pose(table, tick, id, link)
+        return LinkFrames(found[:, :3], found[:, 3:])
+
+    def _pose(self, table: str, tick: int, id: int, link: int) -> Array:
+        """Position and orientation of a link of an entity at a tick, (7,); NaN if it is not there.
+
+        Args:
+            table: of entities, where `link` is 0, or of links.
+            tick: the tick.
+            id: of the entity.
+            link: its number.
+        """
+        own = self.rows(table, tick)
+        is_it = own["id"] == id if table == "entities" else own["entity"] == id
+        if table != "entities":
+            is_it &= own["link"] == link
+        place = np.flatnonzero(is_it)
+        names = ("x", "y", "z", *_TURN)
+        return np.array([own[name][place[0]] if len(place) else _NAN for name in names])
+
+    def shapes(self, tick: int, ids: Sequence[int]) -> Shapes:
+        """The shapes at a tick, to be compared.
+
+        Where few are asked for at a tick, only these are placed.
+
+        Args:
+            tick: which one.
+            ids: of the entities that are asked for.
+        """
+        self._asked[tick] = self._asked.get(tick, 0) + 1
+        if tick in self._worlds or self._asked[tick] > FEW or len(set(ids)) < len(ids):
+            return self.at(tick).shapes()
+        if len(self._asked) > MOST_ASKED:
+            self._asked.clear()
+        table = "links" if "links" in self.tables else FRAMES
+        poses = [
+            [self._pose("entities", tick, id, 0)]
+            + [self._pose(table, tick, id, link) for link in self._models.moving_links(id)]
+            for id in ids
+        ]
+        return self._models.shapes(ids, [np.array(found) for found in poses], self.calls)
+
+    def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
+        """The columns of a table at a tick; NaN for what is not known."""
         number = tick // BLOCK
         # What is recorded meanwhile makes a block another one.
         last = min((number + 1) * BLOCK - 1, int(self.ticks.numbers[-1]))
@@ -203,11 +295,11 @@ class Record:
         self._blocks.move_to_end(key)
         block = self._blocks[key]
         if table not in block:
-            found = self.fetch(table, number * BLOCK, last)
-            block[table] = found.sort_by("tick")
-        ticks = block[table]["tick"].to_numpy()
-        first, end = np.searchsorted(ticks, tick), np.searchsorted(ticks, tick, side="right")
-        return block[table].slice(int(first), int(end - first))
+            found = self.fetch(table, number * BLOCK, last).sort_by("tick")
+            block[table] = {name: found[name].to_numpy() for name in found.column_names}
+        columns = block[table]
+        first, end = np.searchsorted(columns["tick"], [tick, tick + 1])
+        return {name: column[first:end] for name, column in columns.items()}
 
     def _placing(self, ids: tuple[int, ...]) -> _Placing:
         if ids not in self._placings:
@@ -235,19 +327,19 @@ class Record:
         """Of the links of bodies that have several: pose and velocities, (n, 13)."""
         table = "links" if "links" in self.tables else FRAMES
         rows = self.rows(table, tick)
-        keys = np.array([_numbers(rows[name]) for name in ("entity", "link")])
+        keys = np.array([rows[name] for name in ("entity", "link")])
         names = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
-        unknown = np.full(rows.num_rows, _NAN)
-        reals = [_numbers(rows[name]) if name in rows.column_names else unknown for name in names]
+        unknown = np.full(len(rows["tick"]), _NAN)
+        reals = [rows.get(name, unknown) for name in names]
         return np.array(reals)[:, np.lexsort(keys[::-1])].T
 
     def _joints(self, tick: int, layout: Layout) -> dict[Body, Array]:
         if "joints" not in self.tables:
             return {b: np.full((len(b.joints), 3), _NAN) for _, b in layout.bodies}
         rows = self.rows("joints", tick)
-        owners = rows["entity"].to_numpy()
-        states = np.array([_numbers(rows[name]) for name in ("position", "velocity", "effort")])
-        links = rows["link"].to_numpy()
+        owners = rows["entity"]
+        states = np.array([rows[name] for name in ("position", "velocity", "effort")])
+        links = rows["link"]
         found = {}
         for id, body in layout.bodies:
             own = np.flatnonzero(owners == id)
@@ -255,7 +347,14 @@ class Record:
         return found
 
 
+def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
+    """Columns of one of two entities, (rows, names)."""
+    columns = [_numbers(rows[f"{side}_{name}"]) for name in names]
+    return np.array(columns).reshape(len(names), rows.num_rows).T
+
+
 _ROUNDING = 1e-9
+_TURN = ("qw", "qx", "qy", "qz")
 _REALS = STORED["entities"].names_of_reals("entities")
 
 
@@ -308,6 +407,71 @@ def _sources(part: Part, layout: Layout, starts: Mapping[int, int]) -> tuple[Par
     return part, np.array(places, dtype=np.intp)
 
 
+class PastWorld(World):
+    """A world as it was at a recorded tick: it never changes, and knows what was recorded.
+
+    Args:
+        record: what is kept of the world.
+        posed: where its bodies were.
+        snapshot: of that tick.
+    """
+
+    def __init__(self, record: Record, posed: Posed, snapshot: Snapshot) -> None:
+        self._begin(posed, snapshot, record.world.name, record.world.camera)
+        self._record = record
+        for table in _AS_RECORDED & record.tables:
+            rows = record.rows(table, snapshot.number)
+            snapshot.tables[table].fill(len(rows["tick"]), rows)
+
+    def ask(self, tables: Iterable[str]) -> None:
+        """See to it that there are these tables; what was recorded is there."""
+        super().ask(_AS_READ.intersection(tables))
+
+    def shapes(self) -> Shapes:
+        """The shapes of this tick, to be compared."""
+        self.ask(("shapes",))
+        return self.snapshot.shapes()
+
+    def entity(self, id: int) -> Entity:
+        """The handle of an entity at this tick, by its id."""
+        member = self.snapshot.members[self.snapshot.rows[id]]
+        kind = Sensor if member.kind == "sensor" else Entity
+        moment = Moment(self._record, self.snapshot.number)
+        return kind(self._record.world, id, member.name, member.kind, moment)
+
+    def __contains__(self, thing: object) -> bool:
+        """Whether it has an entity of that name, or that entity."""
+        if isinstance(thing, Entity):
+            return thing.world is self._record.world and thing.id in self.snapshot.rows
+        return super().__contains__(thing)
+
+
+class RecordedWorld(PastWorld):
+    """A world of which there is only what was recorded: its present is the last tick.
+
+    Args:
+        name: what it is called.
+        record: what is kept of it; it is told of this world.
+        archive: where that is stored.
+    """
+
+    def __init__(self, name: str, record: Record, archive: Archive) -> None:
+        self.name, self.camera = name, Camera()
+        record.world = self
+        posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
+        super().__init__(record, posed, snapshot)
+        self.archive = archive
+
+    @property
+    def own_record(self) -> Record:
+        """What is kept of it."""
+        return self._record
+
+    def entity(self, id: int) -> Entity:
+        """The handle of an entity that is there, by its id."""
+        return World.entity(self, id)
+
+
 @dataclass(frozen=True, eq=False)
 class Past:
     """Some ticks of a world: a source of queries, whose elements are its entities at each.
@@ -318,12 +482,14 @@ class Past:
         last: and of the last one.
         is_window: whether there may be several; sources of one world that are so go through
             their ticks together.
+        id: of the only entity that is meant; None for all.
     """
 
     record: Record
     first: int
     last: int
     is_window: bool
+    id: int | None = None
 
     @property
     def world(self) -> World:
@@ -351,7 +517,11 @@ class Past:
     def __iter__(self) -> Iterator[Entity]:
         """The entities at each tick, tick by tick."""
         for tick in self.ticks:
-            yield from self.record.at(tick)
+            there = self.record.at(tick)
+            if self.id is None:
+                yield from there
+            elif self.id in there.snapshot.rows:
+                yield there.entity(self.id)
 
     def at(self, tick: int) -> PastWorld:
         """The entities at one of the ticks."""

@@ -24,6 +24,7 @@ class Shape:
         schema: of a world, its schema.
         moments: of a world's past, whether it is one tick, or several, or the present one beside
             its past.
+        of_one: whether that is the past of one entity.
         tag: of values, what they are.
         given: whether its values are known before the query runs; else it is a part of it.
         dicts: whether some of its elements are dicts.
@@ -37,6 +38,7 @@ class Shape:
     dicts: bool = False
     known: bool = True
     moments: Moments = ""
+    of_one: bool = False
 
 
 class Names(Protocol):
@@ -77,7 +79,7 @@ class Binding:
         node: the expression that it is the value of,
         column: or the column of the entity that the expression is.
         source: instead, the source that it lists the elements of,
-        end: or the past of a world that it is the first or the last tick of.
+        end: or the past of a world that it is the first or the last tick of, or whose only entity.
         tag: of the value.
     """
 
@@ -85,7 +87,7 @@ class Binding:
     node: Node | None = None
     column: str | None = None
     source: str | None = None
-    end: Literal["", "first", "last"] = ""
+    end: Literal["", "first", "last", "id"] = ""
     tag: Tag = field(default_factory=lambda: Tag("list"))
 
 

@@ -332,6 +332,9 @@ class Store(Protocol):
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
 
+    def near(self, asked: Any, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks."""
+
     def drop_before(self, tick: int) -> int:
         """Drop old ticks; tells which one is the first that is still there."""
 
@@ -493,6 +496,12 @@ class Recorder:
             inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
             copied = inside.select(stored.column_names).cast(stored.schema)
             return pa.concat_tables([stored, copied])
+
+    def near(self, asked: Any) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks, with their poses."""
+        with self._lock:
+            self._settle()
+            return self._store.near(asked, self._rings["entities"].rows())
 
     def _is_due(self, time: float) -> bool:
         """Whether what waits is to be stored: so many ticks, or a quarter of what is kept."""

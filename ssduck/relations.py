@@ -84,6 +84,9 @@ class Relation:
         apart: of a formula that looks things up, what it is of entities of two worlds.
         asked: of one that calls the narrow phase, on which pairs it does.
         candidates: where all pairs of a tick are found of which it may hold.
+        then: of one that looks up what differs from tick to tick, its formula in a macro for rows
+            of a recorded tick.
+        of_lists: of one that has another meaning for two lists, that formula.
         far: what it yields of entities whose boxes are apart: at least as much, or 0.
     """
 
@@ -100,6 +103,8 @@ class Relation:
     apart: str = ""
     asked: str = ""
     candidates: Candidates | None = None
+    then: str = ""
+    of_lists: str = ""
     far: Literal["", "more", "nothing"] = ""
 
     @property
@@ -156,6 +161,15 @@ class Relation:
         tables = {table.name for table in tree.find_all(exp.Table)}
         return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
 
+    def _now_or_then(self, tree: exp.Expr, schema: str) -> exp.Expr:
+        """A formula of what is looked up: now, or at the tick of a row that was recorded."""
+        if not self.then:
+            return tree
+        row = exp.column("tick", table=self.parameters[0].name)
+        present = exp.select("max(tick)").from_(exp.table_("ticks", db=schema)).subquery()
+        then = in_schema(_parsed(self.then), schema)
+        return exp.case().when(exp.EQ(this=row, expression=present), tree).else_(then)
+
     def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
         """The statement that makes the DuckDB macro of the same name.
 
@@ -186,7 +200,7 @@ class Relation:
         if not self.tables:
             return tree
         if schema is not None:
-            return in_schema(tree, schema)
+            return self._now_or_then(in_schema(tree, schema), schema)
         reason = (
             f"{self.name}: in SQL it is for one world, and there is none or several; write the "
             f"name of the world that is meant before it, world.{self.name}(…)"
@@ -206,6 +220,8 @@ def _overloads(relation: Relation, schema: str | None) -> str:
         f"AS ({relation.body(tree, schema).sql('duckdb')})"
         for count, tree in relation.expressions.items()
     ]
+    if relation.of_lists:
+        found.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.of_lists})")
     if relation.name in _OF_TEXTS:
         found.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
     return ", ".join(found)

@@ -148,7 +148,7 @@ def _shape(alias: str, value: Any, schema_of: SchemaOf) -> Shape:
         return Shape(alias, schema_of(value))
     if isinstance(value, Past):
         moments: Moments = "window" if value.is_window else "instant"
-        return Shape(alias, schema_of(value.world), moments=moments)
+        return Shape(alias, schema_of(value.world), moments=moments, of_one=value.id is not None)
     if isinstance(value, Now):
         return Shape(alias, schema_of(value.world), moments="now")
     elements = elements_of(value)

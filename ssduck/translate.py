@@ -15,9 +15,11 @@ from typing import Literal
 from sqlglot import exp
 
 from ssduck import subqueries, tree
-from ssduck.dependencies import changing, free_aliases, is_impure
+from ssduck.dependencies import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
+    Span,
+    column_of,
     counted_rows,
     past_table,
     present_table,
@@ -35,7 +37,7 @@ from ssduck.recursion import searched
 from ssduck.resolve import resolve
 from ssduck.rows import Rest, aggregates
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
-from ssduck.tree import Binary, Call, Key, Node, Query
+from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import INTEGER, Tag
 from ssduck.udfs import RELATIONS
 
@@ -101,6 +103,7 @@ class _Translator:
         plan.names = tuple(c.name for c in self.selected if isinstance(c.name, str))
         if self.query.recursion is not None:
             return self._recursive()
+        self._note_only()
         conditions = [
             self._pairs(node) or self._condition(node) for node in _conjuncts(self.query.where)
         ]
@@ -176,7 +179,15 @@ class _Translator:
             self.context.parameter(end, Binding("", source=shape.alias, end=end, tag=INTEGER))
             for end in _ENDS
         )
-        return past_table(shape.schema, name, first, last)
+        id = None
+        if shape.of_one:
+            id = self.context.parameter(
+                "id", Binding("", source=shape.alias, end="id", tag=INTEGER)
+            )
+        if shape.moments == "window":
+            tick = column_of(name, "tick")
+            self.sql.spans[tick.sql()] = Span(shape.schema, first, last, tick, id)
+        return past_table(shape.schema, name, first, last, id)
 
     def _together(self) -> Iterator[exp.Expr]:
         """Sources that are several ticks of one world go through them together."""
@@ -223,6 +234,23 @@ class _Translator:
         if order.index(str(second.alias)) == order.index(str(first.alias)) + 1:
             self.positions[str(first.alias)] = found.position
         return found.condition
+
+    def _note_only(self) -> None:
+        """Note of which one entity sources are: by `this == cup`, by `id(this) == 'cup'`."""
+        for node in _conjuncts(self.query.where):
+            match node:
+                case Binary(operator="==", left=This() as row, right=other):
+                    pass
+                case Binary(operator="==", left=other, right=This() as row):
+                    pass
+                case Binary(
+                    operator="==", left=Call(name="id", arguments=(This() as row,)), right=other
+                ):
+                    pass
+                case _:
+                    continue
+            if self.sql.is_constant(other):
+                self.sql.note_only(row, other)
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:
@@ -366,6 +394,8 @@ class _Translator:
             return
         if isinstance(node, Call) and node.name not in RELATIONS:
             self.names.check_call(node)
+        if isinstance(node, Call) and node.name in OVER_TIME:
+            return  # its parts are evaluated at other ticks
         try:
             if but:
                 raise NotSqlError

@@ -23,6 +23,7 @@ from typing import Literal
 
 import sqlglot
 
+from ssduck.intervals import RELATIONS_OF_INTERVALS
 from ssduck.relations import Candidates, Parameter, Relation, ValueType
 
 _ENTITY = (Parameter("object", "entity", "an entity"),)
@@ -40,8 +41,9 @@ def _of_entity(
     about: str,
     unit: str = "",
     element: ValueType = "real",
+    then: str = "",
 ) -> Relation:
-    return Relation(name, _ENTITY, result, formula, about, unit=unit, element=element)
+    return Relation(name, _ENTITY, result, formula, about, unit=unit, element=element, then=then)
 
 
 def _sliced(name: str, formula: str, about: str, unit: str) -> Relation:
@@ -70,6 +72,12 @@ def _boxes_within(apart: str) -> str:
 def _meet(apart: str = "0") -> str:
     """Whether the boxes of two entities are that near."""
     return f"a.id <> b.id AND {_boxes_within(apart)}"
+
+
+def _told(what: str, a: str, b: str = "") -> str:
+    """What contacts or sensors told at the tick of a row, as numbers: see `ssduck.then`."""
+    other = f"{b}.id" if b else "0"
+    return f"\"then told\"($world, '{what}', {a}.tick, {a}.id, {other})"
 
 
 def _ask(answer: str, *more: str) -> str:
@@ -316,7 +324,9 @@ _LISTED = (
         "flag",
         "a.id <> b.id AND a.xmin <= b.xmax AND b.xmin <= a.xmax AND a.ymin <= b.ymax "
         "AND b.ymin <= a.ymax AND a.zmin <= b.zmax AND b.zmin <= a.zmax",
-        "Checks if the axis-aligned boxes of a and b meet, touching included.",
+        "Checks if the axis-aligned boxes of a and b meet, touching included. Of two intervals "
+        "[start, end] it checks if a begins before b, and ends inside b.",
+        of_lists=RELATIONS_OF_INTERVALS["overlaps"].formula,
         symmetric=True,
     ),
     _on_shapes(
@@ -444,6 +454,7 @@ _LISTED = (
         "force is more than 0.",
         symmetric=True,
         apart="FALSE",
+        then=f"a.id <> b.id AND COALESCE(list_max({_told('pressing', 'a', 'b')}) > 0, FALSE)",
     ),
     Relation(
         "contactForce",
@@ -458,6 +469,8 @@ _LISTED = (
         unit="N",
         symmetric=True,
         apart="0.0::DOUBLE",
+        then="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
+        f"ELSE COALESCE(list_sum({_told('pressing', 'a', 'b')}), 0.0) END",
     ),
     # -- regions, and the view of another -------------------------------------------------
     _seen("leftOf", "{left} > abs({forward})", "Checks if b is left of a"),
@@ -571,6 +584,7 @@ _LISTED = (
         "solver found in the last step, friction included. What a program applies, PyBullet does "
         "not tell.",
         "N",
+        then=f"{_told('wrench', 'object')}[1:3]",
     ),
     _of_entity(
         "torque",
@@ -579,6 +593,7 @@ _LISTED = (
         "Returns the sum [x, y, z] of the moments of those forces (see force) about the object's "
         "position.",
         "N m",
+        then=f"{_told('wrench', 'object')}[4:6]",
     ),
     _of_entity(
         "gravityMode",
@@ -626,6 +641,7 @@ _LISTED = (
         "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
         "what is no sensor.",
         apart="FALSE",
+        then=f"len({_told('sensed', 's', 'e')}) > 0",
     ),
     Relation(
         "sensingAmount",
@@ -636,6 +652,7 @@ _LISTED = (
         "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
         "0 to 1; 0 where isSensing(s, e) is False.",
         apart="0.0::DOUBLE",
+        then=f"COALESCE({_told('sensed', 's', 'e')}[1], 0.0)",
     ),
     Relation(
         "sensingEnvIDs",
@@ -647,6 +664,7 @@ _LISTED = (
         "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
         "order; an empty list while it is switched off.",
         element="integer",
+        then=f"{_told('perceived', 's')}::BIGINT[]",
     ),
 )
 
@@ -671,5 +689,13 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow contains": (_PAIR, "BOOLEAN"),
     "narrow volume": (_ONE, "DOUBLE"),
 }
+
+# Those over many ticks: of a world, the first and the last tick, the ids of two entities (0 for
+# any), and a distance. They yield [tick, a, b, 1] of each pair of which it holds, with a 0 at the
+# end where it is not known.
+THEN_COLLIDING = "then colliding"
+THEN_WITHIN = "then within"
+THEN_TOLD = "then told"
+THEN = (THEN_COLLIDING, THEN_WITHIN)
 
 RELATIONS: dict[str, Relation] = {relation.name: relation for relation in _LISTED}

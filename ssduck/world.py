@@ -12,12 +12,12 @@ import weakref
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.entities import Entity, Moment, Sensor
+from ssduck.entities import Entity, Sensor
 from ssduck.errors import (
     ArgumentError,
     SceneError,
@@ -25,35 +25,30 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
+from ssduck.following import Followed
 from ssduck.kinematics import JointValues, Pose, pose_of, positions_of
 from ssduck.layout import Member
 from ssduck.openrave import WorldSpellings
 from ssduck.recording import Recorder
 from ssduck.scenes import Camera, Scene, SensorSpec, read_sensor
 from ssduck.sensing import Reading
-from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Kind, Simulator
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
 from ssduck.what_if import imagined
-
-if TYPE_CHECKING:
-    from ssduck.history import Archive
-    from ssduck.past import Record
 
 T = TypeVar("T")
 
 # What a world is called before it gets a name.
 UNNAMED = "world"
 _serials = count()
-# Tables that are worked out of poses, and those that nobody but a simulator knows.
-_AS_READ = frozenset(("links", "joints", "shapes"))
-_AS_RECORDED = frozenset(("contacts", "sensings"))
 # Seconds that a step waits while another thread wants to ask.
 _TURN = 1e-4
+# Whoever watches a run is told each so many steps.
+_WATCHED = 24
 
 
-class World(WorldSpellings):
+class World(Followed, WorldSpellings):
     """One simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
@@ -93,6 +88,7 @@ class World(WorldSpellings):
         self.name = name
         self.camera = camera
         self.lock = threading.RLock()
+        self._begin_following()
         self.serial = next(_serials)
         self.snapshot = snapshot
         self._queries = 0
@@ -162,16 +158,63 @@ class World(WorldSpellings):
         """Simulated seconds at the last tick."""
         return self.snapshot.time
 
+    @property
+    def timestep(self) -> float:
+        """Simulated seconds that the next step takes; 0 for a what-if world, which has none."""
+        with self.lock:
+            return self._simulator.timestep
+
     def step(self, count: int = 1) -> World:
-        """Run that many steps of the simulator, then take a tick."""
+        """Run that many steps of the simulator, then take a tick.
+
+        Where a follower wants a tick on the way (a trigger is due, say), one is taken there, too.
+        Ctrl-C ends it at a tick.
+
+        Raises:
+            SimulatorError: the simulator does not answer; the last tick stays.
+            UnsupportedError: it is a what-if world.
+        """
         if count < 0:
             raise ValueError(f"a simulation cannot run {count} steps")
-        if self._waiting:
-            time.sleep(_TURN)  # locks are not fair: a thread that only steps would keep it
-        with self.lock:
-            self._check_not_held()
-            self._simulator.step(count)
-            return self.tick()
+        while True:
+            run = min(count, self.steps_to_due())
+            self.advance(int(run))
+            self.tell()
+            count -= int(run)
+            if count <= 0:
+                return self
+
+    def run(
+        self,
+        seconds: float,
+        *,
+        realtime: bool | float = False,
+        progress: bool | Literal["always"] = False,
+        every: int | None = None,
+    ) -> World:
+        """Run for so much simulated time, then take a tick; others where followers want them.
+
+        Args:
+            seconds: rounded to the nearest number of steps.
+            realtime: whether it takes as long by the clock on the wall; or how many times as
+                fast that is to be: 2.0 takes half as long, if the simulator can. A run that is
+                late makes up for it. It takes a tick 30 times a second of the clock, unless
+                `every` says otherwise, and waits at ticks only.
+            progress: whether a bar tells how far it is, on standard error if that is a
+                terminal; `"always"`: on any.
+            every: takes a tick each so many steps.
+
+        Raises:
+            ArgumentError: a time is negative or not finite, a speed is not above 0, `every` is
+                less than 1.
+            SimulatorError: the simulator does not answer; the last tick stays.
+            UnsupportedError: it is a what-if world.
+            KeyboardInterrupt: it was stopped by Ctrl-C, at a tick.
+        """
+        from ssduck.running import run
+
+        run([self], seconds, realtime=realtime, progress=progress, every=every)
+        return self
 
     def tick(self) -> World:
         """Take a tick: the tables are replaced by the simulator's state as it is now.
@@ -180,9 +223,34 @@ class World(WorldSpellings):
             SimulatorError: the simulator does not answer; the last tick stays.
         """
         with self.lock:
+            self._take_tick()
+        self.tell()
+        return self
+
+    def _take_tick(self) -> None:
+        self._check_not_held()
+        self._take()
+
+    def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
+        """Run steps and take a tick, telling no follower: a part of `step`.
+
+        Args:
+            count: how many steps.
+            watch: is told now and then how many more were run; the world is locked meanwhile.
+        """
+        if self._waiting:
+            time.sleep(_TURN)  # locks are not fair: a thread that only steps would keep it
+        with self.lock:
             self._check_not_held()
-            self._take()
-            return self
+            try:
+                for done in _parts(count, count if watch is None else _WATCHED):
+                    self._simulator.step(done)
+                    if watch is not None:
+                        watch(done)
+            except KeyboardInterrupt:
+                self._take_tick()  # the tables are not to lag behind the simulator
+                raise
+            self._take_tick()
 
     def _take(self) -> None:
         self._update_members()
@@ -413,7 +481,7 @@ class World(WorldSpellings):
                 raise ArgumentError(message, suggestions=error.suggestions) from error
             self._members = [*self._members, member]
             self.snapshot.switch(member.id, on=spec.powered)
-            self.tick()
+            self._take_tick()
             sensor = self.entity(member.id)
         assert isinstance(sensor, Sensor)
         return sensor
@@ -452,7 +520,7 @@ class World(WorldSpellings):
             if not isinstance(entity, Sensor):
                 raise ArgumentError(f"{entity.name!r} is a {entity.kind}, no sensor")
             self._members = [member for member in self._members if member.id != entity.id]
-            self.tick()
+            self._take_tick()
 
     def switch(self, sensor: Sensor, *, on: bool) -> None:
         """Switch a sensor on or off; see `Sensor.power`."""
@@ -507,7 +575,7 @@ class World(WorldSpellings):
                 raise entity.removed()
             change(entity.body_of(member, verb))
             self.snapshot.read_all_anew()
-            self.tick()
+            self._take_tick()
 
     def _update_members(self) -> None:
         """Take note of bodies that came and went."""
@@ -541,70 +609,11 @@ class World(WorldSpellings):
         return sensors
 
 
-class PastWorld(World):
-    """A world as it was at a recorded tick: it never changes, and knows what was recorded.
-
-    Args:
-        record: what is kept of the world.
-        posed: where its bodies were.
-        snapshot: of that tick.
-    """
-
-    def __init__(self, record: Record, posed: Posed, snapshot: Snapshot) -> None:
-        self._begin(posed, snapshot, record.world.name, record.world.camera)
-        self._record = record
-        for table in _AS_RECORDED & record.tables:
-            rows = record.rows(table, snapshot.number)
-            columns = {name: rows[name].to_pylist() for name in rows.column_names}
-            snapshot.tables[table].fill(rows.num_rows, columns)
-
-    def ask(self, tables: Iterable[str]) -> None:
-        """See to it that there are these tables; what was recorded is there."""
-        super().ask(_AS_READ.intersection(tables))
-
-    def shapes(self) -> Shapes:
-        """The shapes of this tick, to be compared."""
-        self.ask(("shapes",))
-        return self.snapshot.shapes()
-
-    def entity(self, id: int) -> Entity:
-        """The handle of an entity at this tick, by its id."""
-        member = self.snapshot.members[self.snapshot.rows[id]]
-        kind = Sensor if member.kind == "sensor" else Entity
-        moment = Moment(self._record, self.snapshot.number)
-        return kind(self._record.world, id, member.name, member.kind, moment)
-
-    def __contains__(self, thing: object) -> bool:
-        """Whether it has an entity of that name, or that entity."""
-        if isinstance(thing, Entity):
-            return thing.world is self._record.world and thing.id in self.snapshot.rows
-        return super().__contains__(thing)
-
-
-class RecordedWorld(PastWorld):
-    """A world of which there is only what was recorded: its present is the last tick.
-
-    Args:
-        name: what it is called.
-        record: what is kept of it; it is told of this world.
-        archive: where that is stored.
-    """
-
-    def __init__(self, name: str, record: Record, archive: Archive) -> None:
-        self.name, self.camera = name, Camera()
-        record.world = self
-        posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
-        super().__init__(record, posed, snapshot)
-        self.archive = archive
-
-    @property
-    def own_record(self) -> Record:
-        """What is kept of it."""
-        return self._record
-
-    def entity(self, id: int) -> Entity:
-        """The handle of an entity that is there, by its id."""
-        return World.entity(self, id)
+def _parts(count: int, most: int) -> Iterator[int]:
+    """A number in parts of at most `most`; 0 is one part."""
+    yield min(count, most)
+    for begun in range(most, count, most or 1):
+        yield min(most, count - begun)
 
 
 def _unique(name: str, taken: Container[str]) -> str:

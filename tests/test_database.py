@@ -17,6 +17,7 @@ import pytest
 import ssduck
 from ssduck.catalog import TABLE_MACROS
 from ssduck.database import Database
+from ssduck.models import MODELS
 from ssduck.tables import ROWS, TABLES
 from ssduck.udfs import RELATIONS
 
@@ -492,11 +493,11 @@ def test_a_database_file_can_be_used_again(tmp_path):
 def test_a_file_keeps_nothing_of_worlds_that_are_gone(tmp_path, sim):
     path = tmp_path / "own.duckdb"
     world = sim[0].call_variable("sim")
-    with ssduck.Interpreter(path) as ss:
+    with ssduck.Interpreter(path, recording=None) as ss:
         ss.add_variable("sim", world)
         assert ss.sql("SELECT sim.collides(e, e) FROM sim.entities e").fetchall() == [(False,)] * 3
         ss.sql("CREATE TABLE sim.own AS SELECT name FROM sim.entities")
-    with ssduck.Interpreter(path) as ss:
+    with ssduck.Interpreter(path, recording=None) as ss:
         kept = "SELECT function_name FROM duckdb_functions() WHERE schema_name = 'sim'"
         assert ss.sql(kept).fetchall() == []
         assert ss.sql("SELECT table_name FROM duckdb_tables()").fetchall() == [("own",)]
@@ -513,8 +514,19 @@ def test_tables_columns_and_functions_are_commented(sim):
         "SELECT comment FROM duckdb_columns() WHERE schema_name = 'sim' AND column_name = 'mass'"
     )
     assert ("kg; 0 for what cannot move",) in sim.sql(columns).fetchall()
-    views = sim.sql("SELECT view_name, comment FROM duckdb_views() WHERE schema_name = 'sim'")
-    assert {name: f"A row is {row}." for name, row in ROWS.items()} == dict(views.fetchall())
+    views = dict(
+        sim.sql(
+            "SELECT view_name, comment FROM duckdb_views() WHERE schema_name = 'sim'"
+        ).fetchall()
+    )
+    for name, row in ROWS.items():
+        assert views.pop(name) == f"A row is {row}."
+        if name != "geometries":
+            assert views.pop(f"{name}_history") == f"A row is {row}, at each recorded tick."
+        if name in MODELS:
+            told = f"What is the same at each recorded tick. A row is {row}."
+            assert views.pop(f"{name}_model") == told
+    assert views == {}
     for place in ("temp", "sim"):
         said = sim.sql(
             "SELECT comment FROM duckdb_functions() WHERE function_name = 'collides' AND "

@@ -423,3 +423,119 @@ def test_raw_sql_compares_shapes_of_the_past(falling: ssduck.Interpreter) -> Non
     wanted = [tick for tick, z in sorted(heights.items()) if z - 0.6 <= 0.001]
     assert [tick for (tick,) in rows] == wanted
     assert wanted
+
+
+LOOKED_UP = [
+    ("isSensing(a, b)", "isSensing(a.this, b.this)"),
+    ("sensingAmount(a, b)", "sensingAmount(a.this, b.this)"),
+    ("inContact(a, b)", "inContact(a.this, b.this)"),
+    ("contactForce(a, b)", "contactForce(a.this, b.this)"),
+    ("sensingEnvIDs(a)", "sensingEnvIDs(a.this)"),
+    ("force(a)", "force(a.this)"),
+    ("torque(a)", "torque(a.this)"),
+    ("isBox(a)", "isBox(a.this)"),
+    ("solidVolume(a)", "solidVolume(a.this)"),
+    ('"on"(a, b)', "on(a.this, b.this)"),
+    ("penetration(a, b)", "penetration(a.this, b.this)"),
+    ("nextTo(a, b)", "nextTo(a.this, b.this)"),
+]
+
+
+@pytest.fixture(scope="module")
+def looked_at() -> Any:
+    """The kitchen with all its tables recorded, the roomba on its way."""
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(tables=ALL))
+        kitchen = ss.call_variable("kitchen")
+        for place in range(8):
+            kitchen["roomba_625x"].move([0.2 * place - 0.5, -1.0, 0.1])
+            kitchen.step(4)
+        yield ss
+
+
+@pytest.mark.parametrize(("sql", "program"), LOOKED_UP, ids=[sql for sql, _ in LOOKED_UP])
+def test_raw_sql_looks_up_what_was_told_then(
+    looked_at: ssduck.Interpreter, sql: str, program: str
+) -> None:
+    ticks = looked_at.past("kitchen").ticks[3:-1:6]
+    for tick in ticks:
+        where = f"a.tick = {tick} AND b.tick = {tick} AND b.name LIKE 'r%'"
+        rows = looked_at.sql(
+            f"SELECT {sql} FROM entities_history a, entities_history b WHERE {where} "
+            "ORDER BY a.kind <> 'sensor', a.id, b.kind <> 'sensor', b.id"
+        ).fetchall()
+        past = looked_at.past("kitchen")
+        looked_at.add_variable("then", type(past)(past.record, tick, tick, is_window=False))
+        looked_at.add_function("starts", lambda name: name.startswith("r"), "")
+        wanted = looked_at.eval(
+            f"SELECT {program} FROM a=then, b=then WHERE starts(id(b.this)) AS list;"
+        )
+        assert len(rows) > 100
+        for (value,), other in zip(rows, wanted, strict=True):
+            assert value == (pytest.approx(other, abs=1e-9) if value is not None else other)
+
+
+@pytest.mark.parametrize("form", ["near(a.this, b.this, 0.3)", "collides(a.this, b.this)"])
+@pytest.mark.parametrize(
+    "where",
+    [
+        "a.this == robot AND {}",
+        "id(a.this) == 'roomba_625x' AND {}",
+        "id(a.this) == 'roomba_625x' AND id(b.this) == 'kitchen' AND {}",
+        "isRobot(a.this) AND isRobot(b.this) AND {}",
+        "{} AND tick(a.this) % 7 == 0 AND z(b.this) > 1",
+        "id(b.this) == 'no such' AND {}",
+    ],
+)
+def test_all_ticks_at_once_are_each_tick(
+    looked_at: ssduck.Interpreter, form: str, where: str
+) -> None:
+    kitchen = looked_at.call_variable("kitchen")
+    looked_at.add_variable("robot", kitchen["roomba_625x"])
+    program = f"SELECT tick(a.this), id(a.this), id(b.this) FROM a=kitchen{{}}, b=kitchen{{}} WHERE {where.format(form)} AS list;"
+    found = looked_at.eval(program)
+    relation = form.partition("(")[0]
+    wanted: list[Any] = []
+    record = looked_at.past("kitchen").record
+    for tick in looked_at.past("kitchen").ticks:
+        then = record.at(tick)
+        shapes = then.shapes()
+        for a in then:
+            for b in then:
+                if not _is_chosen(where, a, b, tick):
+                    continue
+                holds = (
+                    shapes.collides(a.id, b.id)
+                    if relation == "collides"
+                    else a.id != b.id and shapes.near(a.id, b.id, 0.3)
+                )
+                if holds:
+                    wanted += [tick, a.name, b.name]
+    assert found == wanted
+    assert wanted or "no such" in where or "isRobot(b" in where or "% 7" in where
+
+
+def _is_chosen(where: str, a: Any, b: Any, tick: int) -> bool:
+    if "no such" in where:
+        return False
+    if "isRobot" in where:
+        return a.kind == b.kind == "robot"
+    if "% 7" in where:
+        return tick % 7 == 0 and b.position[2] > 1
+    return a.name == "roomba_625x" and ("'kitchen'" not in where or b.name == "kitchen")
+
+
+def test_a_window_is_compared_once(looked_at: ssduck.Interpreter) -> None:
+    looked_at.eval("robot = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;")
+    looked_at.eval("room = SELECT obj FROM kitchen WHERE id(this) == 'kitchen' AS value;")
+    before = looked_at.statistics()["kitchen"].pairs
+    found = looked_at.eval("holds(near(robot, room, 0.02));")
+    pairs = looked_at.statistics()["kitchen"].pairs - before
+    ((meeting,),) = looked_at.sql(
+        "SELECT count(*) FROM entities_history a JOIN entities_history b ON a.tick = b.tick "
+        "WHERE a.name = 'roomba_625x' AND b.name = 'kitchen' "
+        "AND a.xmin <= b.xmax + 0.02 AND b.xmin <= a.xmax + 0.02 AND a.ymin <= b.ymax + 0.02 "
+        "AND b.ymin <= a.ymax + 0.02 AND a.zmin <= b.zmax + 0.02 AND b.zmin <= a.zmax + 0.02"
+    ).fetchall()
+    assert 0 < pairs <= meeting
+    assert found

@@ -1,4 +1,4 @@
-"""The published tutorial of SelectScript, cell by cell: sections 4 to 8.
+"""The published tutorial of SelectScript, cell by cell: sections 4 to 9.
 
 `CELLS` holds the programs as they are printed there, in order, with the results that are printed
 below them. Handles are compared by name; numbers to the precision that the scene is built to.
@@ -282,6 +282,43 @@ def test_which_sensors_perceive_a_robot_at_the_fridge(sensing):
     env = sensing.callVariable("kitchen")
     env["barrett_4918"].move([0.25, -1.9, 0.892], [0.92388, 0.0, 0.0, 0.38268])
     assert in_each_formulation(sensing) == [AT_THE_FRIDGE] * 3
+
+
+# -- section 9 ---------------------------------------------------------------------------------
+
+# Cell 34, as printed.
+CALLBACK = """
+cbResult = []
+def callback(result):
+    global cbResult
+    cbResult = result
+"""
+# Cell 35, as printed.
+SENSING_SENSORS = "env  = kitchen;                                                              \
+        SELECT to(id(e1.this), 'sensor'), to(id(e2.this), 'robot')                   \
+        FROM e1 = env, e2 = env                                                      \
+        WHERE isSensor(e1.this) AND isRobot(e2.this) AND isSensing(e1.this, e2.this) \
+        AS dict;                                                                     "
+
+
+def test_callbacks(sensing):
+    """Cells 34 to 38; the simulation goes on in between, and somebody drives the barrett."""
+    ssPar = ssInt = sensing  # noqa: N806  # what parses and what runs are one here
+    kitchen = ssInt.callVariable("kitchen")
+    cells = {}
+    exec(CALLBACK, cells)  # noqa: S102
+    prog = ssPar.compile(SENSING_SENSORS)
+    ssInt.addTrigger("sensing_sensors", prog, 1, cells["callback"])
+    assert cells["cbResult"] == AS_LOADED
+    kitchen.step(480)
+    assert cells["cbResult"] == AS_LOADED
+    assert ssInt.triggers()[0].firings == 1
+    kitchen["barrett_4918"].move([0.25, -1.9, 0.892], [0.92388, 0.0, 0.0, 0.38268])
+    kitchen.step(239)
+    assert cells["cbResult"] == AS_LOADED
+    kitchen.step(1)
+    assert cells["cbResult"] == AT_THE_FRIDGE
+    ssInt.delTrigger("sensing_sensors")
 
 
 def test_the_nine_pairs_of_the_prolog_section(tutorial):

@@ -55,7 +55,7 @@ An entity is all its shapes, those of all its links: a relation of two holds for
 shapes. A plane is a solid half-space: what is under the ground collides with it. A closed mesh is
 solid, an open one a surface. What has no shapes, a sensor say, meets nothing and is infinitely far
 from all. What is disabled or not drawn has its shapes as before. The rows of `entities` that are
-compared are those of the current tick: rows that were kept of another one are an error.
+compared are of one tick: the current one, or a recorded one (see [Time](time.md)).
 
 ```python
 import ssduck

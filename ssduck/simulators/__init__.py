@@ -161,6 +161,10 @@ class Simulator(Protocol):
         """Simulated seconds since the start."""
 
     @property
+    def timestep(self) -> float:
+        """Simulated seconds that the next step takes; 0 where there are no steps."""
+
+    @property
     def watched(self) -> bool:
         """Whether others may add, remove and move bodies between two ticks."""
 

@@ -24,6 +24,7 @@ class Posed:
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
         called: what such a world is called in errors.
+        timestep: seconds of a step; there are none.
     """
 
     time: float
@@ -33,6 +34,7 @@ class Posed:
     hidden: frozenset[Body]
     called: str = "a what-if world"
     watched: bool = False
+    timestep: float = 0.0
 
     def describe(self) -> None:
         """None comes, none goes."""

@@ -145,6 +145,11 @@ class PyBulletSimulator:
         """Simulated seconds: the steps that ssduck has run, in the client's time step."""
         return self._time_before + self._steps * self._timestep
 
+    @property
+    def timestep(self) -> float:
+        """Simulated seconds that the next step takes, as the client is set now."""
+        return self._clients_timestep()
+
     def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:
         """All frames of these bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
@@ -192,8 +197,9 @@ class PyBulletSimulator:
 
         def run() -> None:
             for _ in range(count):
-                pybullet.stepSimulation(self.client)
+                # Ctrl-C is heard behind the call: what is counted before has been run.
                 self._steps += 1
+                pybullet.stepSimulation(self.client)
 
         self._call(run)
 

@@ -1,0 +1,243 @@
+"""Which pairs of entities collide, or are near each other, at many recorded ticks at once.
+
+Each pair at a tick stands for two entities of its own in one narrow phase (`ssduck.narrow`), so
+that all of them are decided together; pairs of different ticks are never compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.broad import Pairs
+from ssduck.colliding import Sorts
+from ssduck.geometry import Array, Boxer, Geometry, Indices, compose, rotation_matrices
+from ssduck.layout import Member
+from ssduck.narrow import Narrow
+from ssduck.separation import Counter
+from ssduck.shapes import Shapes
+from ssduck.solids import Solid, solid_of
+
+Ids = npt.NDArray[np.int64]
+
+# So many pairs of shapes are compared together.
+MOST_TOGETHER = 1 << 15
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The shapes of an entity: which solid each is, on which link, where there; their boxes."""
+
+    of: Indices
+    links: Indices
+    positions: Array
+    orientations: Array
+    boxer: Boxer
+
+    @property
+    def count(self) -> int:
+        return len(self.of)
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Where n links are: positions (n, 3), orientations (n, 4), w, x, y, z."""
+
+    positions: Array
+    orientations: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of the two entities of n pairs.
+
+    Attributes:
+        ids: (n,), of the entities.
+        base: where their base links are.
+        links: gives where a link of entities is, of rows of the pairs.
+    """
+
+    ids: Ids
+    base: Frames
+    links: Callable[[Indices, int, int], Frames]
+
+
+class Models:
+    """What shapes entities have; a solid that several have is there once.
+
+    Args:
+        members: the entities, by id.
+    """
+
+    def __init__(self, members: Mapping[int, Member]) -> None:
+        self._members = members
+        self._solids: list[Solid] = []
+        self._places: dict[str, int] = {}
+        self._models: dict[int, _Model] = {}
+        self._sorts: dict[tuple[int, ...], Sorts] = {}
+
+    def moving_links(self, id: int) -> range:
+        """The links of an entity but its base, by number."""
+        body = self._members[id].body
+        return range(1, 1 if body is None else len(body.links))
+
+    def shapes(self, ids: Sequence[int], poses: Sequence[Array], calls: Counter) -> Shapes:
+        """The shapes of some entities at one tick.
+
+        Args:
+            ids: of the entities, no two the same.
+            poses: of each the positions and orientations of its links, (links, 7).
+            calls: counts what is compared.
+        """
+        models = [self._model(id) for id in ids]
+        placed = [self._shapes_at(model, own) for model, own in zip(models, poses, strict=True)]
+        key = tuple(ids)
+        if key not in self._sorts:
+            owners = np.repeat(np.arange(len(ids)), [model.count for model in models])
+            of = np.concatenate([model.of for model in models])
+            self._sorts[key] = Sorts(self._solids, of, owners)
+        of = np.concatenate([model.of for model in models])
+        positions, orientations, boxes = (
+            np.concatenate([part[i] for part in placed]) for i in range(3)
+        )
+        starts = list(accumulate((model.count for model in models), initial=0))
+        narrow = Narrow(self._solids, of, positions, orientations, boxes, starts, calls)
+        numbers = {id: number for number, id in enumerate(ids)}
+        around = np.array([_around(part[2]) for part in placed]).reshape(-1, 6).T
+        return Shapes(narrow, numbers, self._sorts[key], around, np.array(ids, dtype=np.int64))
+
+    def _shapes_at(self, model: _Model, poses: Array) -> tuple[Array, Array, Array]:
+        """Positions, orientations and boxes of an entity's shapes."""
+        own = poses[model.links]
+        with np.errstate(invalid="ignore"):
+            positions, orientations = compose(
+                own[:, :3], own[:, 3:], model.positions, model.orientations
+            )
+            matrices = rotation_matrices(poses[:, 3:])
+            boxes = model.boxer.boxes(poses[:, :3], matrices).T
+        return positions, orientations, boxes
+
+    def together(
+        self, first: Side, second: Side, apart: float | None, calls: Counter
+    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Whether pairs are as near, and of which of them that is known, (n,) each.
+
+        Args:
+            first: the one entity of each pair,
+            second: and the other.
+            apart: metres; None for those that collide.
+            calls: counts what is compared.
+        """
+        holds = np.zeros(len(first.ids), dtype=bool)
+        known = np.zeros(len(first.ids), dtype=bool)
+        counts = self._counts(first.ids) * self._counts(second.ids)
+        ends = np.cumsum(np.maximum(counts, 1))
+        start = 0
+        while start < len(counts):
+            before = ends[start - 1] if start else 0
+            end = int(np.searchsorted(ends, before + MOST_TOGETHER, side="right"))
+            run = np.arange(start, max(end, start + 1))
+            holds[run], known[run] = self._some(first, second, run, apart, calls)
+            start = int(run[-1]) + 1
+        return holds, known
+
+    def _counts(self, ids: Ids) -> Indices:
+        different, place = np.unique(ids, return_inverse=True)
+        return np.array([self._model(id).count for id in different.tolist()], np.intp)[place]
+
+    def _some(
+        self, first: Side, second: Side, run: Indices, apart: float | None, calls: Counter
+    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Of these pairs, compared together: the two entities of pair k are 2 k and 2 k + 1."""
+        parts = [*self._placed(first, run, 0), *self._placed(second, run, 1)]
+        owners, of = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+        positions, orientations = (np.concatenate([part[i] for part in parts]) for i in (2, 3))
+        order = np.argsort(owners, kind="stable")
+        owners, of = owners[order], of[order]
+        counts = np.bincount(owners, minlength=2 * len(run))
+        starts = np.concatenate(([0], np.cumsum(counts)))
+        endless = np.repeat([[-np.inf] * 3 + [np.inf] * 3], len(of), axis=0)
+        narrow = Narrow(
+            self._solids, of, positions[order], orientations[order], endless, starts.tolist(), calls
+        )
+        shapes = _each_with_each(starts[:-1:2], counts[::2], starts[1::2], counts[1::2])
+        found = narrow.of_pairs(Sorts(self._solids, of, owners), shapes, apart)
+        holds = np.zeros(len(run), dtype=bool)
+        holds[found.sides[0] // 2] = True
+        are_known = narrow.are_known
+        return holds, are_known[::2] & are_known[1::2]
+
+    def _placed(
+        self, side: Side, run: Indices, which: int
+    ) -> list[tuple[Indices, Indices, Array, Array]]:
+        """Whose, which solids and where the shapes of one side's entities are."""
+        found = []
+        ids = side.ids[run]
+        for id in np.unique(ids).tolist():
+            model = self._model(id)
+            own = np.flatnonzero(ids == id)
+            for link in np.unique(model.links).tolist():
+                frames = self._frames(side, run[own], id, link)
+                for shape in np.flatnonzero(model.links == link).tolist():
+                    count = len(own)
+                    position, orientation = compose(
+                        frames.positions,
+                        frames.orientations,
+                        np.broadcast_to(model.positions[shape], (count, 3)),
+                        np.broadcast_to(model.orientations[shape], (count, 4)),
+                    )
+                    solid = np.full(count, model.of[shape])
+                    found.append((2 * own + which, solid, position, orientation))
+        nothing = np.zeros(0, dtype=np.intp)
+        return [*found, (nothing, nothing, np.zeros((0, 3)), np.zeros((0, 4)))]
+
+    def _frames(self, side: Side, rows: Indices, id: int, link: int) -> Frames:
+        if link == 0:
+            return Frames(side.base.positions[rows], side.base.orientations[rows])
+        return side.links(rows, id, link)
+
+    def _model(self, id: int) -> _Model:
+        if id not in self._models:
+            body = self._members[id].body
+            shapes = [] if body is None else list(body.shapes)
+            self._models[id] = _Model(
+                np.array([self._place(shape.geometry) for shape in shapes], dtype=np.intp),
+                np.array([shape.frame for shape in shapes], dtype=np.intp),
+                np.array([shape.position for shape in shapes]).reshape(-1, 3),
+                np.array([shape.orientation for shape in shapes]).reshape(-1, 4),
+                Boxer(shapes, range(len(shapes)), len(shapes)),
+            )
+        return self._models[id]
+
+    def _place(self, geometry: Geometry) -> int:
+        if geometry.key not in self._places:
+            self._places[geometry.key] = len(self._solids)
+            self._solids.append(solid_of(geometry))
+        return self._places[geometry.key]
+
+
+def _around(boxes: Array) -> Array:
+    """The box around boxes, (6,); of none a point that is nowhere."""
+    if not len(boxes):
+        return np.full(6, np.nan)
+    return np.concatenate((boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)))
+
+
+def _each_with_each(first: Indices, counts: Indices, second: Indices, others: Indices) -> Pairs:
+    """Runs of shapes, each shape of the one with each of the other.
+
+    Args:
+        first: where the runs of the one side begin,
+        counts: and how long they are.
+        second: where those of the other side begin,
+        others: and how long they are.
+    """
+    sizes = counts * others
+    pair = np.repeat(np.arange(len(sizes)), sizes)
+    place = np.arange(len(pair)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    width = others[pair]
+    return first[pair] + place // width, second[pair] + place % width
