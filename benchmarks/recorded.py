@@ -213,8 +213,7 @@ def fill(ss: ssduck.Interpreter, world: ssduck.World, ticks: int, step: int = 60
             if table not in rows:
                 rows[table] = recorder._rings[table].arrow.slice(0, 0)
         recorder._store.add(rows)
-        for number, moment in zip(numbers.tolist(), times.tolist(), strict=True):
-            recorder.ticks.append(number, moment)
+        recorder.ticks.extend(numbers, times)
 
 
 def _entities(numbers: Numbers, times: Numbers, ids: Numbers) -> pa.Table:
@@ -391,9 +390,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--sizes", type=int, nargs="+", default=(40, 300, 1000), help="of worlds")
     parser.add_argument("--ticks", type=int, default=2400, help="that are kept each time")
     parser.add_argument("--long", type=int, default=250_000, help="ticks of the long run")
-    parser.add_argument(
-        "--near", type=int, default=20_000, help="ticks that shapes are compared at"
-    )
+    parser.add_argument("--near", type=int, default=20_000, help="ticks that shapes meet at")
     parser.add_argument("--gigabytes", type=float, default=0.1, help="of the record")
     parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
     given = parser.parse_args(arguments)

@@ -178,8 +178,8 @@ class History:
         """The ticks that are stored."""
         found = Ticks()
         rows = f"SELECT tick, time FROM ({self._stored('ticks')}) AS ticks ORDER BY tick"  # noqa: S608
-        for number, time in self._writer.fetchall(rows):
-            found.append(number, time)
+        stored = self._writer.rows(rows)
+        found.extend(stored["tick"].to_numpy(), stored["time"].to_numpy())
         return found
 
     def members(self) -> dict[int, Member]:

@@ -46,10 +46,7 @@ class OpenedFolder:
         for file in episode.files("ticks"):
             rows = _read_ticks(file)
             self._starts.append(int(rows["tick"][0].as_py()))
-            for number, time in zip(
-                rows["tick"].to_pylist(), rows["time"].to_pylist(), strict=True
-            ):
-                self.ticks.append(number, time)
+            self.ticks.extend(rows["tick"].to_numpy(), rows["time"].to_numpy())
         if not self._starts:
             raise RecordError(f"{episode.path} holds no whole part of {episode.world!r}")
         # All of them have to be there, so that no query fails later.

@@ -288,10 +288,18 @@ class Ticks:
         self._numbers[self._end], self._times[self._end] = number, time
         self._end += 1
 
-    def _make_room(self) -> None:
+    def extend(self, numbers: npt.NDArray[Any], times: npt.NDArray[Any]) -> None:
+        """Note some more."""
+        if self._end + len(numbers) > len(self._numbers):
+            self._make_room(len(numbers))
+        to = slice(self._end, self._end + len(numbers))
+        self._numbers[to], self._times[to] = numbers, times
+        self._end = to.stop
+
+    def _make_room(self, more: int = 1) -> None:
         kept = slice(self._first, self._end)
         count = len(self)
-        numbers = np.zeros(max(256, 2 * count), dtype=np.int64)
+        numbers = np.zeros(max(256, 2 * count, count + more), dtype=np.int64)
         times = np.zeros(len(numbers))
         numbers[:count], times[:count] = self._numbers[kept], self._times[kept]
         self._numbers, self._times = numbers, times
