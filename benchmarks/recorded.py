@@ -395,7 +395,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
     given = parser.parse_args(arguments)
     printed(COST, costs(given.sizes, max(given.ticks // 2, 1), given.rounds))
-    printed(BYTES, sizes_of(ENTITIES, given.ticks))
+    printed(BYTES, sizes_of(ENTITIES, 4 * given.ticks))
     with long_run(given.long) as ss:
         printed(OVER, over(ss, given.rounds))
     printed(NEAR, near(given.near, min(given.rounds, 3)))
