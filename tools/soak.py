@@ -1,8 +1,8 @@
 """Let a recorded world run for long: `python -m tools.soak [TICKS] [--seed N] [--file]`.
 
-Two balls fly about and a table stands still; what is older than ten seconds is dropped, and a
-question is asked now and then. Prints the memory of the process at each tenth of the run; the exit
-status is 1 if it is 5 % or more above that of the first tenth at the end.
+Two balls fly about and a table stands still; what is older than ten seconds is dropped, a trigger
+fires, and a question is asked now and then. Prints the memory of the process at each tenth of the
+run; the exit status is 1 if it is 5 % or more above that of the first tenth at the end.
 """
 
 from __future__ import annotations
@@ -56,7 +56,11 @@ class Lab:
         self.ss.add_variable("lab", self.world)
         self.ss.add_variable("board", self.world["board"])
         self.ss.add_variable("ball", self.world["ball_0"])
-        # A trigger belongs here, as soon as the language has some: what it keeps is to be bounded.
+        self.fired = 0
+        self.ss.add_trigger("high", "SELECT id FROM lab WHERE z(this) > 1.2;", 0.1, self._fire)
+
+    def _fire(self, _: object) -> None:
+        self.fired += 1
 
     def _shape(self, kind: int, **size: object) -> int:
         return pybullet.createCollisionShape(kind, physicsClientId=self._client, **size)  # type: ignore[no-any-return]
@@ -99,6 +103,7 @@ def soaked(ticks: int, seed: int, database: str = ":memory:") -> list[float]:
             started = time.monotonic()
             lab.run(ticks // 10)
             found.append(memory())
+            assert lab.fired > tenth
             rate = ticks / 10 / (time.monotonic() - started)
             print(f"{10 * (tenth + 1):3} %: {found[-1]:7.1f} MB, {rate:6.0f} ticks/s", flush=True)
     finally:
