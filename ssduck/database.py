@@ -214,9 +214,9 @@ def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:
         parameter.replace(exp.column(parameter.name, table=_PARAMETERS, quoted=True))
     for select in reading:
         if select.args.get("from_"):
-            select.join(row.copy(), join_type="cross", copy=False)
-            joins = select.args["joins"]
-            joins.insert(0, joins.pop())  # conditions of the others may be about it
+            # In front of joins whose conditions have some in them.
+            joins = select.args.get("joins") or []
+            select.set("joins", [exp.Join(this=row.copy(), kind="CROSS"), *joins])
         else:
             select.from_(row.copy(), copy=False)
 

@@ -122,9 +122,20 @@ class Frame:
         columns: what SQL has fetched for this row.
         kept: the values of parts that are the same for all rows, once they are known.
         state: the same of parts that are the same for all rows of a state.
+        apart: elements of queries around one that does not depend on them.
     """
 
-    __slots__ = ("calls", "columns", "elements", "given", "kept", "local", "scope", "state")
+    __slots__ = (
+        "apart",
+        "calls",
+        "columns",
+        "elements",
+        "given",
+        "kept",
+        "local",
+        "scope",
+        "state",
+    )
 
     def __init__(
         self,
@@ -135,8 +146,10 @@ class Frame:
         columns: Sequence[Any] = (),
         kept: dict[Node, Any] | None = None,
         state: dict[Node, Any] | None = None,
+        apart: Mapping[str | None, Any] | None = None,
     ) -> None:
         self.scope = scope
+        self.apart = apart if apart is not None else {}
         self.elements = elements if elements is not None else {}
         self.local = local if local is not None else {}
         self.given = given if given is not None else {}
@@ -152,7 +165,24 @@ class Frame:
         columns: Sequence[Any] = (),
     ) -> Frame:
         """The frame of a row of a query that this one is around."""
-        return Frame(self.scope, elements, self.local, self.given, columns, kept)
+        return Frame(self.scope, elements, self.local, self.given, columns, kept, apart=self.apart)
+
+    def independent(self) -> Frame:
+        """The frame for a query that depends on no row around it: handles do not go with those."""
+        return Frame(
+            self.scope,
+            self.elements,
+            self.local,
+            self.given,
+            self.columns,
+            self.kept,
+            self.state,
+            apart=self.elements,
+        )
+
+    def own_elements(self) -> list[Any]:
+        """The elements of this query, and of those around it that it depends on."""
+        return [e for alias, e in self.elements.items() if self.apart.get(alias) is not e]
 
     def value(self, node: Node) -> Any:
         """The value of an expression.

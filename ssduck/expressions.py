@@ -369,12 +369,17 @@ class Expressions:
     def _follow(self, values: dict[str, SqlValue]) -> None:
         """Take entities as they were at the tick of those that are of a recorded one.
 
-        A handle goes with its world; beside a row of the past it goes with that.
+        A handle goes with its world; in a query of the past it goes with that.
         """
         entities = {name: value for name, value in values.items() if value.tag.type == "entity"}
         rows = [value for value in entities.values() if value.tag.past]
         handles = {name: value for name, value in entities.items() if not value.tag.past}
-        if not rows or not handles:
+        if not handles:
+            return
+        if not rows:
+            schemas = {handle.tag.schema for handle in handles.values()}
+            rows = [v for v in self._all_rows() if v.tag.past and v.tag.schema in schemas]
+        if not rows:
             return
         row = rows[0]
         for name, handle in handles.items():
@@ -450,6 +455,11 @@ class Expressions:
             id = exp.select("id").from_(models).where(of_name).subquery()
         if id is not None:
             self.spans[span.tick.sql()] = replace(span, id=id)
+
+    def _all_rows(self) -> list[SqlValue]:
+        """The current elements of all sources, those of the queries around this one first."""
+        around = self.around._all_rows() if self.around is not None else []  # noqa: SLF001
+        return [*around, *self.rows.values()]
 
     def _is_of_own_row(self, tick: exp.Expr) -> bool:
         """Whether a tick is that of a source of this query, and not of one around it."""

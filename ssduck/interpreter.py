@@ -22,7 +22,7 @@ from weakref import WeakKeyDictionary
 from ssduck.adapters import ADAPTERS, Adapter, Rows
 from ssduck.database import Database
 from ssduck.deferred import Deferred
-from ssduck.dependencies import calls_of, tables_of, variables_of
+from ssduck.dependencies import calls_of, sees_outside, tables_of, variables_of
 from ssduck.dialects import in_dialect
 from ssduck.entities import Entity
 from ssduck.errors import (
@@ -746,7 +746,7 @@ class Interpreter(TriggerVerbs):
             if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
                 return RELATIONS_OF_INTERVALS[node.name].function(arguments)
             if node.name in RELATIONS:
-                return self._relation(node, arguments)
+                return self._relation(node, arguments, frame)
             raise unknown_function(node, self._known_functions())
         if node.name == "eval":
             return self._run_text(arguments[0], frame)
@@ -788,6 +788,8 @@ class Interpreter(TriggerVerbs):
 
     def query(self, node: Query, frame: Frame) -> Any:
         """The value of a query; `frame` knows the rows of the queries around it."""
+        if frame.elements and not sees_outside(node):
+            frame = frame.independent()
         adapter = _adapter(node)
         make = _made(adapter, node, frame)
         check = check_columns if adapter.keyed else _unchecked
@@ -828,14 +830,14 @@ class Interpreter(TriggerVerbs):
                 found |= self._tables_of(value.node)
         return found
 
-    def _relation(self, node: Call, values: list[Any]) -> Any:
+    def _relation(self, node: Call, values: list[Any], frame: Frame) -> Any:
         """A relation outside a query: a query of one row, without sources."""
         query = self._relations.get(node)
         if query is None:
             names = [Given(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
             asked = Call(node.span, node.name, tuple(names), node.name_span)
             query = self._relations[node] = Query(node.span, (asked,), ())
-        together = entities_together(values)
+        together = entities_together(values, frame.own_elements())
         if together is None:
             return None
         given = {f"argument_{index}": value for index, value in enumerate(together)}

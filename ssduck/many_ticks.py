@@ -17,7 +17,7 @@ from ssduck.broad import Pairs
 from ssduck.colliding import Sorts
 from ssduck.geometry import Array, Boxer, Geometry, Indices, compose, rotation_matrices
 from ssduck.layout import Member
-from ssduck.narrow import Narrow
+from ssduck.narrow import Narrow, found_of, scene_of
 from ssduck.separation import Counter
 from ssduck.shapes import Shapes
 from ssduck.solids import Solid, solid_of
@@ -158,17 +158,26 @@ class Models:
         positions, orientations = (np.concatenate([part[i] for part in parts]) for i in (2, 3))
         order = np.argsort(owners, kind="stable")
         owners, of = owners[order], of[order]
+        positions, orientations = positions[order], orientations[order]
         counts = np.bincount(owners, minlength=2 * len(run))
         starts = np.concatenate(([0], np.cumsum(counts)))
-        endless = np.repeat([[-np.inf] * 3 + [np.inf] * 3], len(of), axis=0)
-        narrow = Narrow(
-            self._solids, of, positions[order], orientations[order], endless, starts.tolist(), calls
-        )
         shapes = _each_with_each(starts[:-1:2], counts[::2], starts[1::2], counts[1::2])
-        found = narrow.of_pairs(Sorts(self._solids, of, owners), shapes, apart)
+        sorts = Sorts(self._solids, of, owners)
+        scene = scene_of(sorts, positions, orientations)
+        endless = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
+
+        def pair(s: int, t: int) -> Narrow:  # for the few that only a closer look decides
+            two = [s, t]
+            return Narrow(
+                self._solids, of[two], positions[two], orientations[two], endless, [0, 1, 2], calls
+            )
+
+        found = found_of(scene, shapes, apart, pair)
+        calls.pairs += len(found.compared)
         holds = np.zeros(len(run), dtype=bool)
         holds[found.sides[0] // 2] = True
-        are_known = narrow.are_known
+        are_known = np.ones(2 * len(run), dtype=bool)
+        are_known[owners[~scene.known]] = False
         return holds, are_known[::2] & are_known[1::2]
 
     def _placed(

@@ -10,7 +10,7 @@ near each other is found at once, by `ssduck.colliding`, with the same answers.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, partial
 from itertools import pairwise
 from threading import RLock
@@ -126,7 +126,7 @@ class Narrow:
         """
         with self._lock:
             if self._all is None:
-                found = colliding(self._scene(sorts), COLLIDES, self._are_deep)
+                found = colliding(self._scene(sorts), COLLIDES, self.are_deep)
                 self.note(found.compared.tolist())
                 self._all = found
             return self._all
@@ -142,35 +142,11 @@ class Narrow:
             if apart not in self._all_within:
                 found = Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
                 if apart >= 0.0:
-                    is_within = partial(self._are_within, apart=apart)
+                    is_within = partial(self.are_within, apart=apart)
                     found = all_within(self._scene(sorts), apart, is_within)
                 self.note(found.compared.tolist())
                 self._all_within[apart] = found
             return self._all_within[apart]
-
-    def of_pairs(self, sorts: Sorts, shapes: Pairs, apart: float | None) -> Found:
-        """Which entities collide, or are as near, of some pairs of shapes.
-
-        Args:
-            sorts: what the shapes are, and whose.
-            shapes: the pairs; no others are compared.
-            apart: metres; None for those that collide.
-        """
-        with self._lock:
-            scene = self._scene(sorts)
-            if apart is None:
-                found = colliding_of(scene, shapes, COLLIDES, self._are_deep)
-            elif apart < 0.0:
-                return Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
-            else:
-                found = within_of(scene, shapes, apart, partial(self._are_within, apart=apart))
-            self.note(found.compared.tolist())
-            return found
-
-    @property
-    def are_known(self) -> Flags:
-        """Of each entity whether its poses are numbers and its shapes are known."""
-        return np.array(self._are_known, dtype=bool)
 
     def note(self, pairs: Iterable[int]) -> None:
         """Count pairs of entities, by their numbers, as compared.
@@ -183,12 +159,11 @@ class Narrow:
             self.calls.pairs += len(self._compared) - before
 
     def _scene(self, sorts: Sorts) -> Scene:
-        known = self._finite & sorts.known
-        lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
-        known = lost[sorts.entities] == 0
+        known = _known_with_all(sorts, self._finite & sorts.known)
         return Scene(sorts, known, self._boxes.T, self._positions, self._matrices)
 
-    def _are_deep(self, s: int, t: int) -> bool:
+    def are_deep(self, s: int, t: int) -> bool:
+        """Whether two shapes are deeper in each other than counts."""
         if self._bound(s, t) > 0.0:
             return False
         # Most meshes that collide are found to without their depth.
@@ -197,7 +172,8 @@ class Narrow:
             return True
         return self._separation(s, t).gap < -COLLIDES
 
-    def _are_within(self, s: int, t: int, apart: float) -> bool:
+    def are_within(self, s: int, t: int, apart: float) -> bool:
+        """Whether two shapes are at most so far apart, m."""
         if self._bound(s, t) > apart + ROUNDING:
             return False
         found = self._gap(s, t)
@@ -352,7 +328,7 @@ class Narrow:
         meeting = self._near(i, j, 0.0)
         if any(self._surely_collide(s, t) for s, t in meeting):
             return True
-        return any(self._are_deep(s, t) for s, t in meeting)
+        return any(self.are_deep(s, t) for s, t in meeting)
 
     def _clear(self, i: int, j: int, upto: float) -> float | None:
         if not (self._are_known[i] and self._are_known[j]):
@@ -527,3 +503,45 @@ class Narrow:
     def _matrices(self) -> Array:
         with np.errstate(invalid="ignore"):
             return rotation_matrices(self._unit)
+
+
+def _known_with_all(sorts: Sorts, known: Flags) -> Flags:
+    """Of each shape whether all of its entity are known."""
+    lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
+    all_known: Flags = lost[sorts.entities] == 0
+    return all_known
+
+
+def scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
+    """Shapes at poses, without boxes.
+
+    Args:
+        sorts: what they are, and whose.
+        positions: (n, 3), in the world.
+        orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        length = np.sqrt(np.einsum("ij,ij->i", orientations, orientations))
+        unit = orientations / length[:, None]
+        finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
+        matrices = rotation_matrices(unit)
+    known = _known_with_all(sorts, finite & sorts.known)
+    return Scene(sorts, known, np.zeros((6, 0)), positions, matrices)
+
+
+def found_of(
+    scene: Scene, shapes: Pairs, apart: float | None, pair: Callable[[int, int], Narrow]
+) -> Found:
+    """Which entities collide, or are as near, of some pairs of shapes.
+
+    Args:
+        scene: the shapes.
+        shapes: the pairs; no others are compared.
+        apart: metres; None for those that collide.
+        pair: gives the narrow phase of two of the shapes, where nothing else decides.
+    """
+    if apart is None:
+        return colliding_of(scene, shapes, COLLIDES, lambda s, t: pair(s, t).are_deep(0, 1))
+    if apart < 0.0:
+        return Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
+    return within_of(scene, shapes, apart, lambda s, t: pair(s, t).are_within(0, 1, apart))

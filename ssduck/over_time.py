@@ -76,7 +76,7 @@ class Series:
 
     def backwards(self) -> Iterator[Past]:
         """All ticks in pieces, the last ones first, each twice as long as the one before."""
-        numbers = self.record.ticks.numbers
+        numbers, _ = self.record.until_now()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
             start = max(end - size, 0)
@@ -99,7 +99,7 @@ def _since(series: Series, age: Any) -> float | None:
 
 def _held_for(series: Series, age: Any) -> float:
     begun = _since(series, age)
-    return 0.0 if begun is None else float(series.record.ticks.times[-1]) - begun
+    return 0.0 if begun is None else float(series.record.until_now()[1][-1]) - begun
 
 
 def _holds(series: Series, age: Any) -> list[list[float]]:

@@ -108,6 +108,12 @@ class Record:
 
     # -- which ticks ------------------------------------------------------------------------
 
+    def until_now(self) -> tuple[npt.NDArray[np.int64], Array]:
+        """The numbers and times of the ticks that are kept, up to the world's present one."""
+        numbers = self.ticks.numbers
+        end = int(np.searchsorted(numbers, self.world.snapshot.number, side="right"))
+        return numbers[:end], self.ticks.times[:end]
+
     def past(self, age: float | None) -> Past:
         """Some ticks: the one at a time, those of the last seconds, or all.
 
@@ -118,7 +124,7 @@ class Record:
         Raises:
             EvaluationError: nothing is kept, or nothing of that time.
         """
-        numbers, times = self.ticks.numbers, self.ticks.times
+        numbers, times = self.until_now()
         name = self.world.name
         if not len(numbers):
             raise EvaluationError(f"no tick of {name!r} is recorded")
@@ -168,43 +174,65 @@ class Record:
         Raises:
             EvaluationError: the tick is not kept, or not any more.
         """
+        placing = self._placing_at(tick)
+        snapshot = placing.template.past(tick, _untold(self))
+        snapshot.calls = self.calls
+        return self.take(snapshot, tick), snapshot
+
+    def take(self, snapshot: Snapshot, tick: int) -> Posed:
+        """Make a snapshot that of a tick; gives what stands for a simulator there.
+
+        Raises:
+            EvaluationError: the tick is not kept, or not any more.
+        """
+        placing = self._placing_at(tick)
+        members = placing.template.listed
+        rows = self.rows("entities", tick)
+        by_id = np.argsort(rows["id"])
+        listed = [member.id for member in placing.template.members]
+        order = by_id[np.searchsorted(rows["id"][by_id], listed)]
+        reals = np.array([rows[name] for name in _REALS])[:, order]
+        states = np.concatenate((reals[1:14].T, self._states_of_links(tick)))
+        states[placing.bases[:, 0], 7:] = states[placing.bases[:, 1], 7:]
+        absent = {
+            name: frozenset(
+                member.body
+                for member, is_so in zip(
+                    placing.template.members, rows[name][order].tolist(), strict=True
+                )
+                if member.body is not None and not is_so
+            )
+            for name in ("enabled", "visible")
+        }
+        posed = Posed(
+            time=float(self.ticks.times[self._place_of(tick)]),
+            frames={part.bodies: _frames(states[source]) for part, source in placing.sources},
+            joints=self._joints(tick, placing.template.layout),
+            disabled=absent["enabled"],
+            hidden=absent["visible"],
+            called="a recorded tick",
+        )
+        snapshot.go_to(tick)
+        snapshot.take(posed, members)
+        # To the last digit as it was.
+        snapshot.tables["entities"].reals("time", "zmax")[:] = reals
+        snapshot.tables["entities"].written()
+        for table in _AS_RECORDED & self.tables:
+            told = self.rows(table, tick)
+            snapshot.tables[table].fill(len(told["tick"]), told)
+        return posed
+
+    def _place_of(self, tick: int) -> int:
         place = int(np.searchsorted(self.ticks.numbers, tick))
         if place == len(self.ticks) or self.ticks.numbers[place] != tick:
             raise EvaluationError(
                 f"tick {tick} of {self.world.name!r} is not recorded, or is kept no longer"
             )
-        rows = self.rows("entities", tick)
-        ids = rows["id"]
-        placing = self._placing(tuple(np.sort(ids).tolist()))
-        snapshot = placing.template.past(tick, _untold(self))
-        layout = snapshot.layout
-        order = np.argsort(ids)[np.searchsorted(np.sort(ids), [m.id for m in layout.members])]
-        reals = np.array([rows[name] for name in _REALS])
-        states = np.concatenate((reals[1:14, order].T, self._states_of_links(tick)))
-        states[placing.bases[:, 0], 7:] = states[placing.bases[:, 1], 7:]
-        flags = {
-            name: frozenset(
-                member.body
-                for member, row in zip(layout.members, order.tolist(), strict=True)
-                if member.body is not None and not rows[name][row]
-            )
-            for name in ("enabled", "visible")
-        }
-        posed = Posed(
-            time=float(self.ticks.times[place]),
-            frames={part.bodies: _frames(states[source]) for part, source in placing.sources},
-            joints=self._joints(tick, layout),
-            disabled=flags["enabled"],
-            hidden=flags["visible"],
-            called="a recorded tick",
-        )
-        snapshot.take(posed, placing.template.listed)
-        # To the last digit as it was.
-        entities = snapshot.tables["entities"]
-        entities.reals("time", "zmax")[:] = reals[:, order]
-        entities.written()
-        snapshot.calls = self.calls
-        return posed, snapshot
+        return place
+
+    def _placing_at(self, tick: int) -> _Placing:
+        self._place_of(tick)
+        return self._placing(tuple(np.sort(self.rows("entities", tick)["id"]).tolist()))
 
     def pairs(self, asked: Near, *, collide: bool) -> list[list[int]]:
         """The pairs of entities that collide, or are as near, at some ticks.
@@ -419,9 +447,6 @@ class PastWorld(World):
     def __init__(self, record: Record, posed: Posed, snapshot: Snapshot) -> None:
         self._begin(posed, snapshot, record.world.name, record.world.camera)
         self._record = record
-        for table in _AS_RECORDED & record.tables:
-            rows = record.rows(table, snapshot.number)
-            snapshot.tables[table].fill(len(rows["tick"]), rows)
 
     def ask(self, tables: Iterable[str]) -> None:
         """See to it that there are these tables; what was recorded is there."""
@@ -447,7 +472,11 @@ class PastWorld(World):
 
 
 class RecordedWorld(PastWorld):
-    """A world of which there is only what was recorded: its present is the last tick.
+    """A world of which there is only what was recorded: it is replayed, tick by tick.
+
+    Its present is a recorded tick, at first the last one. `seek` goes to another one; `step` and
+    `run` go on from there, a step a recorded time, and triggers are told as they were then. Where
+    several ticks are of one time (a body was moved by hand), a step goes to the first of them.
 
     Args:
         name: what it is called.
@@ -461,11 +490,70 @@ class RecordedWorld(PastWorld):
         posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
         super().__init__(record, posed, snapshot)
         self.archive = archive
+        self._tick = snapshot.number
+        self._times, first = np.unique(record.ticks.times, return_index=True)
+        self._firsts = record.ticks.numbers[first]
+        steps = np.diff(self._times)
+        self._timestep = float(np.median(steps)) if len(steps) else 0.0
 
     @property
     def own_record(self) -> Record:
         """What is kept of it."""
         return self._record
+
+    @property
+    def is_final(self) -> bool:
+        """Whether its ticks need not be recorded: they are."""
+        return True
+
+    @property
+    def timestep(self) -> float:
+        """Simulated seconds between two recorded times, in the middle."""
+        return self._timestep
+
+    def seek(self, time: float) -> RecordedWorld:
+        """Go to the last tick until a time.
+
+        Args:
+            time: simulated seconds.
+
+        Raises:
+            EvaluationError: nothing of that time is recorded.
+        """
+        with self.lock:
+            self._check_not_held()
+            times = self._record.ticks.times
+            place = int(np.searchsorted(times, time + _ROUNDING, side="right")) - 1
+            if place < 0 or time > times[-1] + _ROUNDING:
+                raise EvaluationError(
+                    f"{self.name!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is "
+                    f"no tick at {time:g} s"
+                )
+            self._tick = int(self._record.ticks.numbers[place])
+            self._take_tick()
+        return self
+
+    def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
+        """Go on by so many recorded times, telling no follower.
+
+        Raises:
+            EvaluationError: the record ends before that.
+        """
+        with self.lock:
+            self._check_not_held()
+            place = int(np.searchsorted(self._times, self.time, side="right")) - 1 + count
+            if place >= len(self._times):
+                raise EvaluationError(
+                    f"what is recorded of {self.name!r} ends at {self._times[-1]:g} s"
+                )
+            if count:
+                self._tick = int(self._firsts[place])
+            if watch is not None:
+                watch(count)
+            self._take_tick()
+
+    def _take(self) -> None:
+        self._simulator = self._record.take(self.snapshot, self._tick)
 
     def entity(self, id: int) -> Entity:
         """The handle of an entity that is there, by its id."""
@@ -543,12 +631,22 @@ class Past:
         return f"<Past of {self.world.name!r}: {told}>"
 
 
-def together(values: Sequence[Any]) -> Sequence[Any] | None:
+def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | None:
     """Entities as they were at the tick of the first that stays at one; None if one was not there.
 
-    A handle goes with its world; beside one of the past it goes with that.
+    A handle goes with its world; in a query of the past it goes with that.
+
+    Args:
+        values: the entities, and other values.
+        elements: the current elements of the query that they are in.
     """
+    worlds = {v.world for v in values if isinstance(v, Entity) and v.moment is None}
+    if not worlds:
+        return values
     first = next((v for v in values if isinstance(v, Entity) and v.moment is not None), None)
+    if first is None:
+        past = (v for v in elements if isinstance(v, Entity) and v.moment is not None)
+        first = next((v for v in past if v.world in worlds), None)
     if first is None:
         return values
     moment = first.moment

@@ -246,7 +246,8 @@ class Planner:
         resolved = resolve(query, shapes, typed)
         names = {part.name for part in query.walk() if isinstance(part, Name)}
         deferred = {name: typed.deferred(name) for name in names}
-        rows = RowByRow(query, resolved, self._scope, self._limits.depth, deferred)
+        of_past = any(shape.moments for shape in shapes)
+        rows = RowByRow(query, resolved, self._scope, self._limits.depth, deferred, of_past=of_past)
         self._rows.setdefault(query, []).append((shapes, rows))
         return rows
 

@@ -15,6 +15,7 @@ from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
 from ssduck.dependencies import (
     aliases_of,
+    calls_of,
     changing,
     free_aliases,
     is_impure,
@@ -302,6 +303,7 @@ class RowByRow:
         scope: variables and functions.
         deepest: how many rows a path may have.
         deferred: the variables in it that hold lists for the query that uses them.
+        of_past: whether a source is the past of a world, with which handles go.
 
     Attributes:
         resolved: the same with its names looked up.
@@ -315,6 +317,8 @@ class RowByRow:
         scope: Scope,
         deepest: int,
         deferred: Mapping[str, Node | None],
+        *,
+        of_past: bool = False,
     ) -> None:
         self.resolved = resolved
         self.deferred = deferred
@@ -325,8 +329,8 @@ class RowByRow:
         compiler = Compiler(
             scope,
             None,
-            _constants(query, changing(query) | waiting),
-            _constants(query, (changing(query) - states(query)) | waiting),
+            _constants(query, changing(query) | waiting, of_past=of_past),
+            _constants(query, (changing(query) - states(query)) | waiting, of_past=of_past),
             memorize=not is_impure(query),
         )
         hierarchical = query.recursion is not None
@@ -381,18 +385,21 @@ class RowByRow:
         return combinations(self._aliases, elements, inside)
 
 
-def _constants(query: Query, changed: AbstractSet[str]) -> set[Node]:
+def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set[Node]:
     """The largest parts of a query that are the same for all its rows, and cost something.
 
     Args:
         query: the query.
         changed: variables that are not the same.
+        of_past: whether calls, but in queries of their own, depend on the row's tick.
     """
     own = {None, *aliases_of(query)}
     found: set[Node] = set()
 
     def look(node: Node) -> None:
         same = not free_aliases(node) & own and not is_impure(node) and not mentions(node, changed)
+        if of_past and not isinstance(node, Query) and calls_of(node):
+            same = False
         if same:
             if not isinstance(node, This | Name | Given | Literal):
                 found.add(node)

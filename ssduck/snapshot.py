@@ -151,9 +151,14 @@ class Snapshot:
     def past(self, number: int, untold: Mapping[str, str]) -> Snapshot:
         """A twin, to be taken of a tick that was before."""
         twin = self.twin(untold)
-        twin.number, twin._is_past = number, True  # noqa: SLF001  # one class
-        twin.read_all_anew()
+        twin._is_past = True  # noqa: SLF001  # one class
+        twin.go_to(number)
         return twin
+
+    def go_to(self, number: int) -> None:
+        """Let the tick that is taken next be that of a number, whatever was before."""
+        self.number = number
+        self.read_all_anew()
 
     # -- what is in the world -------------------------------------------------------------
 

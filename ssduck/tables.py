@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
+from itertools import count
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,6 +22,8 @@ from ssduck.geometry import Array
 
 # So many ticks is what was asked for read without another question.
 FORGOTTEN_AFTER = 240
+
+_versions = count(1)
 
 ColumnType: TypeAlias = Literal["real", "integer", "text", "flag", "points", "triples"]
 _ARROW: dict[ColumnType, pa.DataType] = {
@@ -156,13 +159,12 @@ class LiveTable:
 
     Attributes:
         arrow: the table; its numbers change in place.
-        version: counts up whenever `arrow` became another object.
+        version: another one whenever `arrow` became another object; no two tables have the same.
         whole: whether every number is known; an unknown one is NaN here and NULL in `arrow`.
     """
 
     def __init__(self, columns: tuple[Column, ...]) -> None:
         self.columns = columns
-        self.version = 0
         self.fill(0, {})
 
     def fill(self, count: int, values: dict[str, Any]) -> None:
@@ -227,7 +229,7 @@ class LiveTable:
                 buffer = pa.py_buffer(self._numbers[name])
                 arrays.append(pa.Array.from_buffers(_ARROW[kind], self.count, [None, buffer]))
         self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
-        self.version += 1
+        self.version = next(_versions)
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
         """The buffer of a column of numbers."""

@@ -307,6 +307,10 @@ PAST = [
     "SELECT z FROM lab{-0.05} GROUP BY id(this) AS list;",
     "SELECT tick(this), velocity(this), mass, aabb FROM lab{-0.01} AS list;",
     "SELECT isSphere(this), isEnabled(this), obj FROM lab{0.3} AS list;",
+    "SELECT tick(this) FROM lab{} WHERE this == ball AND near(board, ball, 0.05) AS list;",
+    "SELECT tick(this), z(ball), z(this) FROM lab{-0.03} WHERE this == ball AS list;",
+    "count(SELECT this FROM lab{} WHERE id(this) == 'board' AND z(ball) < 0.8 AS list);",
+    "SELECT z(ball) - z(a.this) FROM a=lab{0.2}, b=lab WHERE id(a.this) == id(b.this) AS list;",
 ]
 
 

@@ -588,7 +588,7 @@ def test_it_does_not_change(kitchen):
         lambda: setattr(can, "enabled", False),
         lambda: setattr(can, "visible", False),
     ):
-        with pytest.raises(UnsupportedError, match="does not change: take another of it"):
+        with pytest.raises(UnsupportedError, match="does not change: ask what if"):
             change()
     assert maybe.what_if()["can"].pose == can.pose == kitchen["can"].pose
 

@@ -1,0 +1,166 @@
+"""Record the kitchen with moving robots, open the record, and ask it the same as the live world.
+
+    python -m tools.replay SECONDS [--every STEPS] [--seed N]
+
+Each physics step is a tick, and all tables are recorded. Every so many steps a list of programs,
+with relations of every kind, is evaluated on the live world; the record is then replayed and asked
+the same. A trigger counts what the sensors see, live and replayed. The exit status is 1 if any
+answer differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import ssduck
+
+PAIRS = "SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen WHERE "
+PROGRAMS = (
+    "SELECT position, orientation, velocity(this), mass, aabb FROM kitchen AS list;",
+    f"{PAIRS} above(a.this, b.this) AS list;",
+    f"{PAIRS} isRobot(a.this) AND near(a.this, b.this, 0.1) AS list;",
+    f"{PAIRS} isRobot(a.this) AND collides(a.this, b.this) AS list;",
+    f"{PAIRS} isSensing(a.this, b.this) AS list;",
+    f"{PAIRS} inContact(a.this, b.this) AND contactForce(a.this, b.this) > 1 AS list;",
+    f"{PAIRS} isRobot(a.this) AND penetration(a.this, b.this) > 0.001 AS list;",
+    "SELECT id(this), clearance(this, table) FROM kitchen WHERE isRobot(this) AS list;",
+    "SELECT id(this) FROM kitchen WHERE on(table, this) AS list;",
+    "SELECT id(this), sensingAmount(this, robot), sensingEnvIDs(this) FROM kitchen AS list;",
+    "SELECT id(this), force(this), torque(this) FROM kitchen WHERE isKinbody(this) AS list;",
+    "SELECT id(this), inside(room, this) FROM kitchen WHERE isRobot(this) AS list;",
+    "SELECT id(this) FROM kitchen WHERE isBox(this) OR leftOf(table, this, room) AS list;",
+    "SELECT tick(this), z(robot) FROM kitchen{-0.05} WHERE near(table, robot, 1.0) AS list;",
+    "[holds(near(robot, table, 1.0), -0.5), least(distance(robot, table), -0.2)];",
+)
+SEEN = (
+    "SELECT id(s.this), id(r.this) FROM s=kitchen, r=kitchen "
+    "WHERE isSensor(s.this) AND isRobot(r.this) AND isSensing(s.this, r.this) AS list;"
+)
+# Seconds between two evaluations of the trigger.
+INTERVAL = 0.5
+
+
+@dataclass
+class Told:
+    """What a world was asked, and what it said.
+
+    Attributes:
+        answers: by simulated time, the answers to all programs as texts.
+        fired: the results that the trigger told, with the time of each.
+    """
+
+    answers: dict[float, list[str]] = field(default_factory=dict)
+    fired: list[tuple[float, str]] = field(default_factory=list)
+
+
+def recorded(folder: Path, seconds: float, every: int, seed: int) -> Told:
+    """Record a run into a folder, and tell what the live world said."""
+    told = Told()
+    with ssduck.load("kitchen") as ss, ss.record_to(folder, "kitchen"):
+        ss.record("kitchen", ssduck.Recording(seconds=60))  # from the same tick on
+        kitchen = ss.call_variable("kitchen")
+        _prepare(ss, told)
+        moves = _moves(random.Random(seed))  # noqa: S311  # no secret
+        for step in range(1, round(seconds * 240) + 1):
+            kitchen.step()
+            if step % every == 0:
+                told.answers[kitchen.time] = _answers(ss)
+            if step % 24 == 0:
+                for name, pose in next(moves).items():
+                    kitchen[name].move(*pose)
+    return told
+
+
+def replayed(folder: Path, times: list[float]) -> Told:
+    """Replay a record, and tell what it said at these times."""
+    told = Told()
+    wanted = set(times)
+    with ssduck.open(folder) as ss:
+        kitchen = ss.call_variable("kitchen")
+        kitchen.seek(0.0)
+        _prepare(ss, told)
+        while kitchen.time < max(times) - 1e-9:
+            kitchen.step()
+            if kitchen.time in wanted:
+                told.answers[kitchen.time] = _answers(ss)
+    return told
+
+
+def _prepare(ss: ssduck.Interpreter, told: Told) -> None:
+    kitchen = ss.call_variable("kitchen")
+    for variable, name in (("table", "table"), ("room", "kitchen"), ("robot", "roomba_625x")):
+        ss.add_variable(variable, kitchen[name])
+    ss.add_trigger(
+        "seen", SEEN, INTERVAL, lambda result: told.fired.append((kitchen.time, repr(result)))
+    )
+
+
+def _answers(ss: ssduck.Interpreter) -> list[str]:
+    return [repr(ss.eval(program)) for program in PROGRAMS]
+
+
+def _moves(chance: random.Random) -> Iterator[dict[str, Any]]:
+    """Where the robots are put next: random walks through the room."""
+    places = {"roomba_625x": [0.5, -1.0, 0.05], "barrett_4918": [0.25, -1.9, 0.892]}
+    angle = 0.0
+    while True:
+        angle += chance.uniform(-0.4, 0.4)
+        turn = [math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)]
+        for place in places.values():
+            place[0] = min(max(place[0] + chance.uniform(-0.1, 0.1), -1.5), 1.5)
+            place[1] = min(max(place[1] + chance.uniform(-0.1, 0.1), -2.0), 2.0)
+        yield {name: (list(place), turn) for name, place in places.items()}
+
+
+def differences(live: Told, again: Told) -> list[str]:
+    """What differs, a line each."""
+    found = []
+    for moment, answers in live.answers.items():
+        replay = again.answers.get(moment)
+        if replay is None:
+            found.append(f"at {moment:g} s nothing was replayed")
+            continue
+        for program, a, b in zip(PROGRAMS, answers, replay, strict=False):
+            if a != b:
+                found.append(f"at {moment:g} s {program}: {a[:80]} is {b[:80]}")
+    if live.fired != again.fired:
+        found.append(f"the trigger fired {len(live.fired)} times, replayed {len(again.fired)}")
+    return found
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Record, replay and compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seconds", type=float)
+    parser.add_argument("--every", type=int, default=120, help="steps between two rounds")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.monotonic()
+        live = recorded(Path(folder) / "run", given.seconds, given.every, given.seed)
+        middle = time.monotonic()
+        again = replayed(Path(folder) / "run", list(live.answers))
+        size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
+        end = time.monotonic()
+    found = differences(live, again)
+    for line in found[:20]:
+        print(line)
+    print(
+        f"{given.seconds:g} s, {len(live.answers)} rounds of {len(PROGRAMS)} programs, "
+        f"{len(live.fired)} firings, {size / 1e6:.0f} MB: {len(found)} differences; "
+        f"recorded in {middle - began:.0f} s, replayed in {end - middle:.0f} s"
+    )
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
