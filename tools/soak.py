@@ -57,7 +57,7 @@ class Lab:
         self.ss.add_variable("board", self.world["board"])
         self.ss.add_variable("ball", self.world["ball_0"])
         self.fired = 0
-        self.ss.add_trigger("high", "SELECT id FROM lab WHERE z(this) > 1.2;", 0.1, self._fire)
+        self.ss.add_trigger("high", "SELECT id FROM lab WHERE z(this) > 1.2;", 1.0, self._fire)
 
     def _fire(self, _: object) -> None:
         self.fired += 1
