@@ -68,6 +68,10 @@ def _remainder(
     rest = exp.paren(exp.Mod(this=a, expression=b))
     copied(rest)
     zero = exp.Literal.number(0)
+    if tag == INTEGER and isinstance(right.sql, exp.Literal) and int(right.sql.name) > 0:
+        negative = exp.LT(this=rest, expression=zero)
+        case = exp.case().when(negative, exp.Add(this=rest.copy(), expression=b.copy()))
+        return SqlValue(case.else_(rest.copy()), tag, wide=left.wide, extent=Extent.FINITE)
     apart = exp.NEQ(
         this=exp.paren(exp.LT(this=rest, expression=zero)),
         expression=exp.paren(exp.LT(this=b.copy(), expression=zero.copy())),

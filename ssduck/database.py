@@ -35,11 +35,29 @@ from ssduck.errors import (
 )
 from ssduck.export import exported
 from ssduck.functions import Function
-from ssduck.history import ABOUT, Archive, History, Near, history_name, model_name, not_recorded
+from ssduck.history import (
+    ABOUT,
+    Archive,
+    History,
+    Near,
+    Shown,
+    history_name,
+    model_name,
+    not_recorded,
+)
 from ssduck.limits import Limits, Meter
+from ssduck.memory import Memory
 from ssduck.models import MODELS
 from ssduck.past import Record, RecordedWorld
-from ssduck.recording import FRAMES, RECORDABLE, Recorder, Recording, Ring, unknown_names
+from ssduck.recording import (
+    FRAMES,
+    MEMORY_TICKS,
+    RECORDABLE,
+    RING_TICKS,
+    Recorder,
+    Recording,
+    unknown_names,
+)
 from ssduck.sealed import PART_TICKS, Folder, FolderRecording
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable
@@ -271,11 +289,19 @@ class _Bound:
 
 @dataclass(frozen=True)
 class _Kept:
-    """The history of a world: who keeps it, where, and how it is told."""
+    """The history of a world: who keeps it, where, and how it is told.
+
+    Attributes:
+        history: where it is stored.
+        record: tells it.
+        recorder: keeps it; None if it is only read.
+        shown: the rows that DuckDB is shown where they are, by table.
+    """
 
     history: Archive
     record: Record
     recorder: Recorder | None = None
+    shown: tuple[Mapping[str, Shown], ...] = ()
 
 
 class Writer:
@@ -374,8 +400,9 @@ class Writer:
         self._connection.close()
 
 
-# Bytes of DuckDB's log that are worth the tens of milliseconds that moving them takes.
-LONG_LOG = 1 << 24
+# Bytes of DuckDB's log that are worth the tenths of a second that moving them takes: it
+# rewrites some of what was moved before, so that more at a time take less.
+LONG_LOG = 1 << 26
 _INCOMING = "rows to be stored"
 # What an attached file with a record is called; no world can be.
 _ATTACHED = "ssduck record file"
@@ -884,15 +911,18 @@ class Database:
         world = bound.world
         for error in unknown_names(recording, world.snapshot.members):
             raise error
-        history = History(self._free_schema(name), self.writer(), recording, name)
+        in_memory = not self._is_file and not recording.changed
+        make = Memory if in_memory else History
+        history = make(self._free_schema(name), self.writer(), recording, name)
         if self._is_file:
             history.show()
-        recorder = Recorder(recording, history)
+        # Of a file, what waits is lost when the process is killed; of memory, all is.
+        recorder = Recorder(recording, history, MEMORY_TICKS if in_memory else RING_TICKS)
         tables = tuple(recorder.rings)
         record = Record(
             world, recorder.ticks, recorder.members, tables, recorder.fetch, recorder.near
         )
-        bound.kept = _Kept(history, record, recorder)
+        bound.kept = _Kept(history, record, recorder, (*history.shown, recorder.rings))
         self._recorders.append(recorder)
         try:
             world.record(recorder)
@@ -920,9 +950,9 @@ class Database:
         self._forget_recorder(bound, kept.recorder)
         kept.history.close(forget=not self._is_file)
         for table in kept.recorder.rings:
-            name = _waiting(bound.key, table)
-            if bound.versions.pop(name, None) is not None:
-                self.unshow(name)
+            for name in _waiting(bound.key, len(kept.shown), table):
+                if bound.versions.pop(name, None) is not None:
+                    self.unshow(name)
 
     def _free_schema(self, world: str) -> str:
         taken = {
@@ -938,8 +968,8 @@ class Database:
             rows = None
             if bound.kept is not None:
                 waits = bound.kept.recorder is not None
-                ring = partial(_waiting, bound.key) if waits else None
-                rows = bound.kept.history.select(table, ring)
+                rings = partial(_waiting, bound.key, len(bound.kept.shown)) if waits else None
+                rows = bound.kept.history.select(table, rings)
             if rows is None:
                 refused = exp.select("*").from_(exp.table_(_live(bound.key, table), quoted=True))
                 _refuse(refused, not_recorded(table, bound.world.name))
@@ -1062,12 +1092,15 @@ class Database:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         for table, live in bound.world.snapshot.tables.items():
             self._show_buffers(bound, table, _live(bound.key, table), live)
-        if bound.kept is not None and bound.kept.recorder is not None:
-            for table, ring in bound.kept.recorder.rings.items():
-                self._show_buffers(bound, history_name(table), _waiting(bound.key, table), ring)
+        if bound.kept is not None:
+            shown = bound.kept.shown
+            for part, tables in enumerate(shown):
+                for table, rows in tables.items():
+                    name = _waiting(bound.key, len(shown), table)[part]
+                    self._show_buffers(bound, history_name(table), name, rows)
 
     def _show_buffers(
-        self, bound: _Bound, table: str, name: str, buffers: LiveTable | Ring
+        self, bound: _Bound, table: str, name: str, buffers: LiveTable | Shown
     ) -> None:
         if bound.versions.get(name) != buffers.version:
             if name in bound.versions:
@@ -1178,9 +1211,9 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder]) ->
         raise failed
 
 
-def _waiting(key: str, table: str) -> str:
-    """What the rows are called that wait to be stored, among DuckDB's temporary views."""
-    return f"{key}: {table} that wait"
+def _waiting(key: str, parts: int, table: str) -> list[str]:
+    """What the rows are called that are not stored, among DuckDB's temporary views."""
+    return [f"{key}: {table} that wait, {part}" for part in range(parts)]
 
 
 def _live(key: str, table: str) -> str:

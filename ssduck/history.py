@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -33,6 +33,20 @@ SLOTS = QUARTERS + 2
 # The version of what is stored, and the table that tells it.
 VERSION = 1
 ABOUT = "ssduck record"
+
+
+class Shown(Protocol):
+    """Rows that DuckDB looks into where they are."""
+
+    version: int
+
+    @property
+    def arrow(self) -> pa.Table:
+        """The rows; another object, if the version is another one."""
+
+
+# Gives the names of the tables in which the rows of a table are that are not stored.
+Waiting: TypeAlias = Callable[[str], Sequence[str]]
 
 
 class Writer(Protocol):
@@ -74,7 +88,7 @@ class Archive(Protocol):
 
     recording: Recording
 
-    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:
+    def select(self, table: str, rings: Waiting | None) -> str | None:
         """What the view of a table's history selects; None for what is not recorded."""
 
     def models(self) -> dict[str, str]:
@@ -99,7 +113,13 @@ class History:
         recording: what is kept of each tick.
         world: what the world is called; None to read what is stored there already.
         catalog: of the attached file that has the schema; None for the database itself.
+
+    Attributes:
+        shown: the rows that it keeps where DuckDB is to be shown them, by table.
     """
+
+    keeps = False
+    shown: tuple[Mapping[str, Shown], ...] = ()
 
     def __init__(
         self,
@@ -117,6 +137,8 @@ class History:
         self._slots = SLOTS if recording.is_bounded else 1
         # Of each slot in use, the oldest first: its number, and its first tick.
         self._used: list[tuple[int, int]] = [(0, 0)]
+        # Of the last one: how many ticks it has, and the times of the first and the last.
+        self._filled, self._times = 0, (0.0, 0.0)
         self._geometries: set[int] = set()
         self.tables = ("ticks", *(t for t in RECORDABLE if t in recording.tables))
         if "links" not in recording.tables:
@@ -145,10 +167,13 @@ class History:
             self._writer.run(f"CREATE SCHEMA {quoted(self.schema)}")
             self._writer.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
             for table, columns in MODELS.items():
-                self._writer.run(_create(self.place(f"{table} model"), columns))
-            for table in self.tables:
-                for slot in range(self._slots):
-                    self._writer.run(_create(self._slot(table, slot), self._columns(table)))
+                self._writer.run(_create(self._model(table), columns))
+            self._make_tables()
+
+    def _make_tables(self) -> None:
+        for table in self.tables:
+            for slot in range(self._slots):
+                self._writer.run(_create(self._slot(table, slot), self._columns(table)))
 
     @contextmanager
     def _whole(self) -> Iterator[None]:
@@ -208,19 +233,23 @@ class History:
     ) -> None:
         """Keep what entities are, before rows of theirs; geometries by their numbers."""
         models = models_of(members, geometry_id, self._geometries)
-        self._insert({self.place(f"{table} model"): rows for table, rows in models.items()})
+        self._insert({self._model(table): rows for table, rows in models.items()})
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 
     def add(self, rows: Mapping[str, pa.Table]) -> None:
         """Keep the rows of whole ticks, all or none of them."""
-        self._turn(int(rows["ticks"]["tick"][0].as_py()))
+        numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
+        self._turn(int(numbers[0]))
         slot, _ = self._used[-1]
         self._insert(
             {
                 self._slot(table, slot): _changes(table, own) if self._is_changed(table) else own
                 for table, own in rows.items()
+                if own.num_rows
             }
         )
+        first = self._times[0] if self._filled else float(times[0])
+        self._filled, self._times = self._filled + len(times), (first, float(times[-1]))
         self._writer.settle()
 
     def _insert(self, rows: Mapping[str, pa.Table]) -> None:
@@ -234,13 +263,10 @@ class History:
         """Take the next slot, if a quarter of what is kept is in this one."""
         if self._slots == 1:
             return
-        number, _ = self._used[-1]
-        ((count, seconds),) = self._writer.fetchall(
-            f"SELECT count(*), max(time) - min(time) FROM {self._slot('ticks', number)}"  # noqa: S608
-        )
-        if not count:
-            self._used[-1] = number, tick
+        if not self._filled:
+            self._used[-1] = self._used[-1][0], tick
             return
+        count, seconds = self._filled, self._times[1] - self._times[0]
         recording = self.recording
         full = recording.ticks is not None and count >= recording.ticks // QUARTERS
         # What is stored together ends a tick before a quarter is over.
@@ -249,6 +275,7 @@ class History:
         free = set(range(SLOTS)) - {number for number, _ in self._used}
         if full and free:
             self._used.append((free.pop(), tick))
+            self._filled = 0
 
     def drop_before(self, tick: int) -> int:
         """Drop slots whose ticks are all older; tells the first tick that is still there."""
@@ -288,30 +315,34 @@ class History:
             "ON ticks.tick = rows.at"
         )
 
-    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:
+    def select(self, table: str, rings: Waiting | None) -> str | None:
         """What the view of a table's history selects; None for what is not recorded.
 
         Args:
             table: a table of a world.
-            ring: the name of the table in which the rows of a table wait, if any do.
+            rings: the names of the tables in which the rows of a table wait, if any do.
         """
         if table not in self.tables:
             return None
-        return history_of(table, self._all(table, ring), self._all("entities", ring), self._model)
+        return history_of(table, self._all(table, rings), self._all("entities", rings), self._model)
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
         return {model_name(table): f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
 
-    def _all(self, table: str, ring: Callable[[str], str] | None) -> str:
+    def _all(self, table: str, rings: Waiting | None) -> str:
         """A SELECT of all rows of a table, those that wait among them."""
-        if ring is None:
+        if rings is None:
             return self._stored(table)
+        waiting = [self._of_ring(table, ring) for ring in rings(table)]
+        return " UNION ALL ".join([self._stored(table), *waiting])
+
+    def _of_ring(self, table: str, ring: str) -> str:
+        """A SELECT of the rows of a ring."""
         flags = STORED[table].flags if table in STORED else ()
         told = _listed(name for name in columns_of(table) if name not in flags)
         told += "".join(f", {quoted(name)}::BOOLEAN AS {quoted(name)}" for name in flags)
-        waiting = f"SELECT {told} FROM {quoted(ring(table))} WHERE tick >= 0"  # noqa: S608
-        return f"{self._stored(table)} UNION ALL {waiting}"
+        return f"SELECT {told} FROM {quoted(ring)} WHERE tick >= 0"  # noqa: S608
 
     def _model(self, table: str) -> str:
         return self.place(f"{table} model")
@@ -340,22 +371,26 @@ _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _WAITING = "entities that wait"
 
 
-def near_rows(writer: Writer, stored: str, asked: Near, waiting: pa.Table | None) -> pa.Table:
+def near_rows(
+    writer: Writer, stored: str | None, asked: Near, waiting: pa.Table | None
+) -> pa.Table:
     """Pairs of entities whose boxes are near at a tick, or are not known, with both poses.
 
     Args:
         writer: a connection of its own.
-        stored: a SELECT of the stored rows of entities.
+        stored: a SELECT of the stored rows of entities, if any are.
         asked: which pairs.
         waiting: rows of entities that wait to be stored.
     """
     columns = ("tick", "id", *_POSE, *BOX)
-    rows = f"SELECT {_listed(columns)} FROM ({stored}) AS stored WHERE tick BETWEEN ? AND ?"  # noqa: S608
-    values: list[Any] = [asked.first, asked.last]
+    places = [] if stored is None else [f"({stored}) AS stored"]
     if waiting is not None:
-        told = _listed(columns)
-        rows += f' UNION ALL SELECT {told} FROM "{_WAITING}" WHERE tick BETWEEN ? AND ?'  # noqa: S608
-        values *= 2
+        places.append(f'"{_WAITING}"')
+    rows = " UNION ALL ".join(
+        f"SELECT {_listed(columns)} FROM {place} WHERE tick BETWEEN ? AND ?"  # noqa: S608
+        for place in places
+    )
+    values = [asked.first, asked.last] * len(places)
     poses = ", ".join(f'{side}."{name}" AS {side}_{name}' for side in "ab" for name in _POSE)
     sides = (("a", "b"), ("b", "a"))
     far = [f"{s}.{axis}min > {t}.{axis}max + far" for axis in "xyz" for s, t in sides]

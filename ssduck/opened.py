@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ from ssduck.history import (
     VERSION,
     History,
     Near,
+    Waiting,
     Writer,
     columns_of,
     model_name,
@@ -161,7 +162,7 @@ class OpenedFolder:
         # All of them have to be there, so that no query fails later.
         self._files = {table: run.files(table) for table in run.tables}
 
-    def select(self, table: str, ring: Callable[[str], str] | None) -> str | None:  # noqa: ARG002
+    def select(self, table: str, rings: Waiting | None) -> str | None:  # noqa: ARG002
         """What the view of a table's history selects; None for what is not recorded."""
         if table not in self._files:
             return None

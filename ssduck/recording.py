@@ -8,6 +8,8 @@ are given to a store together, so that what is stored ends with a whole tick.
 from __future__ import annotations
 
 import math
+import sys
+import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -27,6 +29,7 @@ from ssduck.tables import TABLES, LiveTable
 RECORDABLE = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 # So many ticks wait at most to be stored, and so many rows of a table.
 RING_TICKS = 240
+MEMORY_TICKS = 960
 RING_ROWS = 1 << 17
 _LEAST_ROWS = 1024
 # Of what is kept, a quarter at a time is stored together, and dropped together.
@@ -134,6 +137,9 @@ class Ring:
         arrow: the table; its unused rows are of tick -1.
         version: counts up whenever `arrow` became another object.
         count: how many rows wait.
+        capacity: how many can.
+        ticks: the numbers of their ticks.
+        reals: (columns, capacity).
     """
 
     def __init__(
@@ -142,15 +148,21 @@ class Ring:
         self._names = integers, reals, flags
         self.version = 0
         self.count = 0
+        self._lent: list[list[npt.NDArray[Any]]] = []
         self._make(_LEAST_ROWS)
 
     def _make(self, capacity: int) -> None:
         integers, reals, flags = self._names
         self.capacity = capacity
-        self.integers = {name: np.zeros(capacity, dtype=np.int64) for name in integers}
-        self.integers["tick"].fill(-1)
-        self.reals = np.zeros((len(reals), capacity))
-        self.flags = {name: np.zeros(capacity, dtype=np.uint8) for name in flags}
+        # Who laid out the rows, of how many a tick, and whether from the first one on.
+        self._laid: tuple[object, int] | None = None
+        self._is_laid_whole = False
+        numbers = self._numbers_of(capacity)
+        self.integers = dict(zip(integers, numbers[: len(integers)], strict=True))
+        self.ticks = self.integers["tick"]
+        self.ticks.fill(-1)
+        self.reals = numbers[len(integers)]
+        self.flags = dict(zip(flags, numbers[len(integers) + 1 :], strict=True))
         columns: list[npt.NDArray[Any]] = [
             *self.integers.values(),
             *self.reals,
@@ -162,6 +174,23 @@ class Ring:
         ]
         self.arrow = pa.table(arrays, names=[*integers, *reals, *flags])
         self.version += 1
+
+    def _numbers_of(self, capacity: int) -> list[npt.NDArray[Any]]:
+        """Buffers of integers, reals and flags: old ones that nobody looks into any more, or new.
+
+        Memory that a process has already is had five times faster than other.
+        """
+        integers, reals, flags = self._names
+        free = [own for own in self._lent if _is_free(own)]
+        self._lent = [own for own in self._lent if not any(own is other for other in free)]
+        for own in free:
+            if len(own[0]) == capacity:
+                return own
+        return [
+            *(np.zeros(capacity, dtype=np.int64) for _ in integers),
+            np.zeros((len(reals), capacity)),
+            *(np.zeros(capacity, dtype=np.uint8) for _ in flags),
+        ]
 
     def takes(self, count: int) -> bool:
         """Whether it has room for so many rows more."""
@@ -184,6 +213,23 @@ class Ring:
         first, self.count = self.count, self.count + count
         return slice(first, self.count)
 
+    def lay(self, owner: object, count: int, columns: Callable[[], Mapping[str, Any]]) -> None:
+        """See to it that the rows to come have what is the same in each tick.
+
+        Args:
+            owner: what makes them; asked again, it has nothing else to tell.
+            count: of rows a tick.
+            columns: gives integers and flags of them.
+        """
+        if not count or self._laid == (owner, count):
+            return
+        times = -(-(self.capacity - self.count) // count)
+        for name, values in columns().items():
+            column = self.flags[name] if name in self.flags else self.integers[name]
+            column[self.count :] = np.tile(values, times)[: self.capacity - self.count]
+        self._laid = owner, count
+        self._is_laid_whole = self.count == 0
+
     def rows(self) -> pa.Table:
         """What waits; what is no number is NULL."""
         waiting = self.arrow.slice(0, self.count)
@@ -194,10 +240,29 @@ class Ring:
             waiting = waiting.set_column(place, waiting.column_names[place], column)
         return waiting
 
+    def taken(self) -> pa.Table:
+        """What waits; the ring has nothing to do with it any more."""
+        rows = self.rows()
+        if 2 * self.count < self.capacity:
+            rows = rows.take(pa.array(np.arange(self.count)))
+            self.clear()
+        else:
+            self._lent.append([*self.integers.values(), self.reals, *self.flags.values()])
+            self._make(self.capacity)
+            self.count = 0
+        return rows
+
     def clear(self) -> None:
         """Forget what waited."""
-        self.integers["tick"][: self.count] = -1
+        self.ticks[: self.count] = -1
         self.count = 0
+        if not self._is_laid_whole:
+            self._laid = None
+
+
+def _is_free(numbers: list[npt.NDArray[Any]]) -> bool:
+    """Whether nobody but its list, and who asks, knows these buffers."""
+    return all(sys.getrefcount(numbers[place]) == 2 for place in range(len(numbers)))
 
 
 class Ticks:
@@ -252,7 +317,13 @@ class Ticks:
 
 
 class Store(Protocol):
-    """What keeps the rows of ticks."""
+    """What keeps the rows of ticks.
+
+    Attributes:
+        keeps: whether it keeps them where they are, which takes no time.
+    """
+
+    keeps: bool
 
     def add_members(
         self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
@@ -292,7 +363,9 @@ class Recorder:
         self._store = store
         self.rings = {table: _ring(table) for table in ("ticks", *recording.tables)}
         if "links" not in recording.tables:
-            self.rings[FRAMES] = Ring(("tick", "entity", "link"), FRAME_REALS)
+            self.rings[FRAMES] = _frames_ring()
+        # What waits is being stored, or read with what is stored.
+        self._lock = threading.RLock()
         self.ticks = Ticks()
         self.members: dict[int, Member] = {}
         self._told = 0
@@ -313,21 +386,25 @@ class Recorder:
         self._told += 1
         if (self._told - 1) % self.recording.every:
             return
-        rows = self._rows_of(snapshot)
+        with self._lock:
+            self._keep(snapshot, self._rows_of(snapshot))
+
+    def _keep(self, snapshot: Snapshot, rows: _Rows) -> None:
         counts = {table: rows.count(snapshot, table) for table in self.rings}
         failed = self._tried(self._tell_new)
         waiting = self.rings["ticks"].count
-        if self._is_due(snapshot.time) or not all(
+        is_due = self._is_due(snapshot.time) or not all(
             self.rings[table].takes(count) for table, count in counts.items()
-        ):
-            if waiting >= self._tries_at:
-                failed = failed or self._tried(self.flush)
-                # What grows is not tried again at each tick.
-                self._tries_at = waiting + self._waits if failed else 0
+        )
+        if is_due and waiting >= self._tries_at:
+            failed = failed or self._tried(self.flush)
+            # What grows is not tried again at each tick.
+            self._tries_at = waiting + self._waits if failed else 0
+        if is_due or not waiting:
             for table, count in counts.items():
                 self.rings[table].reserve(count, self._waits)
         for table, count in counts.items():
-            rows.copy(snapshot, table, self.rings[table], self.rings[table].run(count))
+            rows.copy(snapshot, table, self.rings[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
         if not snapshot.is_whole:  # where the ring has what is no number, the store has NULL
             failed = failed or self._tried(self.flush)
@@ -350,28 +427,37 @@ class Recorder:
             RecordError: it cannot be stored in a folder; it waits on.
             SqlError: the same of a database.
         """
-        self._tell_new()
-        if self.rings["ticks"].count:
-            self._store.add({table: ring.rows() for table, ring in self.rings.items()})
-            for ring in self.rings.values():
-                ring.clear()
-            self._tries_at = 0
-        oldest = self._oldest()
-        if oldest is not None:
-            self.ticks.forget_before(self._store.drop_before(oldest))
+        with self._lock:
+            self._tell_new()
+            if self.rings["ticks"].count:
+                self._store_waiting()
+                self._tries_at = 0
+            oldest = self._oldest()
+            if oldest is not None:
+                self.ticks.forget_before(self._store.drop_before(oldest))
+
+    def _store_waiting(self) -> None:
+        if self._store.keeps:
+            self._store.add({table: ring.taken() for table, ring in self.rings.items()})
+            return
+        self._store.add({table: ring.rows() for table, ring in self.rings.items()})
+        for ring in self.rings.values():
+            ring.clear()
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last, those that wait among them."""
-        stored = self._store.fetch(table, first, last)
-        waiting = self.rings[table].rows()
-        ticks = waiting["tick"].to_numpy()
-        inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
-        copied = inside.select(stored.column_names).cast(stored.schema)
-        return pa.concat_tables([stored, copied])
+        with self._lock:
+            stored = self._store.fetch(table, first, last)
+            waiting = self.rings[table].rows()
+            ticks = waiting["tick"].to_numpy()
+            inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
+            copied = inside.select(stored.column_names).cast(stored.schema)
+            return pa.concat_tables([stored, copied])
 
     def near(self, asked: Any) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks, with their poses."""
-        return self._store.near(asked, self.rings["entities"].rows())
+        with self._lock:
+            return self._store.near(asked, self.rings["entities"].rows())
 
     def _is_due(self, time: float) -> bool:
         """Whether what waits is to be stored: so many ticks, or a quarter of what is kept."""
@@ -416,6 +502,16 @@ class Recorder:
             self._new = []
 
 
+def in_parts(table: str) -> pa.Schema:
+    """What the columns of a ring of a table are called, and of which types they are."""
+    ring = _frames_ring() if table == FRAMES else _ring(table)
+    return ring.arrow.schema
+
+
+def _frames_ring() -> Ring:
+    return Ring(("tick", "entity", "link"), FRAME_REALS)
+
+
 def _ring(table: str) -> Ring:
     stored = STORED[table]
     return Ring(stored.integers, stored.names_of_reals(table), stored.flags)
@@ -446,6 +542,7 @@ class _Rows:
             _frames_of(part, self._layout, kept)
             for part in (self._layout.still, self._layout.moving)
         ]
+        self._frames_count = sum(len(frames.places) for frames in self._frames)
         self._picked: dict[str, Indices | None] = {
             table: None if names is None else self._pick(snapshot, table)
             for table in ("entities", "joints", "shapes")
@@ -471,7 +568,7 @@ class _Rows:
     def count(self, snapshot: Snapshot, table: str) -> int:
         """How many rows of a table there are to be kept."""
         if table == FRAMES:
-            return sum(len(frames.places) for frames in self._frames)
+            return self._frames_count
         picked = self._selected(snapshot, table)
         return snapshot.tables[table].count if picked is None else len(picked)
 
@@ -485,34 +582,45 @@ class _Rows:
         live = snapshot.tables[table]
         return np.flatnonzero(np.logical_and(*(np.isin(live[side], self._ids) for side in sides)))
 
-    def copy(self, snapshot: Snapshot, table: str, ring: Ring, run: slice) -> None:
-        """Copy the rows of a table into a ring."""
+    def copy(self, snapshot: Snapshot, table: str, ring: Ring, count: int) -> None:
+        """Copy the rows of a table, of which there are so many, into a ring."""
+        if table in self._picked or table == FRAMES:
+            ring.lay(self, count, lambda: self._fixed(snapshot, table))
+        run = ring.run(count)
+        ring.ticks[run] = snapshot.number
         if table == FRAMES:
             self._copy_frames(snapshot, ring, run)
             return
         live: LiveTable = snapshot.tables[table]
         stored, picked = STORED[table], self._selected(snapshot, table)
         reals = live.reals(*stored.reals)
-        for name in stored.integers:
-            column = live[name]
-            ring.integers[name][run] = column if picked is None else column[picked]
         ring.reals[:, run] = reals if picked is None else reals[:, picked]
-        for name in stored.flags:
-            ring.flags[name][run] = self._flags[name]
+        if table not in self._picked:
+            for name in stored.integers[1:]:
+                column = live[name]
+                ring.integers[name][run] = column if picked is None else column[picked]
+
+    def _fixed(self, snapshot: Snapshot, table: str) -> dict[str, npt.NDArray[Any]]:
+        """The columns of integers and flags, but for the ticks."""
+        if table == FRAMES:
+            owners = {"entity": [f.entities for f in self._frames]}
+            links = {"link": [f.links for f in self._frames]}
+            return {name: np.concatenate(parts) for name, parts in (owners | links).items()}
+        stored, picked = STORED[table], self._picked[table]
+        live = snapshot.tables[table]
+        own = {n: live[n] if picked is None else live[n][picked] for n in stored.integers[1:]}
+        return own | {name: self._flags[name] for name in stored.flags}
 
     def _copy_frames(self, snapshot: Snapshot, ring: Ring, run: slice) -> None:
+        ring.reals[0, run] = snapshot.time
         first = run.start
         for own, (_, frames) in zip(self._frames, snapshot.parts, strict=True):
             if not len(own.places):
                 continue
             to = slice(first, first + len(own.places))
             first = to.stop
-            ring.integers["tick"][to] = snapshot.number
-            ring.integers["entity"][to] = own.entities
-            ring.integers["link"][to] = own.links
-            ring.reals[0, to] = snapshot.time
-            ring.reals[1:4, to] = frames.positions[own.places].T
-            ring.reals[4:, to] = frames.states[own.places, 3:7].T
+            ring.reals[1:4, to] = frames.positions.take(own.places, axis=0).T
+            ring.reals[4:, to] = frames.states[:, 3:7].take(own.places, axis=0).T
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,6 +44,8 @@ class Folder:
         RecordError: there is a folder with something else in it, or it cannot be written.
     """
 
+    keeps = False
+
     def __init__(self, path: str | Path, world: str, recording: Recording) -> None:
         self.path = Path(path)
         frames = () if "links" in recording.tables else (FRAMES,)

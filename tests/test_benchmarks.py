@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import pairs
+from benchmarks import pairs, recorded
 from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, Crowd, Piece, crowd
 from benchmarks.referee import bounds, may_touch, verdict
 
@@ -85,3 +85,14 @@ def test_the_referee(one, other, apart, depth):
     assert may_touch(three, 0, 1, 1.1 * depth)
     assert not may_touch(three, 0, 1, 0.9 * depth)
     assert not may_touch(three, 0, 2, 0.1)
+
+
+def test_the_tables_of_recorded_time(capsys):
+    small = "--sizes 5 --ticks 20 --long 2000 --near 50 --gigabytes 0.002 --rounds 1"
+    assert recorded.main(small.split()) == 0
+    printed = capsys.readouterr().out
+    headers = (recorded.COST, recorded.BYTES, recorded.OVER, recorded.NEAR, recorded.OPENED)
+    for header in headers:
+        assert f"| {' | '.join(header)} |" in printed
+    assert printed.count("| 5 boxes |") == 2
+    assert printed.count("| opening") == 3

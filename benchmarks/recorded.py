@@ -1,0 +1,398 @@
+"""What it costs to keep every tick of a world, and to ask about what was kept.
+
+`python -m benchmarks time [OPTION ...]` prints five tables: what recording adds to a tick, how much
+memory it takes, a relation over a long run against the same SQL by hand, the narrow phase over a
+run against FCL, and the opening of a record against DuckDB's `read_parquet`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import duckdb
+import fcl
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pybullet
+
+import ssduck
+from benchmarks.ticks import kitchen
+from benchmarks.timing import Way, minima, printed, shown
+from ssduck import Recording
+from ssduck.geometry import Array
+from ssduck.memory import Memory
+from ssduck.recording import STORED, Recorder
+from ssduck.simulators.pybullet import PyBulletSimulator
+
+Scene: TypeAlias = Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]
+Numbers: TypeAlias = npt.NDArray[Any]
+# Of a long run: a table, a gripper, a cup, and things that move about.
+ENTITIES = 40
+TIMESTEP = 1 / 240
+# Of a naive history: what differs from tick to tick as doubles, and the tick and the id.
+NAIVE = 22 * 8
+_MEGABYTE = 1e6
+
+
+@contextmanager
+def boxes(count: int) -> Iterator[tuple[ssduck.World, int]]:
+    """Boxes that turn in free fall, some beside each other; the first is called `table`."""
+    client = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], physicsClientId=client
+    )
+    pybullet.setGravity(0, 0, -1, client)
+    names = {}
+    rng = np.random.default_rng(count)
+    for number in range(count):
+        place = [number % 30, number // 30, 1.0]
+        body = pybullet.createMultiBody(1, shape, basePosition=place, physicsClientId=client)
+        pybullet.resetBaseVelocity(body, *rng.normal(size=(2, 3)).tolist(), client)
+        names[body] = {0: "table", 1: "gripper", 2: "cup"}.get(number, f"box_{number}")
+    yield ssduck.World(PyBulletSimulator(client, owned=True, names=names)), client
+    pybullet.disconnect(client)
+
+
+def _recorder(ss: ssduck.Interpreter) -> Recorder:
+    """What keeps the ticks of an interpreter's only world."""
+    return ss._database._recorders[0]
+
+
+# -- a tick -------------------------------------------------------------------------------------
+
+COST = ("keeping a tick", "in", "tick", "with it", "ratio", "processor")
+
+
+def costs(sizes: Sequence[int], ticks: int, rounds: int) -> Iterator[tuple[str, ...]]:
+    """What recording adds to a tick, the storing of those that wait included."""
+    scenes: dict[str, Scene] = {f"{size:,} boxes": partial(boxes, size) for size in sizes}
+    for name, scene in {**scenes, "kitchen": kitchen}.items():
+        for place in ("memory", "a file"):
+            with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+                plain, _ = stack.enter_context(scene())
+                world, _ = stack.enter_context(scene())
+                path = ":memory:" if place == "memory" else f"{folder}/run.duckdb"
+                # As long as the memory that older ticks had is used again.
+                kept = Recording(ticks=1200) if place == "memory" else Recording()
+                ss = stack.enter_context(ssduck.Interpreter(path, recording=kept))
+                ss.add_variable("world", world)
+                _ticked(world, 3 * ticks if place == "memory" else 0)
+                ways = {
+                    "plain": partial(_ticked, plain, ticks),
+                    "kept": partial(_ticked, world, ticks),
+                }
+                wall, processor = _in_turns(ways, rounds)
+            yield (
+                name,
+                place,
+                shown(wall["plain"] / ticks),
+                shown(wall["kept"] / ticks),
+                f"{wall['kept'] / wall['plain']:.2f}",
+                f"{processor['kept'] / processor['plain']:.2f}",
+            )
+
+
+def _ticked(world: ssduck.World, ticks: int) -> None:
+    for _ in range(ticks):
+        world.tick()
+
+
+def _in_turns(
+    ways: Mapping[str, Callable[[], object]], rounds: int
+) -> tuple[dict[str, float], dict[str, float]]:
+    """The median time of each way, and of processor time in all threads, s."""
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(rounds):
+            for name, way in ways.items():
+                wall, processor = time.perf_counter(), time.process_time()
+                way()
+                taken = time.perf_counter() - wall, time.process_time() - processor
+                times[name].append(taken)
+    finally:
+        gc.enable()
+    wall_times, processor_times = (
+        {name: statistics.median(pair[which] for pair in found) for name, found in times.items()}
+        for which in (0, 1)
+    )
+    return wall_times, processor_times
+
+
+# -- memory -------------------------------------------------------------------------------------
+
+BYTES = ("bytes an entity and tick", "what is kept", "memory", "file", "Parquet", "naive")
+
+
+def sizes_of(boxes_count: int, ticks: int) -> Iterator[tuple[str, ...]]:
+    """How many bytes an entity takes a tick."""
+    scenes: dict[str, Scene] = {
+        f"{boxes_count} boxes, all moving": partial(boxes, boxes_count),
+        "kitchen": kitchen,
+    }
+    for name, scene in scenes.items():
+        for kept, recording in (
+            ("all", Recording()),
+            ("what changed", Recording(changed=True)),
+        ):
+            found = [
+                _bytes(scene, recording, ticks, path) for path in (":memory:", "run.duckdb", "run")
+            ]
+            yield (name, kept, *(f"{each:.0f}" for each in found), f"{NAIVE}")
+
+
+def _bytes(scene: Scene, recording: Recording, ticks: int, path: str) -> float:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        world, _ = stack.enter_context(scene())
+        place = Path(folder) / path
+        database = str(place) if path.endswith("duckdb") else ":memory:"
+        ss = stack.enter_context(ssduck.Interpreter(database, recording=recording))
+        ss.add_variable("world", world)
+        rows = len(world) * ticks
+        ss.sql("CHECKPOINT")
+        before = _used(ss, place)
+        for _ in range(ticks):
+            world.step()
+        ss.flush()
+        if path == "run":
+            ss.export(place)
+        else:
+            ss.sql("CHECKPOINT")
+        return (_used(ss, place) - before) / rows
+
+
+def _used(ss: ssduck.Interpreter, place: Path) -> int:
+    """Bytes of a file, of all files in a folder, or of what is kept in memory."""
+    if place.is_file():
+        return place.stat().st_size
+    if place.name == "run":
+        return sum(f.stat().st_size for f in place.rglob("*") if f.is_file())
+    store = _recorder(ss)._store
+    kept = store._kept.values() if isinstance(store, Memory) else ()
+    parts = [part for table in kept for part in table.parts]
+    ((of_tables,),) = ss.sql("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchall()
+    return int(of_tables + sum(part.nbytes for part in parts))
+
+
+# -- a long run ---------------------------------------------------------------------------------
+
+
+def fill(ss: ssduck.Interpreter, world: ssduck.World, ticks: int, step: int = 6000) -> None:
+    """Keep ticks that were never simulated: things go about, some of them over the table."""
+    recorder = _recorder(ss)
+    world.ask(("shapes", "links"))  # later it would be a tick of its own
+    ss.flush()
+    ids = np.array([member.id for member in world.snapshot.members])
+    first = world.snapshot.number + 1
+    for start in range(first, first + ticks, step):
+        numbers = np.arange(start, min(start + step, first + ticks))
+        times = numbers * TIMESTEP
+        rows = {
+            "ticks": _table("ticks", [numbers], np.array([times, times])),
+            "entities": _entities(numbers, times, ids),
+        }
+        for table, ring in recorder.rings.items():
+            if table not in rows:
+                rows[table] = ring.arrow.slice(0, 0)
+        recorder._store.add(rows)
+        for number, at in zip(numbers.tolist(), times.tolist(), strict=True):
+            recorder.ticks.append(number, at)
+    world.snapshot.number = first + ticks - 1  # windows end with the world's own tick
+
+
+def _entities(numbers: Numbers, times: Numbers, ids: Numbers) -> pa.Table:
+    t = np.repeat(times, len(ids))
+    n = np.tile(np.arange(len(ids)), len(times))
+    reals = np.zeros((20, len(t)))
+    speed = 0.1 + 0.01 * n
+    angle = speed * t + n
+    reals[0] = t
+    reals[1:4] = 2 * np.cos(angle), 2 * np.sin(1.3 * angle), 0.3 + 0.5 * np.cos(0.7 * angle)
+    reals[4], reals[7] = np.cos(angle / 2), np.sin(angle / 2)
+    reals[8:10] = -2 * speed * np.sin(angle), 2.6 * speed * np.cos(1.3 * angle)
+    still = n == 0
+    reals[1:8, still] = np.array([[0, 0, 0.4, 1, 0, 0, 0]]).T
+    # The gripper goes with the cup, at 5 mm to 5 cm.
+    cup, gripper = n == 2, n == 1
+    reals[1:14, gripper] = reals[1:14, cup]
+    reals[3, gripper] += 0.6275 + 0.0225 * np.cos(9 * times)
+    half = np.array([[0.25], [0.25], [0.3]])
+    reals[14:17], reals[17:20] = reals[1:4] - half, reals[1:4] + half
+    flags = np.ones(len(t), dtype=np.uint8)
+    integers = [np.repeat(numbers, len(ids)), np.tile(ids, len(times))]
+    return _table("entities", integers, reals, [flags, flags])
+
+
+def _table(
+    table: str, integers: Sequence[Numbers], reals: Array, flags: Sequence[Numbers] = ()
+) -> pa.Table:
+    stored = STORED[table]
+    names = [*stored.integers, *stored.names_of_reals(table), *stored.flags]
+    return pa.table([*map(pa.array, integers), *map(pa.array, reals), *map(pa.array, flags)], names)
+
+
+@contextmanager
+def long_run(ticks: int) -> Iterator[ssduck.Interpreter]:
+    """An interpreter on a run of many ticks, `lab`; `table`, `gripper` and `cup` are handles."""
+    with boxes(ENTITIES) as (world, _), ssduck.Interpreter(recording=Recording()) as ss:
+        ss.add_variable("lab", world)
+        for name in ("table", "gripper", "cup"):
+            ss.add_variable(name, world[name])
+        fill(ss, world, ticks)
+        yield ss
+
+
+OVER = ("a relation over a run", "rows", "found", "ssduck", "SQL by hand", "ratio")
+ABOVE = "SELECT tick(this), id(this) FROM lab{} WHERE above(table, this) AND tick(this) % 1000 == 0"
+HIGH = "SELECT tick(this), id(this) FROM lab{} WHERE above(table, this) AND z(this) > 0.7999"
+_BY_HAND = """
+    SELECT b.tick, b.name
+    FROM lab.entities_history a JOIN lab.entities_history b ON a.tick = b.tick
+    WHERE a.name = 'table' AND a.id <> b.id AND b.z >= a.zmax
+        AND b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax AND {}
+"""
+
+
+def over(ss: ssduck.Interpreter, rounds: int) -> Iterator[tuple[str, ...]]:
+    """`above` over all ticks of a run.
+
+    Raises:
+        AssertionError: the answers differ.
+    """
+    ((rows,),) = ss.sql("SELECT count(tick) FROM lab.entities_history").fetchall()
+    asked = {
+        "above, each 1,000th tick": (ABOVE, "b.tick % 1000 = 0"),
+        "above, and high up": (HIGH, "b.z > 0.7999"),
+    }
+    for name, (program, condition) in asked.items():
+        ours = partial(ss.eval, ss.compile(f"{program} AS list;"))
+        hand = partial(ss._database.rows, _BY_HAND.format(condition))
+        found, expected = _pairs(ours()), sorted(hand())
+        if found != expected:
+            raise AssertionError(f"{name}: {str(found)[:200]} is not {str(expected)[:200]}")
+        times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, most=60.0)
+        ratio = f"{times['ours'] / times['hand']:.2f}"
+        yield name, f"{rows:,}", f"{len(found):,}", *map(shown, times.values()), ratio
+
+
+def _pairs(flat: list[Any]) -> list[tuple[Any, Any]]:
+    return sorted(zip(flat[::2], flat[1::2], strict=True))
+
+
+NEARBY = "SELECT tick(this) FROM lab{} WHERE this == cup AND near(gripper, this, 0.02) AS list;"
+NEAR = ("the narrow phase over a run", "ticks", "pairs compared", "a pair", "FCL", "ratio")
+
+
+def near(ticks: int, rounds: int) -> Iterator[tuple[str, ...]]:
+    """`near` of two boxes at every tick, against FCL's distance of the same at the same places."""
+    ours = []
+    for _ in range(rounds):  # a run that was asked about is known
+        with long_run(ticks) as ss:
+            started = time.perf_counter()
+            found = ss.eval(NEARBY)
+            ours.append(time.perf_counter() - started)
+            pairs = ss.statistics()["lab"].pairs
+            poses = ss.sql(
+                "SELECT x, y, z, qw, qx, qy, qz FROM lab.entities_history "
+                "WHERE name IN ('gripper', 'cup') ORDER BY tick, name"
+            ).fetchall()
+    box = fcl.Box(0.2, 0.4, 0.6)
+    cup, gripper = fcl.CollisionObject(box), fcl.CollisionObject(box)
+    transforms = [fcl.Transform(np.array(p[3:]), np.array(p[:3])) for p in poses[2:]]
+
+    def looped() -> int:
+        near = 0
+        for one, other in zip(transforms[::2], transforms[1::2], strict=True):
+            cup.setTransform(one)
+            gripper.setTransform(other)
+            request, result = fcl.DistanceRequest(), fcl.DistanceResult()
+            near += fcl.distance(cup, gripper, request, result) <= 0.02
+        return near
+
+    bare = minima({"fcl": Way(looped)}, rounds, most=10.0)["fcl"] / (len(transforms) / 2)
+    if abs(looped() - len(found)) > 1:
+        raise AssertionError(f"near at {len(found)} ticks, FCL: {looped()}")
+    each = min(ours) / max(pairs, 1)
+    yield "near", f"{ticks:,}", f"{pairs:,}", shown(each), shown(bare), f"{each / bare:.2f}"
+
+
+# -- a record -----------------------------------------------------------------------------------
+
+OPENED = ("a record in a folder", "MB", "files", "ssduck", "by hand", "ratio")
+
+
+def opened(megabytes: float, rounds: int) -> Iterator[tuple[str, ...]]:
+    """Opening a record, and asking about one second of it, or one tick, for the first time."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "run"
+        # About 100 bytes a row.
+        with long_run(max(int(megabytes * _MEGABYTE / 100 / ENTITIES), 480)) as ss:
+            ss.export(place)
+        size = sum(f.stat().st_size for f in place.rglob("*") if f.is_file()) / _MEGABYTE
+        files = len(list((place / "entities").rglob("*.parquet")))
+        with ssduck.open(place) as ss:
+            middle = float(np.mean(ss.past("lab").times))
+        rows = f"SELECT tick, name FROM read_parquet('{place}/entities/**/*.parquet')"
+        last = f"(SELECT max(time) FROM read_parquet('{place}/ticks/**/*.parquet'))"
+        tick = f"time > {middle!r} - {TIMESTEP} + 1e-9 AND time <= {middle!r} + 1e-9"
+        asked = {
+            "opening": ("", f"SELECT count(*) FROM ({rows})"),
+            "opening, then the last second": (
+                "SELECT tick(this), id(this) FROM lab{-1.0} WHERE z(this) > 0.5 AS list;",
+                f"{rows} WHERE time >= {last} - 1 - 1e-9 AND z > 0.5",
+            ),
+            "opening, then a tick": (
+                f"SELECT tick(this), id(this) FROM lab{{{middle!r}}} WHERE z(this) > 0.5 AS list;",
+                f"{rows} WHERE {tick} AND z > 0.5",
+            ),
+        }
+        for name, (program, by_hand) in asked.items():
+            ours, hand = partial(_open, place, program), partial(_read, by_hand)
+            if program and _pairs(ours()) != sorted(hand()):
+                raise AssertionError(f"{name}: {str(ours())[:200]} is not {str(hand())[:200]}")
+            times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, most=30.0)
+            ratio = f"{times['ours'] / times['hand']:.2f}"
+            yield name, f"{size:.0f}", f"{files}", *map(shown, times.values()), ratio
+
+
+def _open(place: Path, program: str) -> Any:
+    with ssduck.open(place) as ss:
+        return ss.eval(program)
+
+
+def _read(sql: str) -> list[Any]:
+    with closing(duckdb.connect()) as connection:
+        return connection.execute(sql).fetchall()
+
+
+# -- the run ------------------------------------------------------------------------------------
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks time")
+    parser.add_argument("--sizes", type=int, nargs="+", default=(40, 300, 1000), help="of worlds")
+    parser.add_argument("--ticks", type=int, default=2400, help="that are kept each time")
+    parser.add_argument("--long", type=int, default=250_000, help="ticks of the long run")
+    parser.add_argument("--near", type=int, default=20_000, help="ticks that shapes meet at")
+    parser.add_argument("--gigabytes", type=float, default=0.1, help="of the record")
+    parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
+    given = parser.parse_args(arguments)
+    printed(COST, costs(given.sizes, max(given.ticks // 2, 1), given.rounds))
+    printed(BYTES, sizes_of(ENTITIES, 4 * given.ticks))
+    with long_run(given.long) as ss:
+        printed(OVER, over(ss, given.rounds))
+    printed(NEAR, near(given.near, min(given.rounds, 3)))
+    printed(OPENED, opened(1e3 * given.gigabytes, given.rounds))
+    return 0

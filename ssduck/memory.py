@@ -1,0 +1,124 @@
+"""The history of a world in memory: the rings that are full, as they are.
+
+Nothing is copied: DuckDB looks into them where they are (`ssduck.recording`), which costs a tick a
+tenth of what storing it in DuckDB's tables does. The oldest are dropped as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.history import History, Near, Waiting, near_rows
+from ssduck.recording import QUARTERS, STORED, in_parts
+
+# Fewer rows are put together with those before them.
+_LEAST_ROWS = 4096
+
+
+class Kept:
+    """The rows of a table, in parts.
+
+    Attributes:
+        parts: the oldest first.
+        version: counts up whenever `arrow` becomes another object.
+    """
+
+    def __init__(self, columns: pa.Schema) -> None:
+        self._empty = columns.empty_table()
+        self.parts: list[pa.Table] = []
+        self.version = 0
+
+    @property
+    def arrow(self) -> pa.Table:
+        """All rows."""
+        return pa.concat_tables([self._empty, *self.parts])
+
+
+class Memory(History):
+    """The kept ticks of a world in memory; see `ssduck.history.History`.
+
+    Attributes:
+        shown: what DuckDB is to be shown of it, by table.
+    """
+
+    keeps = True
+
+    def _make_tables(self) -> None:
+        self._kept = {table: Kept(in_parts(table)) for table in self.tables}
+        self.shown = (self._kept,)
+        # The first tick of each part, and the time of its first and its last.
+        self._parts: list[tuple[int, float, float]] = []
+
+    # -- writing ----------------------------------------------------------------------------
+
+    def add(self, rows: Mapping[str, pa.Table]) -> None:
+        """Keep the rows of whole ticks, all or none of them."""
+        numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
+        joined = self._joins(len(numbers), float(times[-1]))
+        new = dict(rows)
+        if joined:
+            for table, kept in self._kept.items():
+                new[table] = pa.concat_tables([kept.parts[-1], new[table]]).combine_chunks()
+        for table, kept in self._kept.items():
+            kept.parts[len(kept.parts) - joined :] = [new[table]]
+            kept.version += 1
+        if joined:
+            first, since, _ = self._parts.pop()
+        else:
+            first, since = int(numbers[0]), float(times[0])
+        self._parts.append((first, since, float(times[-1])))
+
+    def _joins(self, ticks: int, until: float) -> bool:
+        """Whether so many ticks more go to the last part, for it is a small one."""
+        if not self._parts or max(k.parts[-1].num_rows for k in self._kept.values()) > _LEAST_ROWS:
+            return False
+        recording = self.recording
+        ticks += self._kept["ticks"].parts[-1].num_rows
+        if recording.ticks is not None and ticks > recording.ticks // QUARTERS:
+            return False
+        seconds = until - self._parts[-1][1]
+        return recording.seconds is None or seconds <= recording.seconds / QUARTERS
+
+    def drop_before(self, tick: int) -> int:
+        """Drop parts whose ticks are all older; tells the first tick that is still there."""
+        while len(self._parts) > 1 and self._parts[1][0] <= tick:
+            del self._parts[0]
+            for kept in self._kept.values():
+                del kept.parts[0]
+                kept.version += 1
+        return self._parts[0][0]
+
+    # -- reading ----------------------------------------------------------------------------
+
+    def fetch(self, table: str, first: int, last: int) -> pa.Table:
+        """The kept rows of a table at ticks from first to last, what waits left out."""
+        found = self._between(table, first, last)
+        ticks = found["tick"].to_numpy()
+        found = found.filter(pa.array((ticks >= first) & (ticks <= last)))
+        for name in STORED[table].flags if table in STORED else ():
+            place = found.column_names.index(name)
+            found = found.set_column(place, name, found[name].cast(pa.bool_()))
+        return found
+
+    def _between(self, table: str, first: int, last: int) -> pa.Table:
+        """The parts of a table that have the ticks from first to last."""
+        starts = [start for start, _, _ in self._parts]
+        begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
+        end = int(np.searchsorted(starts, last, side="right"))
+        return pa.concat_tables(
+            [in_parts(table).empty_table(), *self._kept[table].parts[begin:end]]
+        )
+
+    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
+        kept = self._between("entities", asked.first, asked.last)
+        rows = kept if waiting is None else pa.concat_tables([kept, waiting])
+        return near_rows(self._writer, None, asked, rows)
+
+    def _all(self, table: str, rings: Waiting | None) -> str:
+        """A SELECT of all rows of a table, those that wait among them."""
+        assert rings is not None
+        return " UNION ALL ".join(self._of_ring(table, ring) for ring in rings(table))
