@@ -202,7 +202,7 @@ MISTAKES = [
     ("pow(2);", ArgumentError, "pow(2)", "pow takes 2 arguments, not 1", []),
     ("help(3);", UnknownNameError, "help(3)", "no function 3", []),
     ("IF(array; 1; 2);", EvaluationError, "array", "ValueError", []),
-    ("SELECT id FROM kitchen{2.0};", UnsupportedError, "kitchen{2.0}", "history", []),
+    ("SELECT id FROM kitchen{2.0};", EvaluationError, "kitchen{2.0}", "no tick at 2 s", []),
     ("eval('1 +');", ParseError, None, "expected an expression", []),
 ]
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck import queries
 from ssduck.errors import SelectScriptError, SqlError, UnsupportedError
+from ssduck.intervals import RELATIONS_OF_INTERVALS
 from ssduck.udfs import RELATIONS
 
 BOX, SPHERE, PLANE = pybullet.GEOM_BOX, pybullet.GEOM_SPHERE, pybullet.GEOM_PLANE
@@ -971,7 +972,8 @@ def test_duckdb_tells_what_functions_do(row):
         "WHERE function_type = 'macro' AND comment IS NOT NULL"
     ).fetchall()
     comments = {name: comment for place, name, comment in told if place == "temp"}
-    assert comments == {relation.name: relation.help for relation in RELATIONS.values()}
+    of_intervals = {name: allen.about for name, allen in RELATIONS_OF_INTERVALS.items()}
+    assert comments == of_intervals | {r.name: r.help for r in RELATIONS.values()}
     in_world = {name for place, name, _ in told if place != "temp"}
     assert in_world == {relation.name for relation in RELATIONS.values() if relation.tables}
 
