@@ -56,7 +56,7 @@ from ssduck.recording import (
     RING_TICKS,
     Recorder,
     Recording,
-    unknown_names,
+    check_names,
 )
 from ssduck.sealed import PART_TICKS, Folder, FolderRecording
 from ssduck.shapes import ANSWERS, Shapes
@@ -355,19 +355,18 @@ class Writer:
 
     def insert(self, place: str, rows: pa.Table) -> None:
         """Add rows to a table, by the names of its columns."""
-        with self._lock:
-            self._connection.register(_INCOMING, rows)
-            try:
-                self.run(f'INSERT INTO {place} BY NAME SELECT * FROM "{_INCOMING}"')  # noqa: S608
-            finally:
-                self._connection.unregister(_INCOMING)
+        self._take_in(f"INSERT INTO {place} BY NAME", rows)
 
     def insert_new(self, place: str, rows: pa.Table) -> None:
         """Make a table of rows."""
+        self._take_in(f"CREATE TABLE {place} AS", rows)
+
+    def _take_in(self, what: str, rows: pa.Table) -> None:
+        """Run a statement that takes all rows of a table."""
         with self._lock:
             self._connection.register(_INCOMING, rows)
             try:
-                self.run(f'CREATE TABLE {place} AS SELECT * FROM "{_INCOMING}"')  # noqa: S608
+                self.run(f'{what} SELECT * FROM "{_INCOMING}"')  # noqa: S608
             finally:
                 self._connection.unregister(_INCOMING)
 
@@ -896,8 +895,7 @@ class Database:
             bound = self._entry(world)
             _check_runs(world)
             if recording is not None:
-                for error in unknown_names(recording, world.snapshot.members):
-                    raise error
+                check_names(recording, world.snapshot.members)
             with world.held():
                 self._stop(bound)
             if recording is not None:
@@ -909,8 +907,7 @@ class Database:
 
     def _keep(self, bound: _Bound, recording: Recording, name: str) -> None:
         world = bound.world
-        for error in unknown_names(recording, world.snapshot.members):
-            raise error
+        check_names(recording, world.snapshot.members)
         in_memory = not self._is_file and not recording.changed
         make = Memory if in_memory else History
         history = make(self._free_schema(name), self.writer(), recording, name)
@@ -987,8 +984,7 @@ class Database:
         """Write the ticks of a world to a folder from now on, too."""
         with self._lock:
             _check_runs(world)
-            for error in unknown_names(recording, world.snapshot.members):
-                raise error
+            check_names(recording, world.snapshot.members)
             folder = Folder(path, self.schema_of(world), recording)
             recorder = Recorder(recording, folder, waits=PART_TICKS)
             self._recorders.append(recorder)

@@ -154,7 +154,7 @@ def pairs_then(
         row.last.copy(),
         *(exp.Literal.number(0) if isinstance(id, exp.Column) else id.copy() for id in ids),
     ]
-    called = THEN_NAMES[candidates.of]
+    called = f"then {candidates.of}"
     if candidates.of != "colliding":
         arguments.append(exp.cast(apart.copy(), "DOUBLE"))
     found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
@@ -182,9 +182,6 @@ class Span:
     last: exp.Expr
     tick: exp.Expr
     id: exp.Expr | None = None
-
-
-THEN_NAMES = {"colliding": "then colliding", "within": "then within"}
 
 
 def _unnested_past(

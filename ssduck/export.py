@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from ssduck.errors import EvaluationError
 from ssduck.past import Record
-from ssduck.recording import FRAMES, Recording, chosen_members, unknown_names
+from ssduck.recording import FRAMES, Recording, check_names, chosen_members
 from ssduck.sealed import Folder
 
 # So many rows of entities make a part, about: ten megabytes.
@@ -47,8 +47,7 @@ def exported(
         every=recording.every,
     )
     members = list(record.members.values())
-    for error in unknown_names(Recording(entities=names), members):
-        raise error
+    check_names(Recording(entities=names), members)
     kept = members if names is None else chosen_members(members, names)
     ids = None if names is None else pa.array([member.id for member in kept])
     folder = Folder(path, world, chosen)

@@ -12,7 +12,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ import pyarrow as pa
 from ssduck.entities import Entity, Moment, Sensor
 from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices, rotation_matrices
+from ssduck.history import Archive, Near, not_recorded
 from ssduck.layout import Layout, Member, Part
 from ssduck.many_ticks import Frames as LinkFrames
 from ssduck.many_ticks import Models, Side
@@ -33,9 +34,6 @@ from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
 from ssduck.temporal import seconds_of
 from ssduck.world import World
-
-if TYPE_CHECKING:
-    from ssduck.history import Archive, Near
 
 # So many ticks are fetched at once, and kept as worlds.
 BLOCK = 64
@@ -97,6 +95,8 @@ class Record:
         self._geometries = geometries
         self.ticks = ticks
         self.tables = frozenset(tables)
+        # Which of them tells where the links of bodies of several links are.
+        self._links = "links" if "links" in self.tables else FRAMES
         self.members = members
         self.fetch = fetch
         self._near = near
@@ -147,13 +147,7 @@ class Record:
                     f"{times[-1]:g} s, and it is {self.world.time:g} s"
                 )
             return Past(self, int(numbers[first]), int(numbers[-1]), is_window=True)
-        place = int(np.searchsorted(times, age + _ROUNDING, side="right")) - 1
-        if place < 0 or age > max(self.world.time, float(times[-1])) + _ROUNDING:
-            raise EvaluationError(
-                f"{name!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is no tick "
-                f"at {age:g} s"
-            )
-        tick = int(numbers[place])
+        tick = int(numbers[_place_at(name, age, times, self.world.time)])
         return Past(self, tick, tick, is_window=False)
 
     # -- a tick -----------------------------------------------------------------------------
@@ -273,7 +267,7 @@ class Record:
         sides = [
             Side(
                 rows[side].to_numpy(),
-                LinkFrames(_columns(rows, side, ("x", "y", "z")), _columns(rows, side, _TURN)),
+                LinkFrames(_columns(rows, side, _POSE[:3]), _columns(rows, side, _POSE[3:])),
                 partial(self._link_frames, ticks),
             )
             for side in "ab"
@@ -289,10 +283,9 @@ class Record:
         self, ticks: npt.NDArray[np.int64], rows: Indices, id: int, link: int
     ) -> LinkFrames:
         """Where a link of an entity is at the ticks of some rows."""
-        table = "links" if "links" in self.tables else FRAMES
         found = np.full((len(rows), 7), _NAN)
         for tick in np.unique(ticks[rows]).tolist():
-            found[ticks[rows] == tick] = self._pose(table, tick, id, link)
+            found[ticks[rows] == tick] = self._pose(self._links, tick, id, link)
         return LinkFrames(found[:, :3], found[:, 3:])
 
     def _pose(self, table: str, tick: int, id: int, link: int) -> Array:
@@ -309,8 +302,7 @@ class Record:
         if table != "entities":
             is_it &= own["link"] == link
         place = np.flatnonzero(is_it)
-        names = ("x", "y", "z", *_TURN)
-        return np.array([own[name][place[0]] if len(place) else _NAN for name in names])
+        return np.array([own[name][place[0]] if len(place) else _NAN for name in _POSE])
 
     def shapes(self, tick: int, ids: Sequence[int]) -> Shapes:
         """The shapes at a tick, to be compared.
@@ -326,10 +318,9 @@ class Record:
             return self.at(tick).shapes()
         if len(self._asked) > MOST_ASKED:
             self._asked.clear()
-        table = "links" if "links" in self.tables else FRAMES
         poses = [
             [self._pose("entities", tick, id, 0)]
-            + [self._pose(table, tick, id, link) for link in self._models.moving_links(id)]
+            + [self._pose(self._links, tick, id, link) for link in self._models.moving_links(id)]
             for id in ids
         ]
         return self._models.shapes(ids, [np.array(found) for found in poses], self.calls)
@@ -384,10 +375,9 @@ class Record:
 
     def _states_of_links(self, tick: int) -> Array:
         """Of the links of bodies that have several: pose and velocities, (n, 13)."""
-        table = "links" if "links" in self.tables else FRAMES
-        rows = self.rows(table, tick)
+        rows = self.rows(self._links, tick)
         keys = np.array([rows[name] for name in ("entity", "link")])
-        names = ("x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
+        names = (*_POSE, "vx", "vy", "vz", "wx", "wy", "wz")
         unknown = np.full(len(rows["tick"]), _NAN)
         reals = [rows.get(name, unknown) for name in names]
         return np.array(reals)[:, np.lexsort(keys[::-1])].T
@@ -406,6 +396,21 @@ class Record:
         return found
 
 
+def _place_at(world: str, time: float, times: Array, now: float) -> int:
+    """The place of the last tick until a time.
+
+    Raises:
+        EvaluationError: that is before the first, or later than it is now.
+    """
+    place = int(np.searchsorted(times, time + _ROUNDING, side="right")) - 1
+    if place < 0 or time > max(now, float(times[-1])) + _ROUNDING:
+        raise EvaluationError(
+            f"{world!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is no tick at "
+            f"{time:g} s"
+        )
+    return place
+
+
 def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
     """Columns of one of two entities, (rows, names)."""
     columns = [_numbers(rows[f"{side}_{name}"]) for name in names]
@@ -413,16 +418,15 @@ def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
 
 
 _ROUNDING = 1e-9
-_TURN = ("qw", "qx", "qy", "qz")
+_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _REALS = STORED["entities"].names_of_reals("entities")
 
 
 def _untold(record: Record) -> dict[str, str]:
     """Tables whose rows nobody knows at a past tick, and why."""
-    name = record.world.name
-    reason = "the table of {0} of {1!r} is not recorded: record it with tables=('entities', '{0}')"
     tables = ("joints", "contacts", "sensings")
-    return {table: reason.format(table, name) for table in tables if table not in record.tables}
+    world = record.world.name
+    return {table: not_recorded(table, world) for table in tables if table not in record.tables}
 
 
 def _numbers(column: pa.ChunkedArray) -> Array:
@@ -498,10 +502,7 @@ class PastWorld(World):
 
     def entity(self, id: int) -> Entity:
         """The handle of an entity at this tick, by its id."""
-        member = self.snapshot.members[self.snapshot.rows[id]]
-        kind = Sensor if member.kind == "sensor" else Entity
-        moment = Moment(self._record, self.snapshot.number)
-        return kind(self._record.world, id, member.name, member.kind, moment)
+        return self._record.entity(self.snapshot.number, id)
 
     def __contains__(self, thing: object) -> bool:
         """Whether it has an entity of that name, or that entity."""
@@ -566,12 +567,7 @@ class RecordedWorld(PastWorld):
         with self.lock:
             self._check_not_held()
             times = self._record.ticks.times
-            place = int(np.searchsorted(times, time + _ROUNDING, side="right")) - 1
-            if place < 0 or time > times[-1] + _ROUNDING:
-                raise EvaluationError(
-                    f"{self.name!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is "
-                    f"no tick at {time:g} s"
-                )
+            place = _place_at(self.name, time, times, float(times[-1]))
             self._tick = int(self._record.ticks.numbers[place])
             self._take_tick()
         return self

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -656,11 +656,15 @@ def chosen_members(members: Collection[Member], names: Collection[str]) -> list[
     return [member for member in members if member.name in names or member.id in hosts]
 
 
-def unknown_names(recording: Recording, members: Collection[Member]) -> Iterator[ArgumentError]:
-    """What to raise of names that no entity has."""
+def check_names(recording: Recording, members: Collection[Member]) -> None:
+    """Complain of names that no entity has.
+
+    Raises:
+        ArgumentError: with the nearest right names.
+    """
     known = [member.name for member in members]
     for name in recording.entities or ():
         if name not in known:
-            yield ArgumentError(
+            raise ArgumentError(
                 f"there is no entity {shown(name)} to be recorded", suggestions=nearest(name, known)
             )

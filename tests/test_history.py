@@ -6,6 +6,8 @@ import gc
 import re
 import threading
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pybullet
@@ -63,6 +65,24 @@ def _both(ss: ssduck.Interpreter, program: str) -> list[Any]:
         return [ss.eval(program), rows.eval(program)]
     finally:
         rows._finalized = True
+
+
+@contextmanager
+def _stepped(world: ssduck.World) -> Iterator[None]:
+    """While this lasts, another thread steps the world."""
+    ends = threading.Event()
+
+    def steps() -> None:
+        while not ends.is_set():
+            world.step()
+
+    thread = threading.Thread(target=steps)
+    thread.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
 
 
 # -- the tables -------------------------------------------------------------------------------
@@ -265,16 +285,7 @@ def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
 
 
 def test_ticks_are_taken_while_another_thread_asks(falling: ssduck.Interpreter) -> None:
-    world = falling.call_variable("lab")
-    ends = threading.Event()
-
-    def steps() -> None:
-        while not ends.is_set():
-            world.step()
-
-    thread = threading.Thread(target=steps)
-    thread.start()
-    try:
+    with _stepped(falling.call_variable("lab")):
         for _ in range(30):
             counts = falling.sql(
                 "SELECT tick, count(*) AS n FROM entities_history GROUP BY tick HAVING n <> 3"
@@ -283,9 +294,6 @@ def test_ticks_are_taken_while_another_thread_asks(falling: ssduck.Interpreter) 
                 "SELECT max(tick) - min(tick) + 1 - count(*) FROM ticks_history"
             ).fetchall()
             assert (counts, gaps) == ([], [(0,)])
-    finally:
-        ends.set()
-        thread.join()
 
 
 # -- the past as a source ---------------------------------------------------------------------
@@ -691,25 +699,13 @@ def test_a_bounded_record_is_exported_in_order(falling: ssduck.Interpreter, tmp_
 
 
 def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter) -> None:
-    world = falling.call_variable("lab")
     _step(falling, 20)
-    ends = threading.Event()
-
-    def steps() -> None:
-        while not ends.is_set():
-            world.step()
-
-    thread = threading.Thread(target=steps)
-    thread.start()
-    try:
+    with _stepped(falling.call_variable("lab")):
         for _ in range(15):
             past = falling.past("lab", -0.02)
             entities = list(past)
             assert len(entities) == 3 * len(past.ticks)
             assert all(len(entity.position) == 3 for entity in entities[::7])
-    finally:
-        ends.set()
-        thread.join()
 
 
 @pytest.mark.parametrize(
