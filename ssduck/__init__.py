@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ssduck.adapters import Selection, adapter
     from ssduck.changes import Changed
     from ssduck.entities import Entity, Sensor
     from ssduck.episode import Episode
@@ -26,9 +27,11 @@ __all__ = [
     "Past",
     "Recording",
     "SelectScriptError",
+    "Selection",
     "Sensor",
     "TriggerWarning",
     "World",
+    "adapter",
     "episodes",
     "load",
     "open",
@@ -43,9 +46,11 @@ _HOMES = {
     "Past": "past",
     "Recording": "recording",
     "SelectScriptError": "errors",
+    "Selection": "adapters",
     "Sensor": "entities",
     "TriggerWarning": "triggers",
     "World": "world",
+    "adapter": "adapters",
     "episodes": "opened",
     "load": "interpreter",
     "open": "interpreter",

@@ -17,7 +17,6 @@ from itertools import count, islice, tee
 from operator import itemgetter
 from typing import Any, TypeAlias
 
-from ssduck.adapters import Rows
 from ssduck.deferred import Deferred
 from ssduck.dependencies import is_impure, mentions, states
 from ssduck.errors import ArgumentError, LimitError
@@ -25,7 +24,7 @@ from ssduck.evaluate import Compiler, Frame, Thunk, resolved
 from ssduck.graphs import Vertex, simple_paths
 from ssduck.keys import Keys
 from ssduck.operators import check_size, truth
-from ssduck.rows import Clauses, Paths, Selected, checked_count
+from ssduck.rows import Clauses, Paths, Rows, Selected, checked_count
 from ssduck.tree import Aged, Assignment, Name, Node, Query, Recursion
 
 # So many states keep their rows, so that a state that is reached again costs nothing.

@@ -8,7 +8,6 @@ it is evaluated in Python on the rows that come back (`ssduck.queries`).
 
 from __future__ import annotations
 
-import inspect
 import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,10 +18,10 @@ from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
 
-from ssduck.adapters import ADAPTERS, Adapter, Rows
+from ssduck.adapters import Adapter, find
 from ssduck.database import Database
 from ssduck.deferred import Deferred
-from ssduck.dependencies import calls_of, sees_outside, tables_of, variables_of
+from ssduck.dependencies import aliases_of, calls_of, sees_outside, tables_of, variables_of
 from ssduck.dialects import in_dialect
 from ssduck.entities import Entity
 from ssduck.errors import (
@@ -35,6 +34,7 @@ from ssduck.errors import (
 )
 from ssduck.evaluate import Frame
 from ssduck.explain import told
+from ssduck.forms import Form, form_of, help_of_forms
 from ssduck.functions import BUILTINS, Function
 from ssduck.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.keys import plain
@@ -49,11 +49,12 @@ from ssduck.planner import Planner
 from ssduck.recording import RECORDABLE, Recording
 from ssduck.relations import Relation
 from ssduck.result import Result
-from ssduck.rows import check_columns, formed
+from ssduck.rows import formed
 from ssduck.running import run
 from ssduck.scenes import find_scene
 from ssduck.sealed import FolderRecording
 from ssduck.sources import within
+from ssduck.spelled import Columns, Condition, Elements, Part
 from ssduck.temporal import History, aged, history_of, kept, seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
@@ -207,6 +208,7 @@ class Interpreter(TriggerVerbs):
         self._own: list[World] = []
         self._planner = Planner(self._database, self, self._limits, row_by_row=row_by_row)
         self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
+        self._selects: WeakKeyDictionary[Query, Query] = WeakKeyDictionary()
         self._texts: list[str] = []
         self._triggers = Triggers(self)
 
@@ -233,11 +235,18 @@ class Interpreter(TriggerVerbs):
         """
         return Compiled(text, parse(text), self)
 
-    def eval(self, program: str | Compiled) -> Any:
+    def eval(
+        self,
+        program: str | Compiled | Part | Columns,
+        elements: Sequence[Any] = (),
+        names: Sequence[str] = (),
+    ) -> Any:
         """Run a program.
 
         Args:
-            program: its text, or what `compile` gave.
+            program: its text, or what `compile` gave; or a part of a query that `evalAs` was given.
+            elements: of such a part's row, one a source,
+            names: and what the sources are called.
 
         Returns:
             The value of the last statement, None if there is none.
@@ -245,6 +254,8 @@ class Interpreter(TriggerVerbs):
         Raises:
             SelectScriptError: with the place; the variables are as they were before.
         """
+        if isinstance(program, Part | Columns):
+            return program.value(elements, names)
         compiled = _tree(program)
         with self._running(compiled):
             return self._run(compiled)
@@ -414,13 +425,15 @@ class Interpreter(TriggerVerbs):
             self._planner.forget()
 
     def help(self, name: str | None = None) -> Any:
-        """The names of all functions, or the help of one.
+        """The names of all functions, or the help of one; that of `AS` lists the result forms.
 
         Raises:
             UnknownNameError: there is no such function, with the nearest names.
         """
         if name is None:
             return sorted(self._known_functions(), key=str.casefold)
+        if name.upper() == "AS":
+            return help_of_forms()
         described: dict[str, Function | Relation] = {**self._functions, **RELATIONS}
         if name not in described:
             raise UnknownNameError(
@@ -794,11 +807,56 @@ class Interpreter(TriggerVerbs):
         """The value of a query; `frame` knows the rows of the queries around it."""
         if frame.elements and not sees_outside(node):
             frame = frame.independent()
-        adapter = _adapter(node)
-        make = _made(adapter, node, frame)
-        check = check_columns if adapter.keyed else _unchecked
-        with self._reading(node):  # the result is made of one tick, too
-            return formed(self._planner.run(node, frame, check), make)
+        if type(self).evalAs is not Interpreter.evalAs:
+            with self._reading(node):
+                return self.evalAs(*self._spelled(node, frame))
+        return self._formed(node, frame, form_of(node, frame))
+
+    def _formed(self, node: Query, frame: Frame, form: Form) -> Any:
+        """What a form makes of what a query selects."""
+        asked = self._asked(node, form.adapter)
+        with self._reading(asked):  # the result is made of one tick, too
+            return form.value(asked, frame, self._planner.run)
+
+    def _asked(self, node: Query, adapter: Adapter) -> Query:
+        """The query that is run for a form: the same one each time, as it is planned once."""
+        if adapter.select is None:
+            return node
+        if node not in self._selects:
+            self._selects[node] = adapter.select(node)
+        return self._selects[node]
+
+    def _spelled(self, node: Query, frame: Frame) -> tuple[Any, ...]:
+        """The arguments of `evalAs`."""
+        resolved, values = self._planner.spelled(node, frame)
+        parts = Columns(node, resolved, frame)
+        where: Condition | list[Any] = [] if node.where is None else Condition(node.where, frame)
+        return parts.form, parts, Elements(values), aliases_of(node), where
+
+    def evalAs(  # noqa: N802  # the tutorial's name
+        self,
+        form: str,
+        select: Columns,
+        elements: Elements,  # noqa: ARG002
+        names: list[str],  # noqa: ARG002
+        where: Condition | list[Any],  # noqa: ARG002
+    ) -> Any:
+        """What a query gives; a subclass that overrides it makes forms of its own.
+
+        Of such a subclass it is called for each query that Python evaluates; one that is a part
+        of another's SQL is not seen. `ssduck.adapter` is the shorter way.
+
+        Args:
+            form: the name behind AS; `"dict"` if there is none.
+            select: the columns. Each is a part that `eval(part, elements, names)` evaluates, and a
+                sequence of a kind, a name and the arguments, which are such parts, too.
+            elements: a tuple for each combination: an element of each source.
+            names: of the sources.
+            where: a part, too; `[]` if there is none.
+        """
+        query, frame = select.query, select.frame
+        asked = form_of(query, frame) if form == select.form else Form(form, find(form))
+        return self._formed(query, frame, asked)
 
     @contextmanager
     def _reading(self, *nodes: Node) -> Iterator[None]:
@@ -893,35 +951,6 @@ def _check_name(name: str, what: str) -> None:
         raise ArgumentError(f"{shown(name)} cannot be {what}'s name: letters, digits and _ only")
     if is_reserved(name):
         raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")
-
-
-def _adapter(query: Query) -> Adapter:
-    """The form that a query's rows are to take."""
-    if query.adapter is None:
-        return ADAPTERS["dict"]
-    name = query.adapter.name
-    if name not in ADAPTERS:
-        raise UnknownNameError(
-            f"there is no result form {shown(name)}",
-            span=query.adapter.span,
-            suggestions=nearest(name, ADAPTERS),
-        )
-    return ADAPTERS[name]
-
-
-def _made(adapter: Adapter, query: Query, frame: Frame) -> Callable[[Rows], Any]:
-    """What makes a value of the rows: the form with its arguments."""
-    if query.adapter is None or not (query.adapter.arguments or query.adapter.named):
-        return adapter.make
-    arguments = [frame.value(argument) for argument in query.adapter.arguments]
-    named = {argument.name: frame.value(argument.value) for argument in query.adapter.named}
-    try:
-        inspect.signature(adapter.make).bind(None, *arguments, **named)
-    except TypeError as error:
-        raise ArgumentError(
-            f"AS {query.adapter.name}: {error}; {adapter.help}", span=query.adapter.span
-        ) from error
-    return lambda rows: adapter.make(rows, *arguments, **named)
 
 
 def _unchecked(_: object) -> None:

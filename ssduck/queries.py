@@ -11,7 +11,6 @@ from typing import Any
 
 from sqlglot import exp
 
-from ssduck.adapters import Rows
 from ssduck.database import Database, Statement
 from ssduck.dependencies import (
     aliases_of,
@@ -29,7 +28,7 @@ from ssduck.graphs import Vertex, simple_paths
 from ssduck.hierarchy import Hierarchy
 from ssduck.plan import Graph, Output, Plan, Shape
 from ssduck.resolve import Resolved
-from ssduck.rows import Clauses, Column, Paths, Rest, Selected, combinations, row_frames
+from ssduck.rows import Clauses, Column, Paths, Rest, Rows, Selected, combinations, row_frames
 from ssduck.sources import all_elements, arrow_of, elements_of
 from ssduck.sqlvalues import written
 from ssduck.tree import Call, Given, Literal, Name, Node, Query, This

@@ -13,7 +13,6 @@ from functools import cmp_to_key
 from itertools import islice, product
 from typing import Any, TypeAlias
 
-from ssduck.adapters import Rows
 from ssduck.dependencies import free_aliases
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.evaluate import Compiler, Frame, Thunk
@@ -21,6 +20,20 @@ from ssduck.functions import AGGREGATES
 from ssduck.messages import shown, unusable
 from ssduck.operators import apply, truth
 from ssduck.tree import Call, Given, Key, Node, Query
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a query.
+
+    Attributes:
+        values: a tuple a row, in order: one value a selected item.
+        names: the columns' names; where `to` names a column differently from row to row, a
+            tuple a row.
+    """
+
+    values: list[tuple[Any, ...]]
+    names: tuple[Any, ...] | list[tuple[Any, ...]]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from ssduck.adapters import ADAPTERS
+from ssduck.adapters import forms
 from ssduck.functions import BUILTINS
 from ssduck.relations import Relation
 from ssduck.tables import ROWS, TABLES, Column
@@ -123,9 +123,9 @@ def relations_page() -> str:
         about, usage = function.help.split("\nUsage: ")
         lines.append(f"| `{usage}` | {about} |")
     lines += ["\n## Result forms\n", "| AS | what it gives |", "|---|---|"]
-    for adapter in dict.fromkeys(ADAPTERS.values()):
-        names = ", ".join(f"`{name}`" for name in adapter.names)
-        lines.append(f"| {names} | {adapter.help} |")
+    for adapter in forms():
+        usage = adapter.usage.replace("|", "\\|")
+        lines.append(f"| `{usage}` | {adapter.help} |")
     return "\n".join(lines) + "\n"
 
 

@@ -1,13 +1,113 @@
 """What follows AS: forms that the rows of a query are turned into.
 
-A form is an entry of the registry `ADAPTERS`; a family of them is a module of this folder.
+A form is an entry of one registry; a family of them is a module of this folder. `adapter` adds
+one; so does a package that has entry points of the group `ssduck.adapters`.
 """
 
 from __future__ import annotations
 
-from ssduck.adapters.base import Adapter, Rows
+import inspect
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import Any, TypeVar
+
+from ssduck.adapters.base import Adapter, Need, Selection
 from ssduck.adapters.values import VALUES
+from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.messages import reason, shown
 
-ADAPTERS: dict[str, Adapter] = {name: adapter for adapter in VALUES for name in adapter.names}
+Maker = TypeVar("Maker", bound=Callable[..., Any])
 
-__all__ = ["ADAPTERS", "Adapter", "Rows"]
+GROUP = "ssduck.adapters"
+
+_ADAPTERS: dict[str, Adapter] = {name: form for form in (*VALUES,) for name in form.names}
+_BUILT_IN = frozenset(_ADAPTERS)
+
+
+def adapter(*names: str, needs: Need = "rows", help: str | None = None) -> Callable[[Maker], Maker]:
+    """Make a function a form of results, that programs call by `AS name`.
+
+        @ssduck.adapter("count")
+        def count(selection, least=0):
+            "How many rows there are, if they are enough."
+            return max(len(selection.rows), least)
+
+    Args:
+        names: what programs call it; the function's own name by default.
+        needs: what it reads; see `Adapter`. By default all rows.
+        help: what `help('AS')` tells; by default the function's docstring.
+
+    Returns:
+        What makes a function such a form, and leaves the function as it is. The function is
+        given a `Selection` (`rows`, `columns`, `entities`, `world`, `tick`, `time`, `query`) and
+        the arguments that stand behind AS.
+
+    Raises:
+        ArgumentError: a name cannot be a form's, or is that of one of ssduck's own.
+    """
+
+    def register(make: Maker) -> Maker:
+        called = names or (make.__name__,)
+        for name in called:
+            if not isinstance(name, str) or not name.isidentifier():
+                raise ArgumentError(
+                    f"{shown(name)} cannot be a form's name: letters, digits and _ only"
+                )
+            if name in _BUILT_IN:
+                raise ArgumentError(f"AS {name} is one of ssduck's own forms; choose another name")
+        told = help or inspect.getdoc(make) or "A form of your own."
+        form = Adapter(called, told, make, needs)
+        _ADAPTERS.update(dict.fromkeys(called, form))
+        return make
+
+    return register
+
+
+def find(name: str) -> Adapter:
+    """The form of a name.
+
+    Raises:
+        UnknownNameError: there is none, with the nearest names.
+        ArgumentError: the package that has it cannot be imported, or has something else.
+    """
+    if name in _ADAPTERS:
+        return _ADAPTERS[name]
+    elsewhere = _entry_points()
+    if name not in elsewhere:
+        known = {*_ADAPTERS, *elsewhere}
+        raise UnknownNameError(
+            f"there is no result form {shown(name)}", suggestions=nearest(name, known)
+        )
+    _ADAPTERS[name] = _loaded(name, elsewhere[name])
+    return _ADAPTERS[name]
+
+
+def forms() -> list[Adapter]:
+    """All forms, ssduck's own first; those of packages that cannot be imported left out."""
+    for name in _entry_points().keys() - _ADAPTERS.keys():
+        try:
+            find(name)
+        except ArgumentError:  # whoever asks for it by name is told
+            continue
+    return list(dict.fromkeys(_ADAPTERS.values()))
+
+
+def _entry_points() -> dict[str, Any]:
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
+def _loaded(name: str, point: Any) -> Adapter:
+    try:
+        found = point.load()
+    except Exception as error:
+        raise ArgumentError(
+            f"AS {name}: {point.value} cannot be loaded: {reason(error)}"
+        ) from error
+    if isinstance(found, Adapter):
+        return found
+    if not callable(found):
+        raise ArgumentError(f"AS {name}: {point.value} is no function and no Adapter")
+    return Adapter((name,), inspect.getdoc(found) or f"A form of {point.value}.", found)
+
+
+__all__ = ["Adapter", "Need", "Selection", "adapter", "find", "forms"]

@@ -5,11 +5,12 @@ from __future__ import annotations
 from itertools import chain
 from typing import Any
 
-from ssduck.adapters.base import Adapter, Rows
+from ssduck.adapters.base import Adapter, Selection
 from ssduck.errors import ArgumentError
 
 
-def _dicts(rows: Rows) -> list[dict[Any, Any]]:
+def _dicts(selection: Selection) -> list[dict[Any, Any]]:
+    rows = selection.read()
     if isinstance(rows.names, list):
         try:
             return [
@@ -21,14 +22,18 @@ def _dicts(rows: Rows) -> list[dict[Any, Any]]:
     return [dict(zip(rows.names, values, strict=True)) for values in rows.values]
 
 
-def _flat(rows: Rows) -> list[Any]:
-    return list(chain.from_iterable(rows.values))
+def _flat(selection: Selection) -> list[Any]:
+    return list(chain.from_iterable(selection.rows))
 
 
-def _first(rows: Rows, default: Any = ()) -> Any:
-    if rows.values:
-        return rows.values[0][0]
-    return [] if default == () else default
+_NONE: Any = ()
+
+
+def _first(selection: Selection, default: Any = _NONE) -> Any:
+    rows = selection.rows
+    if rows:
+        return rows[0][0]
+    return [] if default is _NONE else default
 
 
 VALUES = (
@@ -36,7 +41,7 @@ VALUES = (
         ("dict", "dictionary"),
         "A list of dicts, one a row, by the columns' names. The default.",
         _dicts,
-        keyed=True,
+        needs="columns",
     ),
     Adapter(("list",), "One flat list: row after row, column after column.", _flat),
     Adapter(
