@@ -55,7 +55,7 @@ from ssduck.scenes import find_scene
 from ssduck.sealed import FolderRecording
 from ssduck.sources import within
 from ssduck.spelled import Columns, Condition, Elements, Part
-from ssduck.temporal import History, aged, history_of, kept, seconds_of
+from ssduck.temporal import ValueHistory, aged, history_of, kept, seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.triggers import Triggers, TriggerVerbs
@@ -394,7 +394,7 @@ class Interpreter(TriggerVerbs):
 
     def _forget(self) -> None:
         """Drop what is out of its horizon, or later than now."""
-        temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, History)]
+        temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, ValueHistory)]
         if temporal:
             now = self._now()
             for name, history in temporal:
@@ -703,7 +703,7 @@ class Interpreter(TriggerVerbs):
         """The value of a variable, or an UnknownNameError with the nearest names."""
         if name in self._variables:
             value = self._variables[name]
-            return value.last if isinstance(value, History) else value
+            return value.last if isinstance(value, ValueHistory) else value
         if name in RELATIONS or name in self._functions:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
@@ -877,7 +877,7 @@ class Interpreter(TriggerVerbs):
                 if isinstance(value, Deferred):
                     inner = self._worlds_of([value.node])
                 else:
-                    inner = within(value.values if isinstance(value, History) else value)
+                    inner = within(value.values if isinstance(value, ValueHistory) else value)
                 if inner is None:
                     return None
                 worlds += inner

@@ -39,7 +39,7 @@ class Log:
 
 
 @dataclass(frozen=True, eq=False)
-class History:
+class ValueHistory:
     """What a variable with a history holds.
 
     Times and ages are simulated seconds; `now` is the present simulated time. What is later
@@ -67,7 +67,7 @@ class History:
         """The history of a variable that had none."""
         return cls(value, horizon, Log([now], [value]), 0, 1)
 
-    def added(self, value: Any, horizon: float, now: float) -> History:
+    def added(self, value: Any, horizon: float, now: float) -> ValueHistory:
         """With one more value, and its horizon from now on."""
         known = self.until(now).recent(now)
         if horizon != self.horizon:
@@ -77,7 +77,7 @@ class History:
             log, first, end = log.part(first, end), 0, end - first
         log.times.append(now)
         log.values.append(value)
-        return History(value, horizon, log, first, end + 1)
+        return ValueHistory(value, horizon, log, first, end + 1)
 
     def recent(self, now: float) -> Self:
         """Without what nobody can ask for any more.
@@ -138,7 +138,7 @@ class History:
         return now - self.horizon - SAME_TIME
 
 
-def kept(before: Any, value: Any, horizon: float, now: float) -> History:
+def kept(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
     """What a variable holds after `name{horizon} = value`.
 
     Args:
@@ -156,9 +156,9 @@ def kept(before: Any, value: Any, horizon: float, now: float) -> History:
         raise ArgumentError(
             "a list for the query that uses it has no history; assign it without {…}"
         )
-    if isinstance(before, History):
+    if isinstance(before, ValueHistory):
         return before.added(value, horizon, now)
-    return History.begun(value, horizon, now)
+    return ValueHistory.begun(value, horizon, now)
 
 
 def aged(
@@ -196,13 +196,13 @@ def aged(
         raise EvaluationError(f"{name}: {error.message}") from None
 
 
-def history_of(name: str, held: Any) -> History:
+def history_of(name: str, held: Any) -> ValueHistory:
     """The history that a variable holds.
 
     Raises:
         ArgumentError: it has none.
     """
-    if not isinstance(held, History):
+    if not isinstance(held, ValueHistory):
         raise ArgumentError(
             f"{name} has no history; {name}{{5.0}} = … keeps one of 5 s, {name}{{}} = … all of it"
         )

@@ -20,7 +20,7 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.language import parse
-from ssduck.temporal import SAME_TIME, History, aged, kept
+from ssduck.temporal import SAME_TIME, ValueHistory, aged, kept
 
 STEP = 0.25
 
@@ -629,7 +629,7 @@ def test_what_has_grown_from_one_history_is_not_mixed():
     trunk = kept(kept(None, 1, math.inf, 0.0), 2, math.inf, 1.0)
     left, right = (kept(trunk, name, math.inf, 2.0) for name in ("left", "right"))
     back = kept(trunk, "back", math.inf, 0.5)
-    assert isinstance(trunk, History)
+    assert isinstance(trunk, ValueHistory)
     assert trunk.within(math.inf, 2.0) == [(0.0, 1), (1.0, 2)]
     assert left.within(math.inf, 2.0) == [(0.0, 1), (1.0, 2), (2.0, "left")]
     assert right.within(math.inf, 2.0) == [(0.0, 1), (1.0, 2), (2.0, "right")]
