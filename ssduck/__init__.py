@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ssduck.opened import episodes
     from ssduck.past import Past
     from ssduck.recording import Recording
-    from ssduck.triggers import TriggerWarning
+    from ssduck.trigger import TriggerWarning
     from ssduck.world import World
 
 __all__ = [
@@ -48,7 +48,7 @@ _HOMES = {
     "SelectScriptError": "errors",
     "Selection": "adapters",
     "Sensor": "entities",
-    "TriggerWarning": "triggers",
+    "TriggerWarning": "trigger",
     "World": "world",
     "adapter": "adapters",
     "episodes": "opened",
