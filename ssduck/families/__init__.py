@@ -1,0 +1,1 @@
+"""The relations, a module a family; `ssduck.udfs` is the registry."""

@@ -1,0 +1,212 @@
+"""Relations of the shapes themselves, and of their boxes: most ask the narrow phase."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from ssduck.families.forms import A_B, ENTITY
+from ssduck.intervals import RELATIONS_OF_INTERVALS
+from ssduck.relations import Candidates, Parameter, Relation, ValueType
+
+# A sixth of the mean of the six sides of two boxes.
+_BESIDE = "(" + " + ".join(f"{o}.{s}max - {o}.{s}min" for o in "ab" for s in "xyz") + ") / 36"
+
+
+def boxes_within(apart: str) -> str:
+    """Whether two boxes are that near; a nanometre is allowed for what is rounded."""
+    far = f"({apart}) + 1e-9"
+    sides = [
+        f"a.{axis}min <= b.{axis}max + {far} AND b.{axis}min <= a.{axis}max + {far}"
+        for axis in "xyz"
+    ]
+    return " AND ".join(sides)
+
+
+def _meet(apart: str = "0") -> str:
+    """Whether the boxes of two entities are that near."""
+    return f"a.id <> b.id AND {boxes_within(apart)}"
+
+
+def _ask(answer: str, *more: str) -> str:
+    """A call of the narrow phase, of two rows; more of what it takes."""
+    return f'"narrow {answer}"({", ".join(("$world, a.tick, a.id, b.tick, b.id", *more))})'
+
+
+def _narrow(call: str, apart: str = "0", otherwise: str = "FALSE") -> str:
+    """A formula that calls the narrow phase where the boxes are that near.
+
+    Where it is unknown whether they are, so is what comes of it.
+    """
+    if otherwise == "FALSE":
+        return f"({_meet(apart)}) AND CASE WHEN {_meet(apart)} THEN {call} END"
+    return f"CASE WHEN {_meet(apart)} THEN {call} WHEN NOT ({_meet(apart)}) THEN {otherwise} END"
+
+
+# Of which pairs the narrow phase is asked.
+_MEETING = "on pairs whose boxes meet"
+_EVERY = "on every pair that is asked for"
+
+
+def on_shapes(
+    name: str,
+    result: ValueType,
+    formula: str,
+    about: str,
+    *,
+    asked: str = _MEETING,
+    more: tuple[Parameter, ...] = (),
+    sliced: str | None = None,
+    unit: str = "",
+    symmetric: bool = False,
+    element: ValueType = "real",
+    candidates: Candidates | None = None,
+    far: Literal["", "more", "nothing"] = "",
+) -> Relation:
+    """A relation of the shapes of two entities."""
+    return Relation(
+        name,
+        A_B + more,
+        result,
+        formula,
+        about,
+        sliced=sliced,
+        unit=unit,
+        symmetric=symmetric,
+        element=element,
+        apart="error('of entities of two worlds')",
+        asked=asked,
+        candidates=candidates,
+        far=far,
+    )
+
+
+COLLIDES = _narrow(_ask("collides"))
+
+OF_SHAPES: tuple[Relation, ...] = (
+    Relation(
+        "overlaps",
+        A_B,
+        "flag",
+        "a.id <> b.id AND a.xmin <= b.xmax AND b.xmin <= a.xmax AND a.ymin <= b.ymax "
+        "AND b.ymin <= a.ymax AND a.zmin <= b.zmax AND b.zmin <= a.zmax",
+        "Checks if the axis-aligned boxes of a and b meet, touching included. Of two intervals "
+        "[start, end] it checks if a begins before b, and ends inside b.",
+        of_lists=RELATIONS_OF_INTERVALS["overlaps"].formula,
+        symmetric=True,
+    ),
+    on_shapes(
+        "collides",
+        "flag",
+        COLLIDES,
+        "Checks if shapes of a and b are deeper in each other than 1e-6 m.",
+        symmetric=True,
+        candidates=Candidates("colliding"),
+    ),
+    on_shapes(
+        "penetration",
+        "real",
+        _narrow(_ask("penetration"), otherwise="0.0::DOUBLE"),
+        "Returns the depth of the deepest penetration of the shapes of a and b: how far they "
+        "would have to be moved to be apart; 0 if they are.",
+        far="nothing",
+        unit="m",
+        symmetric=True,
+    ),
+    on_shapes(
+        "clearance",
+        "real",
+        f"CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE {_ask('clearance')} END",
+        "Returns the smallest distance between the surfaces of a and b, 0 if they meet. It is "
+        "worked out for each pair that is asked for, but for near(a, b, d), and for "
+        "WHERE clearance(a, b) < d in SelectScript: they leave out what is far apart. "
+        "What has no shapes is infinitely far from everything.",
+        far="more",
+        asked=_EVERY,
+        unit="m",
+        symmetric=True,
+    ),
+    on_shapes(
+        "touching",
+        "flag",
+        _narrow(_ask("near", "0.001"), "0.001"),
+        "Checks if the clearance of a and b is at most eps, 1 mm if it is not given; what meets "
+        "touches.",
+        asked="on pairs whose boxes are at most eps apart",
+        more=(Parameter("eps", "real", "a distance, m", optional=True),),
+        sliced=_narrow(_ask("near", "eps"), "eps"),
+        symmetric=True,
+        candidates=Candidates("within", "0.001", "eps"),
+    ),
+    on_shapes(
+        "near",
+        "flag",
+        _narrow(_ask("near", "d"), "d"),
+        "Checks if the clearance of a and b is at most d.",
+        asked="on pairs whose boxes are at most d apart",
+        more=(Parameter("d", "real", "a distance, m"),),
+        symmetric=True,
+        candidates=Candidates("within", "d"),
+    ),
+    on_shapes(
+        "nearestPoints",
+        "list",
+        f"CASE WHEN a.id = b.id THEN [[a.x, a.y, a.z], [a.x, a.y, a.z]] ELSE {_ask('points')} END",
+        "Returns a point on a and one on b, [[x, y, z], [x, y, z]] in the world: the nearest "
+        "ones, or where they meet those that are deepest in the other; nothing of what has no "
+        "shapes.",
+        asked=_EVERY,
+        unit="m",
+        element="list",
+    ),
+    *(
+        on_shapes(
+            name,
+            "flag",
+            _narrow(_ask("on"), "0.001"),
+            "Checks if b rests on a: they touch (clearance at most 1 mm), a normal there is "
+            "within 30 degrees of up, and the centre of the box of b is over the convex hull of "
+            "the footprint of a.",
+            asked="on pairs whose boxes are at most 1 mm apart",
+            candidates=Candidates("meeting", "0.001"),
+        )
+        for name in ("on", "supports")
+    ),
+    on_shapes(
+        "inside",
+        "real",
+        _narrow(_ask("inside"), otherwise="0.0::DOUBLE"),
+        "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
+        "0 if b has no volume. Open meshes have none: see solidVolume.",
+        far="nothing",
+    ),
+    on_shapes(
+        "contains",
+        "flag",
+        _narrow(_ask("contains")),
+        "Checks if at least 95 percent of the volume of b is inside the convex hull of a.",
+        candidates=Candidates("meeting"),
+    ),
+    on_shapes(
+        "nextTo",
+        "flag",
+        _narrow(
+            f"CASE WHEN a.zmin <= b.zmax AND b.zmin <= a.zmax AND {_BESIDE} < 1e300 "
+            f"THEN {_ask('near', _BESIDE)} ELSE FALSE END",
+            _BESIDE,
+        ),
+        "Checks if a and b are beside each other: the heights of their boxes overlap, and their "
+        "clearance is at most a sixth of the mean of the six sides of the two boxes. A box "
+        "without end has nothing beside it.",
+        asked="on pairs whose boxes are at most that far apart",
+        symmetric=True,
+    ),
+    Relation(
+        "solidVolume",
+        ENTITY,
+        "real",
+        '"narrow volume"($world, object.tick, object.id)',
+        "Returns the sum of the volumes of the object's shapes, infinity for a plane, 0 for an "
+        "open mesh.",
+        unit="m^3",
+    ),
+)
