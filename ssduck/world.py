@@ -6,13 +6,9 @@ tells of itself is of the world's last tick, never of the simulator's present.
 
 from __future__ import annotations
 
-import threading
-import time
 import weakref
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from itertools import count
-from typing import Any, Literal, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,34 +17,23 @@ from ssduck.entities import Entity, Sensor
 from ssduck.errors import (
     ArgumentError,
     SceneError,
-    SelectScriptError,
     UnknownNameError,
     nearest,
 )
-from ssduck.following import Followed
 from ssduck.kinematics import JointValues, Pose, pose_of, positions_of
-from ssduck.layout import Member
 from ssduck.openrave import WorldSpellings
-from ssduck.recording import Recorder
-from ssduck.scenes import Camera, Scene, SensorSpec, read_sensor
+from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.sensing import Reading
 from ssduck.simulators import Body, Kind, Simulator
-from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
-from ssduck.what_if import imagined
-
-T = TypeVar("T")
+from ssduck.ticking import Ticked
+from ssduck.what_if import bodies_of, imagined
 
 # What a world is called before it gets a name.
 UNNAMED = "world"
-_serials = count()
-# Seconds that a step waits while another thread wants to ask.
-_TURN = 1e-4
-# Whoever watches a run is told each so many steps.
-_WATCHED = 24
 
 
-class World(Followed, WorldSpellings):
+class World(Ticked, WorldSpellings):
     """One simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
@@ -59,12 +44,7 @@ class World(Followed, WorldSpellings):
         name: what the world is called until it is bound to a variable.
         sensors: the sensors on its bodies, in load order.
         camera: the view that `render` draws if it is given none.
-
-    Attributes:
-        serial: the order in which worlds were made, and in which several are held.
     """
-
-    _members: list[Member]
 
     def __init__(
         self,
@@ -75,28 +55,15 @@ class World(Followed, WorldSpellings):
         camera: Camera | None = None,
     ) -> None:
         self._begin(simulator, Snapshot(), name, camera or Camera())
-        # Ids count as worlds list: sensors first.
-        sensor_ids = [next(self._ids) for _ in sensors]
-        self._update_members()
-        self._members = self._mounted(sensor_ids, sensors) + self._members
-        for member in self._members:
+        self._members.begin(simulator, sensors)
+        for member in self._members.listed:
             if member.sensor is not None and not member.sensor.powered:
                 self.snapshot.switch(member.id, on=False)
         self.tick()
 
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
-        self.name = name
         self.camera = camera
-        self.lock = threading.RLock()
-        self._begin_following()
-        self.serial = next(_serials)
-        self.snapshot = snapshot
-        self._queries = 0
-        self._waiting = 0
-        self._simulator = simulator
-        self._ids = count(1)
-        self._members = snapshot.listed
-        self._recorders: list[weakref.ref[Recorder]] = []
+        self._begin_ticking(simulator, snapshot, name)
 
     @classmethod
     def load(cls, scene: Scene) -> World:
@@ -153,17 +120,6 @@ class World(Followed, WorldSpellings):
 
     # -- time -----------------------------------------------------------------------------
 
-    @property
-    def time(self) -> float:
-        """Simulated seconds at the last tick."""
-        return self.snapshot.time
-
-    @property
-    def timestep(self) -> float:
-        """Simulated seconds that the next step takes; 0 for a what-if world, which has none."""
-        with self.lock:
-            return self._simulator.timestep
-
     def step(self, count: int = 1) -> World:
         """Run that many steps of the simulator, then take a tick.
 
@@ -216,118 +172,6 @@ class World(Followed, WorldSpellings):
         run([self], seconds, realtime=realtime, progress=progress, every=every)
         return self
 
-    def tick(self) -> World:
-        """Take a tick: the tables are replaced by the simulator's state as it is now.
-
-        Raises:
-            SimulatorError: the simulator does not answer; the last tick stays.
-        """
-        with self.lock:
-            self._take_tick()
-        self.tell()
-        return self
-
-    def _take_tick(self) -> None:
-        self._check_not_held()
-        self._take()
-
-    def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
-        """Run steps and take a tick, telling no follower: a part of `step`.
-
-        Args:
-            count: how many steps.
-            watch: is told now and then how many more were run; the world is locked meanwhile.
-        """
-        if self._waiting:
-            time.sleep(_TURN)  # locks are not fair: a thread that only steps would keep it
-        with self.lock:
-            self._check_not_held()
-            try:
-                for done in _parts(count, count if watch is None else _WATCHED):
-                    self._simulator.step(done)
-                    if watch is not None:
-                        watch(done)
-            except KeyboardInterrupt:
-                self._take_tick()  # the tables are not to lag behind the simulator
-                raise
-            self._take_tick()
-
-    def _take(self) -> None:
-        self._update_members()
-        self.snapshot.take(self._simulator, self._members)
-        failed = None
-        for reference in self._recorders:
-            recorder = reference()
-            if recorder is not None:
-                try:
-                    recorder.note(self.snapshot)
-                except SelectScriptError as error:  # a full disk is no trouble of the others
-                    failed = failed or error
-        if failed is not None:
-            raise failed
-
-    @property
-    def is_final(self) -> bool:
-        """Whether no other tick of it will come: it is a what-if world, or a past one."""
-        return isinstance(self._simulator, Posed)
-
-    def record(self, recorder: Recorder) -> None:
-        """Let a recorder keep this tick and those to come, as long as anyone else holds it."""
-        with self.lock:
-            self._check_not_held()
-            self._recorders.append(weakref.ref(recorder))
-            self._read_recorded()
-            if self.snapshot.ask(()):
-                self._take()
-            else:
-                recorder.note(self.snapshot)
-
-    def forget(self, recorder: Recorder) -> None:
-        """Let a recorder keep no more ticks."""
-        with self.lock:
-            self._recorders = [r for r in self._recorders if r() not in (None, recorder)]
-            self._read_recorded()
-
-    def _read_recorded(self) -> None:
-        """See to it that each tick has the tables that are recorded."""
-        recorders = [recorder for reference in self._recorders if (recorder := reference())]
-        tables = frozenset(table for r in recorders for table in r.recording.tables)
-        self.snapshot.recorded = tables - {"entities"}
-
-    def ask(self, tables: Iterable[str]) -> None:
-        """See to it that the current tick has these tables; takes a fresh one if it has not."""
-        with self.lock:
-            if self.snapshot.ask(tables):
-                self._take_asked()
-
-    def _take_asked(self) -> None:
-        if self._simulator.watched:
-            self._check_not_held()
-        # Under a query nothing has moved in a world that ssduck alone steps.
-        self._take()
-
-    @contextmanager
-    def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
-        """Hold the world at its tick, with these tables read, while a query runs."""
-        self._waiting += 1
-        self.lock.acquire()
-        self._waiting -= 1
-        try:
-            self.ask(tables)
-            self._queries += 1
-            try:
-                yield
-            finally:
-                self._queries -= 1
-        finally:
-            self.lock.release()
-
-    def _check_not_held(self) -> None:
-        if self._queries:
-            raise SelectScriptError(
-                f"a query on {self.name!r} is running: its tick cannot be replaced before it ends"
-            )
-
     def close(self) -> None:
         """Give up the simulation; a client that you made stays connected."""
         with self.lock:
@@ -371,29 +215,17 @@ class World(Followed, WorldSpellings):
         """
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
         with self.held(("links", "joints") if has_links else ()):
-            places = {body: pose_of(pose, name) for name, body, pose in self._bodies(poses or {})}
+            places = {
+                body: pose_of(pose, name) for name, body, pose in bodies_of(self, poses or {})
+            }
             positions = {
                 body: positions_of(values, body, name)
-                for name, body, values in self._bodies(joints or {})
+                for name, body, values in bodies_of(self, joints or {})
             }
             posed, snapshot = imagined(self.snapshot, places, positions)
         world = World.__new__(World)
         world._begin(posed, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
         return world.tick()
-
-    def _bodies(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
-        """What is said of entities, with their names and what they are at this tick."""
-        for key, value in by_entity.items():
-            entity = key if isinstance(key, Entity) else self[key]
-            if entity.world is not self:
-                raise ArgumentError(
-                    f"{entity!r} is in world {entity.world.name!r}, not in {self.name!r}; "
-                    "give its name"
-                )
-            row = self.snapshot.rows.get(entity.id)
-            if row is None:
-                raise entity.removed()
-            yield entity.name, entity.body_of(self.snapshot.members[row], "move"), value
 
     # -- entities -------------------------------------------------------------------------
 
@@ -465,51 +297,23 @@ class World(Followed, WorldSpellings):
         """
         with self.lock:
             self._check_not_held()
-            self._update_members()
-            host = self._host(on)
-            taken = {member.name for member in self._members}
-            if name in taken:
-                raise ArgumentError(f"add_sensor: name: {name!r} is there already")
+            self._members.update(self._simulator)
+            if isinstance(on, Entity) and on.world is not self:
+                raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
+            host = self._members.host(on, self.name)
             values = {
-                "type": type,
-                "on": host.name,
-                "name": name if name is not None else _unique(f"{host.name}_{type}", taken),
                 "position": _plain(position),
                 "orientation": _plain(orientation),
                 **({} if link is None else {"link": link}),
                 **settings,
             }
-            try:
-                spec = read_sensor(values, [host.name])
-                (member,) = self._mounted([next(self._ids)], [spec])
-            except SceneError as error:
-                message = f"add_sensor: {error.message.removeprefix('sensor[0].')}"
-                raise ArgumentError(message, suggestions=error.suggestions) from error
-            self._members = [*self._members, member]
-            self.snapshot.switch(member.id, on=spec.powered)
+            member = self._members.add_sensor(type, host, name, values)
+            assert member.sensor is not None
+            self.snapshot.switch(member.id, on=member.sensor.powered)
             self._take_tick()
             sensor = self.entity(member.id)
         assert isinstance(sensor, Sensor)
         return sensor
-
-    def _host(self, on: str | Entity) -> Member:
-        """The body of that name, or that entity."""
-        if isinstance(on, Entity):
-            if on.world is not self:
-                raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
-            found = [member for member in self._members if member.id == on.id]
-            if not found:
-                raise on.removed()
-        else:
-            found = [member for member in self._members if member.name == on]
-        if not found:
-            known = [member.name for member in self._members if member.body is not None]
-            raise UnknownNameError(
-                f"world {self.name!r} has no body {on!r}", suggestions=nearest(on, known)
-            )
-        if found[0].body is None:
-            raise ArgumentError(f"add_sensor: on: {found[0].name!r} is a sensor, not a body")
-        return found[0]
 
     def remove_sensor(self, sensor: str | Sensor) -> None:
         """Take a sensor off its body, and take a tick.
@@ -525,7 +329,7 @@ class World(Followed, WorldSpellings):
                 raise entity.removed()
             if not isinstance(entity, Sensor):
                 raise ArgumentError(f"{entity.name!r} is a {entity.kind}, no sensor")
-            self._members = [member for member in self._members if member.id != entity.id]
+            self._members.remove(entity.id)
             self._take_tick()
 
     def switch(self, sensor: Sensor, *, on: bool) -> None:
@@ -575,71 +379,13 @@ class World(Followed, WorldSpellings):
         with self.lock:
             self._check_not_held()
             # Its number may be another body's by now.
-            self._update_members()
-            member = next((member for member in self._members if member.id == entity.id), None)
+            self._members.update(self._simulator)
+            member = self._members.of(entity.id)
             if member is None:
                 raise entity.removed()
             change(entity.body_of(member, verb))
             self.snapshot.read_all_anew()
             self._take_tick()
-
-    def _update_members(self) -> None:
-        """Take note of bodies that came and went."""
-        changes = self._simulator.describe()
-        if changes is None:
-            return
-        came, gone = changes
-        gone_bodies = set(gone)
-        gone_ids = {member.id for member in self._members if member.body in gone_bodies}
-        self._members = [
-            member
-            for member in self._members
-            if member.id not in gone_ids and member.mount[0] not in gone_ids
-        ]
-        taken = {member.name for member in self._members}
-        for body in came:
-            name = _unique(body.name, taken)
-            taken.add(name)
-            self._members.append(Member(next(self._ids), name, body.kind, body=body))
-
-    def _mounted(self, ids: Sequence[int], specs: Sequence[SensorSpec]) -> list[Member]:
-        """The sensors on the bodies that carry them."""
-        by_name = {member.name: member for member in self._members}
-        sensors = []
-        for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
-            host = by_name[spec.on]
-            mount = (host.id, _link_number(host, spec, index))
-            sensors.append(
-                Member(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
-            )
-        return sensors
-
-
-def _parts(count: int, most: int) -> Iterator[int]:
-    """A number in parts of at most `most`; 0 is one part."""
-    yield min(count, most)
-    for begun in range(most, count, most or 1):
-        yield min(most, count - begun)
-
-
-def _unique(name: str, taken: Container[str]) -> str:
-    """The name, or the name and a number if it is taken already."""
-    if name not in taken:
-        return name
-    return next(n for n in (f"{name}_{i}" for i in count(2)) if n not in taken)
-
-
-def _link_number(host: Member, spec: SensorSpec, index: int) -> int:
-    assert host.body is not None
-    if spec.link is None:
-        return 0
-    names = [link.name for link in host.body.links]
-    if spec.link not in names:
-        raise SceneError(
-            f"sensor[{index}].link: {host.name!r} has no link {spec.link!r}",
-            suggestions=nearest(spec.link, names),
-        )
-    return names.index(spec.link)
 
 
 def _plain(values: Any) -> Any:

@@ -1,0 +1,184 @@
+"""A simulation that is looked at one tick at a time: taking ticks, holding them, keeping them."""
+
+from __future__ import annotations
+
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from typing import Self
+
+from ssduck.errors import SelectScriptError
+from ssduck.following import Followed
+from ssduck.members import Members
+from ssduck.recording import Recorder
+from ssduck.simulators import Simulator
+from ssduck.simulators.posed import Posed
+from ssduck.snapshot import Snapshot
+
+_serials = count()
+# Seconds that a step waits while another thread wants to ask.
+_TURN = 1e-4
+# Whoever watches a run is told each so many steps.
+_WATCHED = 24
+
+
+class Ticked(Followed):
+    """A simulator and the last tick that was taken of it.
+
+    Attributes:
+        name: what it is called.
+        lock: who holds it is alone with the simulator and the tick.
+        serial: the order in which they were made, and in which several are held.
+        snapshot: the last tick.
+    """
+
+    def _begin_ticking(self, simulator: Simulator, snapshot: Snapshot, name: str) -> None:
+        self.name = name
+        self.lock = threading.RLock()
+        self._begin_following()
+        self.serial = next(_serials)
+        self.snapshot = snapshot
+        self._queries = 0
+        self._waiting = 0
+        self._simulator = simulator
+        self._members = Members(snapshot.listed)
+        self._recorders: list[weakref.ref[Recorder]] = []
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds at the last tick."""
+        return self.snapshot.time
+
+    @property
+    def timestep(self) -> float:
+        """Simulated seconds that the next step takes; 0 for a what-if world, which has none."""
+        with self.lock:
+            return self._simulator.timestep
+
+    # -- a tick ---------------------------------------------------------------------------
+
+    def tick(self) -> Self:
+        """Take a tick: the tables are replaced by the simulator's state as it is now.
+
+        Raises:
+            SimulatorError: the simulator does not answer; the last tick stays.
+        """
+        with self.lock:
+            self._take_tick()
+        self.tell()
+        return self
+
+    def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
+        """Run steps and take a tick, telling no follower: a part of `step`.
+
+        Args:
+            count: how many steps.
+            watch: is told now and then how many more were run; the world is locked meanwhile.
+        """
+        if self._waiting:
+            time.sleep(_TURN)  # locks are not fair: a thread that only steps would keep it
+        with self.lock:
+            self._check_not_held()
+            try:
+                for done in _parts(count, count if watch is None else _WATCHED):
+                    self._simulator.step(done)
+                    if watch is not None:
+                        watch(done)
+            except KeyboardInterrupt:
+                self._take_tick()  # the tables are not to lag behind the simulator
+                raise
+            self._take_tick()
+
+    def _take_tick(self) -> None:
+        self._check_not_held()
+        self._take()
+
+    def _take(self) -> None:
+        self._members.update(self._simulator)
+        self.snapshot.take(self._simulator, self._members.listed)
+        failed = None
+        for reference in self._recorders:
+            recorder = reference()
+            if recorder is not None:
+                try:
+                    recorder.note(self.snapshot)
+                except SelectScriptError as error:  # a full disk is no trouble of the others
+                    failed = failed or error
+        if failed is not None:
+            raise failed
+
+    # -- what is asked of it ----------------------------------------------------------------
+
+    def ask(self, tables: Iterable[str]) -> None:
+        """See to it that the current tick has these tables; takes a fresh one if it has not."""
+        with self.lock:
+            if self.snapshot.ask(tables):
+                self._take_asked()
+
+    def _take_asked(self) -> None:
+        if self._simulator.watched:
+            self._check_not_held()
+        # Under a query nothing has moved in a world that ssduck alone steps.
+        self._take()
+
+    @contextmanager
+    def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
+        """Hold the world at its tick, with these tables read, while a query runs."""
+        self._waiting += 1
+        self.lock.acquire()
+        self._waiting -= 1
+        try:
+            self.ask(tables)
+            self._queries += 1
+            try:
+                yield
+            finally:
+                self._queries -= 1
+        finally:
+            self.lock.release()
+
+    def _check_not_held(self) -> None:
+        if self._queries:
+            raise SelectScriptError(
+                f"a query on {self.name!r} is running: its tick cannot be replaced before it ends"
+            )
+
+    # -- who keeps ticks --------------------------------------------------------------------
+
+    def record(self, recorder: Recorder) -> None:
+        """Let a recorder keep this tick and those to come, as long as anyone else holds it."""
+        with self.lock:
+            self._check_not_held()
+            self._recorders.append(weakref.ref(recorder))
+            self._read_recorded()
+            if self.snapshot.ask(()):
+                self._take()
+            else:
+                recorder.note(self.snapshot)
+
+    def forget(self, recorder: Recorder) -> None:
+        """Let a recorder keep no more ticks."""
+        with self.lock:
+            self._recorders = [r for r in self._recorders if r() not in (None, recorder)]
+            self._read_recorded()
+
+    def _read_recorded(self) -> None:
+        """See to it that each tick has the tables that are recorded."""
+        recorders = [recorder for reference in self._recorders if (recorder := reference())]
+        tables = frozenset(table for r in recorders for table in r.recording.tables)
+        self.snapshot.recorded = tables - {"entities"}
+
+    @property
+    def is_final(self) -> bool:
+        """Whether no other tick of it will come: it is a what-if world, or a past one."""
+        return isinstance(self._simulator, Posed)
+
+
+def _parts(count: int, most: int) -> Iterator[int]:
+    """A number in parts of at most `most`; 0 is one part."""
+    yield min(count, most)
+    for begun in range(most, count, most or 1):
+        yield min(most, count - begun)
