@@ -61,7 +61,7 @@ def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) 
     if not all(map(sql.is_constant, others)):
         return None
     try:
-        holds = sql.truth(sql.value(node))
+        holds = sql.condition(node)
         names = [parameter.name for parameter in relation.parameters[2 : len(node.arguments)]]
         known = dict(zip(names, map(sql.value, others), strict=True))
     except NotSqlError:

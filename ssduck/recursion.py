@@ -89,12 +89,12 @@ class _Search:
         self.tags = {name: value.tag for name, value in self.start.items()}
         self.names = _column_names(self.tags)
         self.next = self._states()
-        self.items = [sql.certain(sql.value(column.node)) for column in columns]
+        self.items = [sql.context.certain(sql.value(column.node)) for column in columns]
         if any(not i.tag.comes_back or i.tag.nullable or i.wide for i in self.items):
             raise NotSqlError
-        self.stop = sql.truth(sql.value(recursion.stop))
+        self.stop = sql.condition(recursion.stop)
         where = query.where
-        self.found = self.stop if where is None else sql.truth(sql.value(where))
+        self.found = self.stop if where is None else sql.condition(where)
         sql.context.risk()  # it may be too broad
 
     def _started(self, assignment: Assignment) -> SqlValue:
@@ -109,7 +109,9 @@ class _Search:
             raise NotSqlError
         for _ in range(3):
             self.sql.locals = {name: self._state(name, tag) for name, tag in self.tags.items()}
-            values = {name: self.sql.certain(self.sql.value(node)) for name, node in steps.items()}
+            values = {
+                name: self.sql.context.certain(self.sql.value(node)) for name, node in steps.items()
+            }
             tags = {
                 name: merged((tag, values[name].tag)) or tag if name in values else tag
                 for name, tag in self.tags.items()

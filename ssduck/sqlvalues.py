@@ -126,6 +126,15 @@ class Context:
             raise NotSqlError
         self.risks += 1
 
+    def certain(self, value: SqlValue) -> SqlValue:
+        """A value that is a number where it is used; what is none is left to Python."""
+        if value.extent < Extent.NAN:
+            return value
+        self.risk()
+        is_none = exp.func("isnan", copied(value.sql))
+        case = exp.case().when(is_none, failure(value.tag)).else_(value.sql)
+        return replace(value, given=case, extent=Extent.INFINITE)
+
     def alias(self, name: str) -> str:
         """What a source is called in SQL, which does not tell upper from lower case."""
         candidates = (name if n == 1 else f"{name} {n}" for n in range(1, len(self.aliases) + 2))

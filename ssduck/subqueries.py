@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from sqlglot import exp
 
 from ssduck import tree
+from ssduck.comparisons import comparison
 from ssduck.dependencies import aliases_of, is_impure
 from ssduck.elements import (
     Element,
@@ -175,7 +176,7 @@ def equality(around: Expressions, node: Binary) -> exp.Expr | None:
     ]
     if any(value.tag.type == "list" for value in values):
         return None  # nothing is an empty list
-    compared = around.comparison(node.operator, *values).sql
+    compared = comparison(around.context, node.operator, *values).sql
     otherwise = exp.convert(node.operator == "!=")
     return exp.Coalesce(this=compared, expressions=[otherwise])
 
@@ -201,7 +202,9 @@ def membership(around: Expressions, left: Node, query: Query) -> exp.Expr | None
 
 
 def _any_equal(around: Expressions, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
-    return exp.paren(exp.or_(*(around.comparison("==", wanted, item).sql.copy() for item in items)))
+    return exp.paren(
+        exp.or_(*(comparison(around.context, "==", wanted, item).sql.copy() for item in items))
+    )
 
 
 def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
@@ -350,8 +353,8 @@ def _subquery(
     inner: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[Element]
 ) -> Subquery:
     resolved = resolve_in(inner, query, aliases)
-    conditions = () if query.where is None else (inner.truth(inner.value(query.where)),)
-    items = tuple(inner.certain(inner.value(column.node)) for column in resolved.columns)
+    conditions = () if query.where is None else (inner.condition(query.where),)
+    items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
     order = ordered(inner, resolved.query.order)
     for entry in elements:
         order.extend(entry.position)
@@ -377,8 +380,8 @@ def _unrolled_row(
     _bind(inner, aliases, elements)
     resolved = resolve_in(inner, query, aliases)
     before = inner.context.risks
-    there = exp.true() if query.where is None else inner.truth(inner.value(query.where))
-    items = tuple(inner.certain(inner.value(column.node)) for column in resolved.columns)
+    there = exp.true() if query.where is None else inner.condition(query.where)
+    items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
     return (there, items), inner.context.risks > before
 
 
@@ -407,7 +410,7 @@ def ordered(inner: Expressions, keys: Sequence[tree.Key]) -> list[exp.Ordered]:
         if not (value.tag.is_number or value.tag.type in ("text", "flag")):
             raise NotSqlError
         if not isinstance(value.sql.unnest(), exp.Literal | exp.Boolean):
-            this = inner.certain(value).sql.copy()
+            this = inner.context.certain(value).sql.copy()
             found.append(exp.Ordered(this=this, desc=key.descending, nulls_first=False))
     return found
 

@@ -10,6 +10,7 @@ database.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Literal
 
 from sqlglot import exp
@@ -174,7 +175,7 @@ class _Translator:
         name = self.context.alias(f"{shape.alias} then")
         assert shape.schema is not None
         if shape.moments == "now":
-            self.sql.present.add(column_of(name, "tick").sql())
+            self.sql.ticks.present.add(column_of(name, "tick").sql())
             return present_table(shape.schema, name)
         first, last = (
             self.context.parameter(end, Binding("", source=shape.alias, end=end, tag=INTEGER))
@@ -187,7 +188,7 @@ class _Translator:
             )
         if shape.moments == "window":
             tick = column_of(name, "tick")
-            self.sql.spans[tick.sql()] = Span(shape.schema, first, last, tick, id)
+            self.sql.ticks.spans[tick.sql()] = Span(shape.schema, first, last, tick, id)
         return past_table(shape.schema, name, first, last, id)
 
     def _together(self) -> Iterator[exp.Expr]:
@@ -251,11 +252,12 @@ class _Translator:
                 case _:
                     continue
             if self.sql.is_constant(other):
-                self.sql.note_only(row, other)
+                alias = row.alias or self.sql.only or ""
+                self.sql.ticks.note_only(alias, partial(self.sql.value, other))
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:
-            holds = self.sql.truth(self.sql.value(node))
+            holds = self.sql.condition(node)
         except NotSqlError:
             self._leave(node)
             return None
@@ -356,7 +358,7 @@ class _Translator:
         select = product_of(self.elements)
         for table in self.pairs:
             select.append("joins", exp.Join(this=table, kind="CROSS"))
-        for follower in self.sql.followers.values():
+        for follower in self.sql.ticks.followers.values():
             select.append("joins", follower.join)
         select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
         if order:
