@@ -24,7 +24,7 @@ from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, PIECES, Crowd, bodies_of
 from benchmarks.peers import COLLIDES, Coal, Fcl, Pairs, coal_or_none, pybullet_loop
 from benchmarks.referee import may_touch, verdict
 from benchmarks.timing import Way, minima, printed, shown
-from ssduck.interpreter import Statistics
+from ssduck.shapes import Statistics
 from ssduck.simulators.pybullet import PyBulletSimulator
 
 SIZES = (50, 300, 1000, 3000, 10000)

@@ -9,10 +9,11 @@ if TYPE_CHECKING:
     from ssduck.entities import Entity, Sensor
     from ssduck.episode import Episode
     from ssduck.errors import SelectScriptError
-    from ssduck.interpreter import Interpreter, load
-    from ssduck.interpreter import open_record as open  # noqa: A004
+    from ssduck.interpreter import Interpreter
     from ssduck.limits import Limits
     from ssduck.opened import episodes
+    from ssduck.opening import load
+    from ssduck.opening import open_record as open  # noqa: A004
     from ssduck.past import Past
     from ssduck.recording import Recording
     from ssduck.trigger import TriggerWarning
@@ -52,8 +53,8 @@ _HOMES = {
     "World": "world",
     "adapter": "adapters",
     "episodes": "opened",
-    "load": "interpreter",
-    "open": "interpreter",
+    "load": "opening",
+    "open": "opening",
 }
 # What is called otherwise there: Python has a function of that name.
 _ORIGINALS = {"open": "open_record"}

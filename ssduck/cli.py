@@ -199,7 +199,7 @@ def demo(
 ) -> None:
     """Walk through the tutorial's questions: the program, its SQL, the answer; draw the scene."""
     from ssduck.demo import questions
-    from ssduck.interpreter import load
+    from ssduck.opening import load
     from ssduck.scenes import find_scene
 
     if output is not None and not picture:

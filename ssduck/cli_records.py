@@ -63,7 +63,7 @@ def record(
     every: Annotated[int, typer.Option(min=1, help="Record each n-th step only.")] = 1,
 ) -> None:
     """Simulate a scene and record each step; Ctrl-C ends it, and what was recorded is kept."""
-    from ssduck.interpreter import load
+    from ssduck.opening import load
     from ssduck.recording import RECORDABLE, Recording
     from ssduck.scenes import find_scene
 
@@ -145,7 +145,7 @@ def export(
     end: Annotated[float | None, typer.Option(help="Simulated time until which, s.")] = None,
 ) -> None:
     """Write an episode of a record as Parquet files, or a part of it."""
-    from ssduck.interpreter import open_record
+    from ssduck.opening import open_record
 
     with open_record(path, world, episode) as ss:
         for name, place in ss.export(output, entities=entities, start=start, end=end).items():
@@ -176,10 +176,10 @@ def opened_or_loaded(place: str, episode: int | None) -> Interpreter:
     Raises:
         BadParameter: an episode is asked for of a scene.
     """
-    from ssduck import interpreter
+    from ssduck import opening
 
     if is_record(place):
-        return interpreter.open_record(place, episode=episode)
+        return opening.open_record(place, episode=episode)
     if episode is not None:
         raise typer.BadParameter(f"--episode: {place} is no record")
-    return interpreter.load(place)
+    return opening.load(place)

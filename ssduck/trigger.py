@@ -9,18 +9,16 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from ssduck.changes import copied
 from ssduck.dependencies import IMPURE, calls_of, tables_of, variables_of
 from ssduck.inbox import Inbox
+from ssduck.programs import Compiled
 from ssduck.settling import Settling, Terms
 from ssduck.tree import Bare, Program, Query
 from ssduck.world import World
-
-if TYPE_CHECKING:
-    from ssduck.interpreter import Compiled
 
 # So many different errors of one trigger are warned of.
 MOST_WARNINGS = 100

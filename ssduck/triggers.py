@@ -19,12 +19,13 @@ from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.keys import ATOMS
 from ssduck.messages import shown
+from ssduck.programs import Compiled
 from ssduck.settling import Terms, When
 from ssduck.trigger import Trigger, TriggerState, TriggerWarning
 from ssduck.world import World
 
 if TYPE_CHECKING:
-    from ssduck.interpreter import Compiled, Interpreter
+    from ssduck.interpreter import Interpreter
 
 # Seconds that closing waits for a callback that is running in a thread of its own.
 PATIENCE = 5.0

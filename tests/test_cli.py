@@ -23,7 +23,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import ssduck
-from ssduck import interpreter
+from ssduck import opening
 from ssduck.cli import app
 from ssduck.demo import KITCHEN
 
@@ -205,7 +205,7 @@ WRITTEN = [
 
 @pytest.mark.parametrize(("arguments", "format", "expected"), WRITTEN)
 def test_answers(here, loaded, monkeypatch, arguments, format, expected):
-    monkeypatch.setattr(interpreter, "load", lambda _: contextlib.nullcontext(loaded))
+    monkeypatch.setattr(opening, "load", lambda _: contextlib.nullcontext(loaded))
     *flags, program = arguments
     written = answer("query", "two.toml", "-F", format, *flags, "--", program)
     assert (json.loads(written) if format == "json" else written) == expected
@@ -359,21 +359,21 @@ def test_the_mark_stands_under_what_it_marks(here):
 
 
 def test_a_mistake_of_ours_is_a_traceback(here, monkeypatch):
-    monkeypatch.setattr(interpreter, "load", lambda _: 1 // 0)
+    monkeypatch.setattr(opening, "load", lambda _: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         ssduck_("query", "two.toml", "1;")
 
 
 @pytest.mark.filterwarnings("default")
 def test_warnings_are_one_line_each_and_told_once(here, monkeypatch):
-    load = interpreter.load
+    load = opening.load
 
     def warn(scene):
         for text in ("a [shape]\n  is odd", "another", "a [shape]\n  is odd"):
             warnings.warn(text, stacklevel=2)
         return load(scene)
 
-    monkeypatch.setattr(interpreter, "load", warn)
+    monkeypatch.setattr(opening, "load", warn)
     result = ssduck_("query", "two.toml", "1;")
     assert (result.exit_code, result.stdout) == (0, "1\n")
     assert result.stderr == "warning: a [shape] is odd\nwarning: another\n"

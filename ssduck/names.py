@@ -1,0 +1,247 @@
+"""Variables and functions by name: what expressions see of an interpreter."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+from ssduck.database import Database
+from ssduck.deferred import Deferred
+from ssduck.dependencies import calls_of, tables_of, variables_of
+from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.forms import help_of_forms
+from ssduck.functions import BUILTINS, Function
+from ssduck.intervals import RELATIONS_OF_INTERVALS
+from ssduck.language import is_reserved
+from ssduck.messages import shown
+from ssduck.over_time import FORMS
+from ssduck.past import Past
+from ssduck.relations import Relation
+from ssduck.sources import within
+from ssduck.temporal import ValueHistory, aged, history_of, kept
+from ssduck.translate import unknown_function
+from ssduck.tree import Call, Node
+from ssduck.udfs import RELATIONS
+from ssduck.world import World
+
+
+class Names:
+    """The variables and functions of an interpreter, and the worlds that they are about.
+
+    Args:
+        database: where the worlds are bound.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._lock = threading.RLock()
+        self._variables: dict[str, Any] = {}
+        self._functions: dict[str, Function] = dict(BUILTINS)
+        self._functions.update((command.name, command) for command in self._commands())
+        self._functions.update((name, form.function) for name, form in FORMS.items())
+        for name, allen in RELATIONS_OF_INTERVALS.items():
+            if name not in RELATIONS:
+                self._functions[name] = allen.function
+
+    # -- variables (ssduck.evaluate.Scope) --------------------------------------------------
+
+    def variable(self, name: str) -> Any:
+        """The value of a variable, or an UnknownNameError with the nearest names."""
+        if name in self._variables:
+            value = self._variables[name]
+            return value.last if isinstance(value, ValueHistory) else value
+        if name in RELATIONS or name in self._functions:
+            raise UnknownNameError(
+                f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
+            )
+        raise UnknownNameError(
+            f"there is no variable {shown(name)}", suggestions=nearest(name, self.names())
+        )
+
+    def has_variable(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+        return name in self._variables
+
+    def names(self) -> list[str]:
+        """The names of all variables and functions."""
+        return [*self._variables, *self._known_functions()]
+
+    def assign(self, name: str, value: Any) -> None:
+        """Set a variable."""
+        self._variables[name] = value
+
+    def keep(self, name: str, value: Any, horizon: float) -> None:
+        """Set a variable that keeps its values of so many seconds."""
+        before = self._variables.get(name)
+        self._variables[name] = kept(before, value, horizon, self._now())
+
+    def aged(self, name: str, *age: Any) -> Any:
+        """What a variable was; all that it keeps if no age is given."""
+        self.variable(name)
+        return aged(name, self._variables[name], age, self._now, self._past)
+
+    def _past(self, world: World, age: float | None) -> Past:
+        return self._database.record_of(world).past(age)
+
+    def history(self, name: str) -> list[tuple[float, Any]]:
+        """What `name{}` gives, with the simulated times.
+
+        Args:
+            name: of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
+
+        Returns:
+            The time of each assignment, in seconds, and its value, the oldest first.
+
+        Raises:
+            UnknownNameError: there is no such variable, with the nearest names.
+            ArgumentError: it has no history.
+        """
+        with self._lock:
+            self.variable(name)
+            return history_of(name, self._variables[name]).within(math.inf, self._now())
+
+    def _now(self) -> float:
+        """The simulated time in seconds, that of the first world."""
+        worlds = self._database.worlds.values()
+        for world in worlds:
+            return world.time
+        raise UnknownNameError("there is no world, so no simulated time; add one with add_variable")
+
+    def _forget(self) -> None:
+        """Drop what is out of its horizon, or later than now."""
+        temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, ValueHistory)]
+        if temporal:
+            now = self._now()
+            for name, history in temporal:
+                self._variables[name] = history.until(now).recent(now)
+
+    # -- functions ----------------------------------------------------------------------------
+
+    def function(self, name: str) -> Function | None:
+        """A function that is no relation."""
+        return self._functions.get(name)
+
+    def is_users(self, name: str) -> bool:
+        """Whether that is a user's function."""
+        function = self._functions.get(name)
+        return function is not None and not function.builtin
+
+    def builtin(self, name: str) -> Function | None:
+        """A function of plain values that comes with the language."""
+        return BUILTINS.get(name)
+
+    def check_call(self, node: Call) -> None:
+        """Complain of an unknown function, or of a wrong number of arguments."""
+        given = len(node.arguments)
+        if node.name in RELATIONS:
+            relation = RELATIONS[node.name]
+            least, most = min(relation.expressions), max(relation.expressions)
+            fits, usage = given in relation.expressions, relation.usage
+        elif node.name in self._functions:
+            function = self._functions[node.name]
+            least, most = function.least, given if function.most is None else function.most
+            fits, usage = least <= given <= most, f"see help('{node.name}')"
+        else:
+            raise unknown_function(node, self._known_functions())
+        if not fits:
+            wanted = f"{least}" if least == most else f"{least} to {most}"
+            plural = "" if wanted == "1" else "s"
+            raise ArgumentError(
+                f"{node.name} takes {wanted} argument{plural}, not {given}: {usage}",
+                span=node.span,
+            )
+
+    def help(self, name: str | None = None) -> Any:
+        """The names of all functions, or the help of one; that of `AS` lists the result forms.
+
+        Raises:
+            UnknownNameError: there is no such function, with the nearest names.
+        """
+        if name is None:
+            return sorted(self._known_functions(), key=str.casefold)
+        if name.upper() == "AS":
+            return help_of_forms()
+        described: dict[str, Function | Relation] = {**self._functions, **RELATIONS}
+        if name not in described:
+            raise UnknownNameError(
+                f"there is no function {shown(name)}", suggestions=nearest(name, described)
+            )
+        return f"{name}\n{described[name].help}"
+
+    def _known_functions(self) -> list[str]:
+        return [*RELATIONS, *self._functions]
+
+    def _commands(self) -> list[Function]:
+        def clear(name: str | None = None) -> bool:
+            if name is None:
+                kept = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+            else:
+                self.variable(name)
+                kept = {n: v for n, v in self._variables.items() if n != name}
+            self._variables = kept
+            return True
+
+        def show(*values: Any) -> Any:
+            print(*values)  # noqa: T201  # it is what the language's print is for
+            return values[-1]
+
+        return [
+            _command("help", self.help, "Lists all functions, or tells what one does.", "[name]"),
+            _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
+            _command("var", self.variable, "Returns the variable of that name.", "name"),
+            _command("clear", clear, "Forgets a variable, or all but the worlds.", "[name]"),
+            _command("getTime", self._now, "Returns the simulated time in seconds.", ""),
+            _command("print", show, "Prints its arguments and returns the last.", "value, ..."),
+            _command("eval", lambda text: text, "Runs a program that is given as text.", "text"),
+        ]
+
+    # -- what they are about ----------------------------------------------------------------
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds that are bound to variables, the first one first."""
+        return list(self._database.worlds.values())
+
+    def _worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
+        """The worlds that parts may be about; None if their values alone tell."""
+        worlds: list[World] = []
+        for node in nodes:
+            called = calls_of(node)
+            if not called.isdisjoint(("var", "eval")) or any(map(self.is_users, called)):
+                return None
+            values = [self._variables.get(name) for name in variables_of(node)]
+            for value in values:
+                if isinstance(value, Deferred):
+                    inner = self._worlds_of([value.node])
+                else:
+                    inner = within(value.values if isinstance(value, ValueHistory) else value)
+                if inner is None:
+                    return None
+                worlds += inner
+        return worlds
+
+    def _tables_of(self, node: Node) -> frozenset[str]:
+        """The tables that relations in a part look things up in."""
+        found = tables_of(node)
+        for name in variables_of(node):
+            value = self._variables.get(name)
+            if isinstance(value, Deferred):
+                found |= self._tables_of(value.node)
+        return found
+
+
+def check_name(name: str, what: str) -> None:
+    """Complain of a name that a variable or a function cannot have."""
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ArgumentError(f"{shown(name)} cannot be {what}'s name: letters, digits and _ only")
+    if is_reserved(name):
+        raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")
+
+
+def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
+    function = Function.of(name, call, f"{about}\nUsage: {name}({usage})")
+    least = 1 if usage.endswith("...") else function.least
+    return replace(function, builtin=True, least=least)

@@ -1,0 +1,53 @@
+"""Programs that were parsed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ssduck.errors import ArgumentError
+from ssduck.language import parse
+from ssduck.messages import shown
+from ssduck.tree import Program
+
+if TYPE_CHECKING:
+    from ssduck.interpreter import Interpreter
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """A program that was parsed; running it again parses nothing.
+
+    Attributes:
+        text: how it was written.
+        tree: what it means.
+    """
+
+    text: str
+    tree: Program
+    _interpreter: Interpreter
+
+    def sql(self, dialect: str = "duckdb") -> str:
+        """The SQL of the query that the program ends with, the values of variables put in.
+
+        Args:
+            dialect: one of sqlglot's: `"duckdb"`, `"postgres"`, `"sqlite"` …
+
+        Raises:
+            UnsupportedError: a part is left to Python, or is nothing that dialect has.
+        """
+        return self._interpreter._sql_of(self.tree, dialect)  # noqa: SLF001  # one room
+
+
+def tree_of(program: str | Compiled) -> Program:
+    """What a program means that is given as text or was parsed before.
+
+    Raises:
+        ArgumentError: it is neither.
+        ParseError: with the place of the first thing that is wrong.
+    """
+    if isinstance(program, Compiled):
+        return program.tree
+    if not isinstance(program, str):
+        raise ArgumentError(f"a program is a text or what compile gave, not {shown(program)}")
+    return parse(program)
