@@ -8,50 +8,35 @@ it is evaluated in Python on the rows that come back (`ssduck.queries`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
 
 from ssduck.adapters import Adapter, find
 from ssduck.database import Database
-from ssduck.deferred import Deferred
 from ssduck.dependencies import aliases_of, sees_outside
-from ssduck.dialects import in_dialect
-from ssduck.entities import Entity
 from ssduck.errors import (
     ArgumentError,
-    EvaluationError,
-    LimitError,
-    SelectScriptError,
     UnknownNameError,
 )
 from ssduck.evaluate import Frame
-from ssduck.explain import told
+from ssduck.execution import Execution
 from ssduck.forms import Form, form_of
 from ssduck.functions import Function
-from ssduck.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.keeping import RecordVerbs
 from ssduck.keys import plain
 from ssduck.language import parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
-from ssduck.names import Names, check_name
-from ssduck.over_time import FORMS, OverTime
-from ssduck.past import together as entities_together
-from ssduck.planner import Planner
+from ssduck.names import check_name
 from ssduck.programs import Compiled, tree_of
 from ssduck.recording import Recording
 from ssduck.result import Result
-from ssduck.rows import formed
 from ssduck.running import run
 from ssduck.shapes import Statistics
 from ssduck.spelled import Columns, Condition, Elements, Part
-from ssduck.temporal import seconds_of
-from ssduck.translate import unknown_function
-from ssduck.tree import Call, Given, Node, Program, Query
+from ssduck.tree import Query
 from ssduck.triggers import Triggers, TriggerVerbs
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
@@ -60,7 +45,7 @@ from ssduck.world import World
 KEPT = 60.0
 
 
-class Interpreter(Names, RecordVerbs, TriggerVerbs):
+class Interpreter(Execution, RecordVerbs, TriggerVerbs):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -83,17 +68,15 @@ class Interpreter(Names, RecordVerbs, TriggerVerbs):
         row_by_row: bool = False,
         recording: Recording | Literal["default"] | None = "default",
     ) -> None:
-        self._limits = limits or Limits()
+        limits = limits or Limits()
         database = str(database)
         if recording == "default":
             recording = Recording(seconds=KEPT) if database == ":memory:" else Recording()
-        super().__init__(Database(database, tracer, self._limits, recording))
-        self._over_time = OverTime()
+        super().__init__(
+            Database(database, tracer, limits, recording), limits, row_by_row=row_by_row
+        )
         self._own: list[World] = []
-        self._planner = Planner(self._database, self, self._limits, row_by_row=row_by_row)
-        self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._selects: WeakKeyDictionary[Query, Query] = WeakKeyDictionary()
-        self._texts: list[str] = []
         self._triggers = Triggers(self)
 
     def close(self) -> None:
@@ -155,88 +138,6 @@ class Interpreter(Names, RecordVerbs, TriggerVerbs):
         compiled = tree_of(program)
         with self._running(compiled):
             return self._explained(compiled)
-
-    @contextmanager
-    def _running(self, program: Program) -> Iterator[None]:
-        """Whatever fails in here leaves the variables as they were, and says where it failed."""
-        with self._lock:
-            self._forget()
-            before = dict(self._variables)
-            outermost = not self._texts
-            if outermost:
-                self._database.meter = Meter(self._limits)
-            self._texts.append(program.text)
-            try:
-                yield
-            except BaseException as error:
-                self._variables = before
-                if isinstance(error, SelectScriptError):
-                    error.locate(program.text)
-                if isinstance(error, RecursionError):
-                    raise EvaluationError("the program is nested too deeply") from error
-                raise
-            finally:
-                self._texts.pop()
-
-    def _run(self, program: Program) -> Any:
-        if program.explain:
-            return self._explained(program)
-        return self._valued(program, Frame(self))
-
-    def _valued(self, program: Program, frame: Frame) -> Any:
-        value = None
-        for node in program.statements:
-            self.meter.step()
-            value = frame.value(node)
-        return value
-
-    def _run_text(self, text: Any, frame: Frame) -> Any:
-        """The value of a text in the scope of a frame: it sees the rows that it stands in."""
-        if not self._limits.eval:
-            raise LimitError("eval is switched off here")
-        if not isinstance(text, str):
-            raise ArgumentError(f"eval takes a text, not {shown(text)}")
-        self._texts.append(text)
-        try:
-            program = parse(text)
-            if program.explain:
-                return self._explained(program)
-            return self._valued(program, frame)
-        except SelectScriptError as error:
-            error.locate(text)
-            raise
-        finally:
-            self._texts.pop()
-
-    # -- what a program becomes -------------------------------------------------------------
-
-    def _explained(self, program: Program) -> str:
-        with self._rehearsed(program) as frame:
-            plan_of = partial(self._planner.plan, frame=frame)
-            return "\n\n".join(
-                told(program.text, statement, plan_of) for statement in program.statements[-1:]
-            )
-
-    def _sql_of(self, program: Program, dialect: str) -> str:
-        with self._running(program), self._rehearsed(program) as frame:
-            query = program.statements[-1] if program.statements else None
-            if not isinstance(query, Query):
-                raise ArgumentError("the program does not end with a query")
-            plan, values = self._planner.written(query, frame)
-            return in_dialect(query, plan, values, dialect)
-
-    @contextmanager
-    def _rehearsed(self, program: Program) -> Iterator[Frame]:
-        """Run all statements but the last, for the variables that it sees, and undo them."""
-        before = dict(self._variables)
-        frame = Frame(self)
-        try:
-            for statement in program.statements[:-1]:
-                frame.value(statement)
-            with self._reading(*program.statements[-1:]):
-                yield frame
-        finally:
-            self._variables = before
 
     # -- variables and functions ----------------------------------------------------------
 
@@ -354,42 +255,7 @@ class Interpreter(Names, RecordVerbs, TriggerVerbs):
             for name, world in self._database.worlds.items()
         }
 
-    # -- the scope of expressions (ssduck.evaluate.Scope) -----------------------------------
-
-    def deferred(self, node: Node) -> Deferred:
-        """A list of the running program for the query that uses it."""
-        return Deferred(node, self._texts[-1])
-
-    @property
-    def meter(self) -> Meter:
-        """How much of its limits the running program has used."""
-        return self._database.meter
-
-    def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
-        """The value of a function call outside SQL."""
-        function = self._functions.get(node.name)
-        if function is None:
-            if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
-                return RELATIONS_OF_INTERVALS[node.name].function(arguments)
-            if node.name in RELATIONS:
-                return self._relation(node, arguments, frame)
-            raise unknown_function(node, self._known_functions())
-        if node.name == "eval":
-            return self._run_text(arguments[0], frame)
-        return function(arguments)
-
-    def over_time(self, node: Call, frame: Frame) -> Any:
-        """The value of a call whose argument is evaluated at each recorded tick."""
-        age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
-
-        def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
-            found = self._planner.run(query, Frame(self, given=given), _unchecked)
-            listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
-            return listed
-
-        with self._reading(node):
-            series = self._over_time.series(node, frame, self._database.record_of, rows)
-            return FORMS[node.name].make(series, None if age is None else seconds_of(age))
+    # -- queries of programs ------------------------------------------------------------------
 
     def query(self, node: Query, frame: Frame) -> Any:
         """The value of a query; `frame` knows the rows of the queries around it."""
@@ -446,40 +312,9 @@ class Interpreter(Names, RecordVerbs, TriggerVerbs):
         asked = form_of(query, frame) if form == select.form else Form(form, find(form))
         return self._formed(query, frame, asked)
 
-    @contextmanager
-    def _reading(self, *nodes: Node) -> Iterator[None]:
-        """Hold all worlds at their tick, with the tables read that relations look things up in."""
-        tables = frozenset().union(*map(self._tables_of, nodes))
-        with self._database.held(tables, self._worlds_of(nodes) if tables else ()):
-            yield
-
-    def _relation(self, node: Call, values: list[Any], frame: Frame) -> Any:
-        """A relation outside a query: a query of one row, without sources."""
-        query = self._relations.get(node)
-        if query is None:
-            names = [Given(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
-            asked = Call(node.span, node.name, tuple(names), node.name_span)
-            query = self._relations[node] = Query(node.span, (asked,), ())
-        together = entities_together(values, frame.own_elements())
-        if together is None:
-            return None
-        given = {f"argument_{index}": value for index, value in enumerate(together)}
-        worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].tables, worlds):
-            for argument, value in zip(node.arguments, together, strict=True):
-                if isinstance(value, Entity) and not value.is_there:
-                    error = value.removed()
-                    error.span = argument.span
-                    raise error
-            return self._planner.relation(query, Frame(self, given=given))
-
 
 def _plain(value: Any) -> Any:
     try:
         return plain(value)
     except RecursionError:  # a list that is in itself; where it is used tells
         return value
-
-
-def _unchecked(_: object) -> None:
-    """Columns of one name are no trouble."""

@@ -1,0 +1,208 @@
+"""Running programs: their statements in order, and the calls that are outside queries.
+
+A program that fails leaves the variables as they were, and its error says where it failed.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from ssduck.database import Database
+from ssduck.deferred import Deferred
+from ssduck.dialects import in_dialect
+from ssduck.entities import Entity
+from ssduck.errors import ArgumentError, EvaluationError, LimitError, SelectScriptError
+from ssduck.evaluate import Frame
+from ssduck.explain import told
+from ssduck.intervals import RELATIONS_OF_INTERVALS, are_intervals
+from ssduck.language import parse
+from ssduck.limits import Limits, Meter
+from ssduck.messages import shown
+from ssduck.names import Names
+from ssduck.over_time import FORMS, OverTime
+from ssduck.past import together as entities_together
+from ssduck.planner import Planner
+from ssduck.rows import formed
+from ssduck.temporal import seconds_of
+from ssduck.translate import unknown_function
+from ssduck.tree import Call, Given, Node, Program, Query
+from ssduck.udfs import RELATIONS
+
+
+class Execution(Names, ABC):
+    """Programs that run, with what their expressions see (`ssduck.evaluate.Scope`).
+
+    Args:
+        database: where queries run.
+        limits: what programs may use.
+        row_by_row: whether every query runs row by row in Python.
+    """
+
+    def __init__(self, database: Database, limits: Limits, *, row_by_row: bool) -> None:
+        super().__init__(database)
+        self._limits = limits
+        self._planner = Planner(database, self, limits, row_by_row=row_by_row)
+        self._over_time = OverTime()
+        self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
+        self._texts: list[str] = []
+
+    @contextmanager
+    def _running(self, program: Program) -> Iterator[None]:
+        """Whatever fails in here leaves the variables as they were, and says where it failed."""
+        with self._lock:
+            self._forget()
+            before = dict(self._variables)
+            outermost = not self._texts
+            if outermost:
+                self._database.meter = Meter(self._limits)
+            self._texts.append(program.text)
+            try:
+                yield
+            except BaseException as error:
+                self._variables = before
+                if isinstance(error, SelectScriptError):
+                    error.locate(program.text)
+                if isinstance(error, RecursionError):
+                    raise EvaluationError("the program is nested too deeply") from error
+                raise
+            finally:
+                self._texts.pop()
+
+    def _run(self, program: Program) -> Any:
+        if program.explain:
+            return self._explained(program)
+        return self._valued(program, Frame(self))
+
+    def _valued(self, program: Program, frame: Frame) -> Any:
+        value = None
+        for node in program.statements:
+            self.meter.step()
+            value = frame.value(node)
+        return value
+
+    # -- what a program becomes -------------------------------------------------------------
+
+    def _explained(self, program: Program) -> str:
+        with self._rehearsed(program) as frame:
+            plan_of = partial(self._planner.plan, frame=frame)
+            return "\n\n".join(
+                told(program.text, statement, plan_of) for statement in program.statements[-1:]
+            )
+
+    def _sql_of(self, program: Program, dialect: str) -> str:
+        with self._running(program), self._rehearsed(program) as frame:
+            query = program.statements[-1] if program.statements else None
+            if not isinstance(query, Query):
+                raise ArgumentError("the program does not end with a query")
+            plan, values = self._planner.written(query, frame)
+            return in_dialect(query, plan, values, dialect)
+
+    @contextmanager
+    def _rehearsed(self, program: Program) -> Iterator[Frame]:
+        """Run all statements but the last, for the variables that it sees, and undo them."""
+        before = dict(self._variables)
+        frame = Frame(self)
+        try:
+            for statement in program.statements[:-1]:
+                frame.value(statement)
+            with self._reading(*program.statements[-1:]):
+                yield frame
+        finally:
+            self._variables = before
+
+    # -- calls outside queries ---------------------------------------------------------------
+
+    def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
+        """The value of a function call outside SQL."""
+        function = self._functions.get(node.name)
+        if function is None:
+            if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
+                return RELATIONS_OF_INTERVALS[node.name].function(arguments)
+            if node.name in RELATIONS:
+                return self._relation(node, arguments, frame)
+            raise unknown_function(node, self._known_functions())
+        if node.name == "eval":
+            return self._run_text(arguments[0], frame)
+        return function(arguments)
+
+    def over_time(self, node: Call, frame: Frame) -> Any:
+        """The value of a call whose argument is evaluated at each recorded tick."""
+        age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
+
+        def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
+            found = self._planner.run(query, Frame(self, given=given), _unchecked)
+            listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
+            return listed
+
+        with self._reading(node):
+            series = self._over_time.series(node, frame, self._database.record_of, rows)
+            return FORMS[node.name].make(series, None if age is None else seconds_of(age))
+
+    def _run_text(self, text: Any, frame: Frame) -> Any:
+        """The value of a text in the scope of a frame: it sees the rows that it stands in."""
+        if not self._limits.eval:
+            raise LimitError("eval is switched off here")
+        if not isinstance(text, str):
+            raise ArgumentError(f"eval takes a text, not {shown(text)}")
+        self._texts.append(text)
+        try:
+            program = parse(text)
+            if program.explain:
+                return self._explained(program)
+            return self._valued(program, frame)
+        except SelectScriptError as error:
+            error.locate(text)
+            raise
+        finally:
+            self._texts.pop()
+
+    def _relation(self, node: Call, values: list[Any], frame: Frame) -> Any:
+        """A relation outside a query: a query of one row, without sources."""
+        query = self._relations.get(node)
+        if query is None:
+            names = [Given(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
+            asked = Call(node.span, node.name, tuple(names), node.name_span)
+            query = self._relations[node] = Query(node.span, (asked,), ())
+        together = entities_together(values, frame.own_elements())
+        if together is None:
+            return None
+        given = {f"argument_{index}": value for index, value in enumerate(together)}
+        worlds = [value.world for value in values if isinstance(value, Entity)]
+        with self._database.held(RELATIONS[node.name].tables, worlds):
+            for argument, value in zip(node.arguments, together, strict=True):
+                if isinstance(value, Entity) and not value.is_there:
+                    error = value.removed()
+                    error.span = argument.span
+                    raise error
+            return self._planner.relation(query, Frame(self, given=given))
+
+    # -- what else expressions see -----------------------------------------------------------
+
+    @abstractmethod
+    def query(self, node: Query, frame: Frame) -> Any:
+        """The value of a query; `frame` knows the rows of the queries around it."""
+
+    def deferred(self, node: Node) -> Deferred:
+        """A list of the running program for the query that uses it."""
+        return Deferred(node, self._texts[-1])
+
+    @property
+    def meter(self) -> Meter:
+        """How much of its limits the running program has used."""
+        return self._database.meter
+
+    @contextmanager
+    def _reading(self, *nodes: Node) -> Iterator[None]:
+        """Hold all worlds at their tick, with the tables read that relations look things up in."""
+        tables = frozenset().union(*map(self._tables_of, nodes))
+        with self._database.held(tables, self._worlds_of(nodes) if tables else ()):
+            yield
+
+
+def _unchecked(_: object) -> None:
+    """Columns of one name are no trouble."""
