@@ -162,7 +162,7 @@ class Names:
         """
         if name is None:
             return sorted(self._known_functions(), key=str.casefold)
-        if name.upper() == "AS":
+        if isinstance(name, str) and name.upper() == "AS":
             return help_of_forms()
         described: dict[str, Function | Relation] = {**self._functions, **RELATIONS}
         if name not in described:
