@@ -31,8 +31,9 @@ from benchmarks.timing import Way, minima, printed, shown
 from ssduck import Recording
 from ssduck.geometry import Array
 from ssduck.memory import Memory
-from ssduck.recording import STORED, Recorder
+from ssduck.recording import RING_TICKS, STORED, Recorder
 from ssduck.simulators.pybullet import PyBulletSimulator
+from ssduck.storing import Storing
 
 Scene: TypeAlias = Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]
 Numbers: TypeAlias = npt.NDArray[Any]
@@ -87,9 +88,10 @@ def costs(sizes: Sequence[int], ticks: int, rounds: int) -> Iterator[tuple[str, 
                 ss = stack.enter_context(ssduck.Interpreter(path, recording=kept))
                 ss.add_variable("world", world)
                 _ticked(world, 3 * ticks if place == "memory" else 0)
+                storing = _recorder(ss)._storing
                 ways = {
-                    "plain": partial(_ticked, plain, ticks),
-                    "kept": partial(_ticked, world, ticks),
+                    "plain": Way(partial(_ticked, plain, ticks), before=storing.wait),
+                    "kept": Way(partial(_ticked, world, ticks), partial(_begun, world, storing)),
                 }
                 wall, processor = _in_turns(ways, rounds)
             yield (
@@ -107,8 +109,16 @@ def _ticked(world: ssduck.World, ticks: int) -> None:
         world.tick()
 
 
+def _begun(world: ssduck.World, storing: Storing) -> None:
+    """Take ticks until some are being stored, as at the end of what is timed."""
+    for _ in range(RING_TICKS + 1):
+        if storing.is_busy:
+            break
+        world.tick()
+
+
 def _in_turns(
-    ways: Mapping[str, Callable[[], object]], rounds: int
+    ways: Mapping[str, Way], rounds: int
 ) -> tuple[dict[str, float], dict[str, float]]:
     """The median time of each way, and of processor time in all threads, s."""
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
@@ -117,8 +127,9 @@ def _in_turns(
     try:
         for _ in range(rounds):
             for name, way in ways.items():
+                way.before()
                 wall, processor = time.perf_counter(), time.process_time()
-                way()
+                way.call()
                 taken = time.perf_counter() - wall, time.process_time() - processor
                 times[name].append(taken)
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import shutil
 import threading
@@ -307,7 +308,8 @@ class _Kept:
 class Writer:
     """A connection of its own to the same database, for what is kept of a world.
 
-    It writes while the world is held, whatever other connections do.
+    It writes whatever other connections do, and reads on another one, which sees nothing of a
+    transaction before its end.
 
     Args:
         connection: to the database.
@@ -316,8 +318,10 @@ class Writer:
 
     def __init__(self, connection: duckdb.DuckDBPyConnection, file: Path | None = None) -> None:
         self._connection = connection.cursor()
+        self._reading = connection.cursor()
         self._file = file
         self._lock = threading.RLock()
+        self._reading_lock = threading.RLock()
 
     def run(self, sql: str) -> None:
         """Run a statement.
@@ -325,30 +329,21 @@ class Writer:
         Raises:
             SqlError: DuckDB cannot, for the disk is full, say.
         """
-        with self._lock:
-            try:
-                self._connection.execute(sql).fetchall()
-            except duckdb.FatalException as error:
-                raise SqlError(
-                    f"DuckDB has given up: {error}; what was stored before is in the file: close "
-                    "this interpreter, and open the file again",
-                    is_final=True,
-                ) from error
-            except duckdb.Error as error:
-                raise SqlError(
-                    f"what is recorded cannot be stored: {error}; what was stored before is "
-                    "whole, and what was not is kept until there is room"
-                ) from error
+        with self._lock, _storing_errors():
+            self._connection.execute(sql).fetchall()
 
     def settle(self) -> None:
         """Let DuckDB move what was stored from its log into its file, if there is much of it.
 
         DuckDB would do so by itself, but gives the database up where the disk is full then.
+
+        Raises:
+            SqlError: DuckDB cannot.
         """
         if self._file is None:
             return
         log = self._file.with_name(f"{self._file.name}.wal")
-        with self._lock, suppress(OSError, duckdb.TransactionException):
+        with self._lock, _storing_errors(), suppress(OSError, duckdb.TransactionException):
             size = log.stat().st_size
             if size > LONG_LOG and shutil.disk_usage(log.parent).free > 4 * size:
                 self._connection.execute("CHECKPOINT")
@@ -377,26 +372,45 @@ class Writer:
         tables: Mapping[str, pa.Table] | None = None,
     ) -> pa.Table:
         """All rows of a SELECT; it may read tables that are given."""
-        with self._lock, ExitStack() as stack:
+        with self._reading_lock, ExitStack() as stack:
             for name, table in (tables or {}).items():
-                self._connection.register(name, table)
-                stack.callback(self._connection.unregister, name)
+                self._reading.register(name, table)
+                stack.callback(self._reading.unregister, name)
             try:
-                return self._connection.sql(sql, params=parameters).to_arrow_table()
+                return self._reading.sql(sql, params=parameters).to_arrow_table()
             except duckdb.Error as error:
                 raise SqlError(f"what was recorded cannot be read: {error}") from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """All rows of a SELECT, as tuples."""
-        with self._lock:
+        with self._reading_lock:
             try:
-                return self._connection.execute(sql).fetchall()
+                return self._reading.execute(sql).fetchall()
             except duckdb.Error as error:
                 raise SqlError(f"what was recorded cannot be read: {error}") from error
 
     def close(self) -> None:
         """Close the connection."""
+        self._reading.close()
         self._connection.close()
+
+
+@contextmanager
+def _storing_errors() -> Iterator[None]:
+    """DuckDB's errors while something is stored become ssduck's."""
+    try:
+        yield
+    except duckdb.FatalException as error:
+        raise SqlError(
+            f"DuckDB has given up: {error}; what was stored before is in the file: close "
+            "this interpreter, and open the file again",
+            is_final=True,
+        ) from error
+    except duckdb.Error as error:
+        raise SqlError(
+            f"what is recorded cannot be stored: {error}; what was stored before is "
+            "whole, and what was not is kept until there is room"
+        ) from error
 
 
 # Bytes of DuckDB's log that are worth the tenths of a second that moving them takes: it
@@ -437,7 +451,9 @@ class Database:
         # What waits is stored at the end, too.
         self._recorders: list[Recorder] = []
         # Left open until Python ends, it would print complaints there.
-        self._finalizer = weakref.finalize(self, _finish, self._connection, self._recorders)
+        self._finalizer = weakref.finalize(
+            self, _finish, self._connection, self._recorders, os.getpid()
+        )
         self._tracer = tracer
         self._lock = threading.RLock()
         self.meter = Meter(limits or Limits())
@@ -609,6 +625,8 @@ class Database:
                 asked = worlds is None or any(bound.world is world for world in worlds)
                 stack.enter_context(bound.world.held(tables if asked else ()))
             for bound in self._bound:
+                if bound.kept is not None and bound.kept.recorder is not None:
+                    stack.enter_context(bound.kept.recorder.reading)
                 self._show(bound)
             yield
 
@@ -919,7 +937,7 @@ class Database:
         record = Record(
             world, recorder.ticks, recorder.members, tables, recorder.fetch, recorder.near
         )
-        bound.kept = _Kept(history, record, recorder, (*history.shown, recorder.rings))
+        bound.kept = _Kept(history, record, recorder, (*history.shown, *recorder.shown))
         self._recorders.append(recorder)
         try:
             world.record(recorder)
@@ -945,6 +963,7 @@ class Database:
             return
         if self._is_file:
             kept.recorder.flush()
+        kept.recorder.wait()
         self._forget_recorder(bound, kept.recorder)
         kept.history.close(forget=not self._is_file)
         for table in kept.recorder.rings:
@@ -1195,8 +1214,13 @@ def _unopened(path: str, error: Exception) -> str:
     return f"{path} cannot be opened: {str(error).strip()}"
 
 
-def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder]) -> None:
-    """Store what waits, and close."""
+def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], process: int) -> None:
+    """Store what waits, and close; in a process that was forked, leave that to the other one."""
+    if os.getpid() != process:
+        return
+    if any(recorder.is_stored_here for recorder in recorders):  # what collects garbage
+        threading.Thread(target=_finish, args=(connection, recorders, process)).start()
+        return
     failed = None
     for recorder in recorders:
         try:

@@ -3,8 +3,8 @@
 What differs from tick to tick is stored in tables of numbers, what an entity is once, beside
 them. The views `<table>_history` join the two, and what waits in the rings with what is stored.
 
-A world's history is a schema of its own. Its rows are written by a connection of their own:
-the world is held meanwhile, so that no query of it sees the one half and not the other. Where
+A world's history is a schema of its own. Its rows are written by a connection of their own, and
+made good between queries (`ssduck.storing`), so that none sees a tick twice or not at all. Where
 older ticks are dropped, the tables are as many `SLOTS`: the oldest is dropped as a whole, which
 takes no time and gives its memory back.
 """
@@ -27,6 +27,7 @@ from ssduck.layout import Member
 from ssduck.models import KEYS, MODELS, models_of
 from ssduck.recording import FRAME_REALS, FRAMES, QUARTERS, RECORDABLE, STORED, Recording, Ticks
 from ssduck.relations import BOX
+from ssduck.storing import WHENEVER, Cut
 from ssduck.tables import TABLES
 
 SLOTS = QUARTERS + 2
@@ -73,7 +74,7 @@ class Writer(Protocol):
         """All rows of a SELECT, as tuples."""
 
     def settle(self) -> None:
-        """Tidy up what was stored, if there is reason and room to."""
+        """Tidy up what was stored, if there is reason and room to; reading goes on meanwhile."""
 
     def close(self) -> None:
         """Close the connection."""
@@ -176,15 +177,16 @@ class History:
                 self._writer.run(_create(self._slot(table, slot), self._columns(table)))
 
     @contextmanager
-    def _whole(self) -> Iterator[None]:
-        """What is written in here is stored together, or not at all."""
+    def _whole(self, cut: Cut = WHENEVER) -> Iterator[None]:
+        """What is written in here is stored together, or not at all; in the cut it is made good."""
         self._writer.run("BEGIN")
         try:
             yield
         except BaseException:
             self._writer.run("ROLLBACK")
             raise
-        self._writer.run("COMMIT")
+        with cut:
+            self._writer.run("COMMIT")
 
     @property
     def views(self) -> dict[str, str]:
@@ -236,8 +238,8 @@ class History:
         self._insert({self._model(table): rows for table, rows in models.items()})
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 
-    def add(self, rows: Mapping[str, pa.Table]) -> None:
-        """Keep the rows of whole ticks, all or none of them."""
+    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
+        """Keep the rows of whole ticks, all or none of them; enters the cut to make them good."""
         numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
         self._turn(int(numbers[0]))
         slot, _ = self._used[-1]
@@ -246,15 +248,16 @@ class History:
                 self._slot(table, slot): _changes(table, own) if self._is_changed(table) else own
                 for table, own in rows.items()
                 if own.num_rows
-            }
+            },
+            cut,
         )
         first = self._times[0] if self._filled else float(times[0])
         self._filled, self._times = self._filled + len(times), (first, float(times[-1]))
         self._writer.settle()
 
-    def _insert(self, rows: Mapping[str, pa.Table]) -> None:
+    def _insert(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
         """Add rows to tables, all or none of them."""
-        with self._whole():
+        with self._whole(cut):
             for place, own in rows.items():
                 if own.num_rows:
                     self._writer.insert(place, own)

@@ -13,28 +13,10 @@ import pyarrow as pa
 
 from ssduck.history import History, Near, Waiting, near_rows
 from ssduck.recording import QUARTERS, STORED, in_parts
+from ssduck.storing import WHENEVER, Cut, Kept
 
 # Fewer rows are put together with those before them.
 _LEAST_ROWS = 4096
-
-
-class Kept:
-    """The rows of a table, in parts.
-
-    Attributes:
-        parts: the oldest first.
-        version: counts up whenever `arrow` becomes another object.
-    """
-
-    def __init__(self, columns: pa.Schema) -> None:
-        self._empty = columns.empty_table()
-        self.parts: list[pa.Table] = []
-        self.version = 0
-
-    @property
-    def arrow(self) -> pa.Table:
-        """All rows."""
-        return pa.concat_tables([self._empty, *self.parts])
 
 
 class Memory(History):
@@ -54,8 +36,12 @@ class Memory(History):
 
     # -- writing ----------------------------------------------------------------------------
 
-    def add(self, rows: Mapping[str, pa.Table]) -> None:
-        """Keep the rows of whole ticks, all or none of them."""
+    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
+        """Keep the rows of whole ticks, all or none of them; enters the cut to do so."""
+        with cut:
+            self._add(rows)
+
+    def _add(self, rows: Mapping[str, pa.Table]) -> None:
         numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
         joined = self._joins(len(numbers), float(times[-1]))
         new = dict(rows)

@@ -2,7 +2,8 @@
 
 A `Recorder` is told of each tick and copies its rows into rings: numpy buffers that an Arrow
 table looks into, so that whoever holds that sees them at once. When a ring is full, all of them
-are given to a store together, so that what is stored ends with a whole tick.
+are given to a store together, so that what is stored ends with a whole tick. A store that takes
+its time gets them in a thread (`ssduck.storing`), while the rings are filled anew.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import sys
 import threading
 from collections.abc import Callable, Collection, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -23,6 +25,7 @@ from ssduck.geometry import Array, Geometry, Indices
 from ssduck.layout import Layout, Member
 from ssduck.messages import shown
 from ssduck.snapshot import Snapshot
+from ssduck.storing import WHENEVER, Cut, Kept, Storing
 from ssduck.tables import TABLES, LiveTable
 
 # What may be chosen; `ticks` are kept always, and geometries once.
@@ -332,8 +335,8 @@ class Store(Protocol):
     ) -> None:
         """Keep what entities are, all or none of it; geometries by their numbers."""
 
-    def add(self, rows: Mapping[str, pa.Table]) -> None:
-        """Keep the rows of whole ticks, all or none of them."""
+    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
+        """Keep the rows of whole ticks, all or none of them; enters the cut to make them good."""
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
@@ -366,17 +369,35 @@ class Recorder:
         self.rings = {table: _ring(table) for table in ("ticks", *recording.tables)}
         if "links" not in recording.tables:
             self.rings[FRAMES] = _frames_ring()
-        # What waits is being stored, or read with what is stored.
+        columns = {table: ring.arrow.schema for table, ring in self.rings.items()}
+        self._storing = Storing(store.add, columns)
         self._lock = threading.RLock()
         self.ticks = Ticks()
         self.members: dict[int, Member] = {}
         self._told = 0
+        self._is_looked_after = True
         self._rows: _Rows | None = None
         # Entities of which the store has not been told, and what numbers their geometries.
         self._new: list[Member] = []
-        # How many ticks wait before storing them is tried again.
-        self._tries_at = 0
         self._geometry_id: Callable[[Geometry], int] | None = None
+
+    @property
+    def shown(self) -> tuple[Mapping[str, Ring | Kept], ...]:
+        """What is not stored, by table; to be read with what is, and under `reading`."""
+        return (self.rings,) if self._store.keeps else (self._storing.batches, self.rings)
+
+    @property
+    def reading(self) -> AbstractContextManager[Any]:
+        """Nothing goes from what is not stored to what is while this lasts.
+
+        Who enters it holds the world.
+        """
+        return self._storing.lock
+
+    @property
+    def is_stored_here(self) -> bool:
+        """Whether the thread that asks is the one that stores."""
+        return self._storing.is_here
 
     def note(self, snapshot: Snapshot) -> None:
         """Keep a tick, if it is one to be kept; the caller holds its world.
@@ -394,15 +415,15 @@ class Recorder:
     def _keep(self, snapshot: Snapshot, rows: _Rows) -> None:
         counts = {table: rows.count(snapshot, table) for table in self.rings}
         failed = self._tried(self._tell_new)
-        waiting = self.rings["ticks"].count
         is_due = self._is_due(snapshot.time) or not all(
             self.rings[table].takes(count) for table, count in counts.items()
         )
-        if is_due and waiting >= self._tries_at:
-            failed = failed or self._tried(self.flush)
-            # What grows is not tried again at each tick.
-            self._tries_at = waiting + self._waits if failed else 0
-        if is_due or not waiting:
+        if is_due:
+            failed = self._tried(self._hand_over) or failed
+        elif not self._storing.is_busy:
+            failed = failed or self._tried(self._look_after)
+        failed = failed or self._storing.failure()
+        if is_due or not self.rings["ticks"].count:
             for table, count in counts.items():
                 self.rings[table].reserve(count, self._waits)
         for table, count in counts.items():
@@ -414,13 +435,36 @@ class Recorder:
             raise failed
 
     @staticmethod
-    def _tried(store: Callable[[], None]) -> SelectScriptError | None:
-        """Why something could not be stored; None if it was."""
+    def _tried(store: Callable[[], None]) -> BaseException | None:
+        """Why something could not be stored, or waited for; None if it was."""
         try:
             store()
-        except SelectScriptError as error:
+        except (SelectScriptError, KeyboardInterrupt) as error:
             return error
         return None
+
+    def _hand_over(self) -> None:
+        """Let what waits be stored, when all before it is."""
+        self.wait()
+        self._put()
+        self._look_after()
+        if self._new:  # they could not be stored, so that rows of theirs cannot
+            return
+        self._is_looked_after = False
+        if self._store.keeps:
+            self._storing.store()
+            self._look_after()
+        else:
+            self._storing.start()
+
+    def _put(self) -> None:
+        """Empty the rings; what was in them waits in a batch."""
+        if self.rings["ticks"].count:
+            self._storing.put({table: ring.taken() for table, ring in self.rings.items()})
+
+    def wait(self) -> None:
+        """Wait until nothing is being stored in a thread."""
+        self._storing.wait()
 
     def flush(self) -> None:
         """Store what waits, and drop what is too old.
@@ -430,36 +474,51 @@ class Recorder:
             SqlError: the same of a database.
         """
         with self._lock:
+            self.wait()
+            failed = self._storing.failure()
+            if len(self._storing):  # whether it can be stored now is seen here
+                failed = None
             self._tell_new()
-            if self.rings["ticks"].count:
-                self._store_waiting()
-                self._tries_at = 0
-            oldest = self._oldest()
-            if oldest is not None:
-                self.ticks.forget_before(self._store.drop_before(oldest))
+            self._put()
+            self._is_looked_after = False
+            self._storing.store()
+            self._look_after()
+            if failed is not None:
+                raise failed
 
-    def _store_waiting(self) -> None:
-        if self._store.keeps:
-            self._store.add({table: ring.taken() for table, ring in self.rings.items()})
+    def _look_after(self) -> None:
+        """Drop what is too old, once after something was stored; nothing is being stored."""
+        if self._is_looked_after:
             return
-        self._store.add({table: ring.rows() for table, ring in self.rings.items()})
-        for ring in self.rings.values():
-            ring.clear()
+        self._is_looked_after = True
+        oldest = self._oldest()
+        if oldest is not None:
+            self.ticks.forget_before(self._store.drop_before(oldest))
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """The rows of a table at ticks from first to last, those that wait among them."""
-        with self._lock:
+        """The rows of a table at ticks from first to last, those that wait among them.
+
+        The caller holds the world.
+        """
+        with self.reading:
             stored = self._store.fetch(table, first, last)
-            waiting = self.rings[table].rows()
+            waiting = self._waiting(table)
             ticks = waiting["tick"].to_numpy()
             inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
             copied = inside.select(stored.column_names).cast(stored.schema)
             return pa.concat_tables([stored, copied])
 
     def near(self, asked: Any) -> pa.Table:
-        """The pairs of entities whose boxes are near at some ticks, with their poses."""
-        with self._lock:
-            return self._store.near(asked, self.rings["entities"].rows())
+        """The pairs of entities whose boxes are near at some ticks, with their poses.
+
+        The caller holds the world.
+        """
+        with self.reading:
+            return self._store.near(asked, self._waiting("entities"))
+
+    def _waiting(self, table: str) -> pa.Table:
+        """The rows of a table that are not stored."""
+        return pa.concat_tables([self._storing.batches[table].arrow, self.rings[table].rows()])
 
     def _is_due(self, time: float) -> bool:
         """Whether what waits is to be stored: so many ticks, or a quarter of what is kept."""
@@ -500,6 +559,7 @@ class Recorder:
         """Store what entities are, before rows of theirs."""
         if self._new:
             assert self._geometry_id is not None
+            self.wait()
             self._store.add_members(self._new, self._geometry_id)
             self._new = []
 

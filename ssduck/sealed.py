@@ -23,6 +23,7 @@ from ssduck.layout import Member
 from ssduck.messages import shown
 from ssduck.models import KEYS, MODELS, models_of, told_of
 from ssduck.recording import FRAMES, Recorder, Recording
+from ssduck.storing import WHENEVER, Cut
 from ssduck.tables import TABLES
 
 if TYPE_CHECKING:
@@ -69,16 +70,17 @@ class Folder:
         self._geometries |= set(models["geometries"]["id"].to_pylist())
         self._told += 1
 
-    def add(self, rows: Mapping[str, pa.Table]) -> None:
+    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
         """Keep the rows of whole ticks as a part, all or none of them."""
         if not self._told:  # the world is empty
             self.add_members((), lambda _: 0)
         for table, own in rows.items():
             if table != "ticks":
                 self._write(table, self._count, self._whole(table, own, rows["entities"]))
-        self._write("ticks", self._count, rows["ticks"])
-        self._count += 1
-        self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
+        with cut:
+            self._write("ticks", self._count, rows["ticks"])
+            self._count += 1
+            self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
 
     def discard(self) -> None:
         """Take back all of the episode."""
