@@ -117,9 +117,7 @@ def _begun(world: ssduck.World, storing: Storing) -> None:
         world.tick()
 
 
-def _in_turns(
-    ways: Mapping[str, Way], rounds: int
-) -> tuple[dict[str, float], dict[str, float]]:
+def _in_turns(ways: Mapping[str, Way], rounds: int) -> tuple[dict[str, float], dict[str, float]]:
     """The median time of each way, and of processor time in all threads, s."""
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
     gc.collect()

@@ -238,8 +238,9 @@ class Ring:
     def rows(self) -> pa.Table:
         """What waits; what is no number is NULL."""
         waiting = self.arrow.slice(0, self.count)
-        unknown = np.flatnonzero(np.isnan(self.reals[:, : self.count]).any(axis=1)).tolist()
-        for row in unknown:
+        with np.errstate(invalid="ignore"):  # a sum takes a third of the time of looking at each
+            sums = self.reals[:, : self.count].sum(axis=1)
+        for row in np.flatnonzero(np.isnan(sums)).tolist():
             place = len(self.integers) + row
             column = pa.array(self.reals[row, : self.count], from_pandas=True)
             waiting = waiting.set_column(place, waiting.column_names[place], column)

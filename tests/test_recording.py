@@ -25,11 +25,12 @@ class Store:
     def add_members(self, members: Any, geometry_id: Any) -> None:
         pass
 
-    def add(self, rows: Any) -> None:
+    def add(self, rows: Any, cut: Any) -> None:
         if self.failures:
             self.failures -= 1
             raise SqlError("the disk is full")
-        self.rows += [rows["entities"].select(["tick", "id", "z"]).to_pylist()]
+        with cut:
+            self.rows += [rows["entities"].select(["tick", "id", "z"]).to_pylist()]
 
     def drop_before(self, tick: int) -> int:
         return tick
@@ -59,6 +60,7 @@ def test_a_tick_waits_while_those_before_it_are_stored(world: ssduck.World) -> N
     recorder, first = _recorded(world, store)
     for ticks in range(1, 1000):
         world.tick()
+        recorder.wait()
         assert len(store.stored) == 3 * (ticks // 10 * 10)
     recorder.flush()
     assert store.stored == [(tick, id) for tick in range(first, first + 1000) for id in (1, 2, 3)]
