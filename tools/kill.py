@@ -1,9 +1,10 @@
 """Kill recorders, and open what they left: `python -m tools.kill [COUNT] [--seed N] [--to KIND]`.
 
 A process of its own records a small world and stores it at random moments; it tells each tick, and
-each tick that is stored. It is killed at a random moment. Its record has to open, to hold all that
-was told to be stored, whole ticks only, with the rows and the values that they had. The exit status
-is 1 if one does not.
+each tick that is stored. Half of them also store every few ticks in a thread, and have DuckDB move
+its log each time. It is killed at a random moment. Its record has to open, to hold all that was
+told to be stored, whole ticks only, with the rows and the values that they had. The exit status is
+1 if one does not.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import ssduck
-from ssduck import Recording
+from ssduck import Recording, database
 from ssduck.errors import RecordError, SelectScriptError
 
 Kind: TypeAlias = Literal["parquet", "file"]
@@ -51,6 +52,9 @@ def angle_of(tick: int) -> float:
 def record(kind: Kind, path: str, seed: int) -> None:
     """Record, and tell of it on standard output, until this process is killed."""
     chance = random.Random(seed)  # noqa: S311  # no secret
+    if chance.random() < 0.5:
+        few = chance.randrange(1, 9)
+        vars(database).update(RING_TICKS=few, PART_TICKS=few, LONG_LOG=1)
     world, move = _world(chance)
     recording = Recording(tables=TABLES)
     _tell(begun=True)
