@@ -449,7 +449,7 @@ class Recorder:
         self.wait()
         self._put()
         self._look_after()
-        if self._new:  # they could not be stored, so that rows of theirs cannot
+        if self._new or not len(self._storing):  # rows go after what their entities are
             return
         self._is_looked_after = False
         if self._store.keeps:
