@@ -41,7 +41,7 @@ def answer_of(value: Any) -> Answer:
     from ssduck.result import Result
 
     if isinstance(value, Result):
-        return Answer(_distinct(value.columns), value.fetchall())
+        return Answer(_distinct(value.columns), list(value))
     if isinstance(value, dict):
         return Answer(["key", "value"], list(value.items()))
     if value is None:
@@ -84,11 +84,11 @@ def _write_json(value: Any) -> None:
         value = [dict(zip(columns, row, strict=True)) for row in value.fetchall()]
     ascii_only = (sys.stdout.encoding or "").lower() not in ("utf-8", "utf8")
     if not (isinstance(value, list) and any(isinstance(row, list | dict) for row in value)):
-        print_line(json.dumps(_plain(value), ensure_ascii=ascii_only))
+        print_line(json.dumps(as_json(value), ensure_ascii=ascii_only))
         return
     start = "[\n"
     for row in value:  # a row a line can be read by people too
-        sys.stdout.write(start + json.dumps(_plain(row), ensure_ascii=ascii_only))
+        sys.stdout.write(start + json.dumps(as_json(row), ensure_ascii=ascii_only))
         start = ",\n"
     print_line("\n]")
 
@@ -108,7 +108,7 @@ WRITERS: dict[str, Callable[[Any], None]] = {
 }
 
 
-def _plain(value: Any) -> Any:
+def as_json(value: Any) -> Any:
     """A value as JSON has it: entities and worlds by name, numbers that are none as null."""
     match value:
         case None | bool() | int() | str():
@@ -116,19 +116,23 @@ def _plain(value: Any) -> Any:
         case float():
             return value if math.isfinite(value) else None
         case list() | tuple():
-            return [_plain(element) for element in value]
+            return [as_json(element) for element in value]
         case dict():
-            return {_key(key): _plain(element) for key, element in value.items()}
+            return {_key(key): as_json(element) for key, element in value.items()}
         case bytes():
             return value.hex()
     return _of_other_type(value)
 
 
 def _of_other_type(value: Any) -> Any:
+    import numpy as np
+
     from ssduck.entities import Entity
     from ssduck.world import World
 
     match value:
+        case np.ndarray() | np.generic():
+            return as_json(value.tolist())
         case Entity() | World():
             return value.name
         case Decimal():
@@ -144,7 +148,7 @@ def _key(key: Any) -> str:
 
 def _cell(value: Any) -> str:
     """A value in a CSV file: a text, or JSON; an unknown value is empty."""
-    plain = _plain(value)
+    plain = as_json(value)
     if plain is None:
         return ""
     return plain if isinstance(plain, str) else json.dumps(plain, ensure_ascii=False)
@@ -166,7 +170,7 @@ def readable(value: Any, *, inside: bool = False) -> str:
             return "NULL"
         case bool():
             return str(value)
-    return str(_plain(value))
+    return str(as_json(value))
 
 
 # -- on the terminal ----------------------------------------------------------------------
@@ -193,7 +197,7 @@ def print_table(answer: Answer) -> None:
     if console.is_terminal:
         console.print(table_of(answer))
     else:
-        sys.stdout.writelines(f"{line}\n" for line in _aligned(answer))
+        sys.stdout.writelines(f"{line}\n" for line in lines_of(answer))
 
 
 def table_of(answer: Answer) -> RenderableType:
@@ -209,7 +213,7 @@ def table_of(answer: Answer) -> RenderableType:
     return table
 
 
-def _aligned(answer: Answer) -> Iterator[str]:
+def lines_of(answer: Answer) -> Iterator[str]:
     """The lines of a table that is read by programs, or kept."""
     from rich.cells import cell_len
 

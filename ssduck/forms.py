@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from ssduck.adapters import Adapter, Selection, find, forms
-from ssduck.errors import ArgumentError, FunctionError, SelectScriptError, Span
+from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError, Span
 from ssduck.evaluate import Frame
 from ssduck.messages import reason
 from ssduck.past import Past
@@ -44,7 +44,12 @@ class Form:
             query: what is run.
             frame: what is around it.
             run: what runs it, while the caller holds the worlds.
+
+        Raises:
+            LimitError: it writes a file, and files are switched off.
         """
+        if self.adapter.writes and not frame.scope.meter.limits.files:
+            raise LimitError(f"AS {self.name}: files are switched off here", span=self.span)
         check = check_columns if self.adapter.needs == "columns" else _unchecked
         worlds = partial(_worlds, query, frame)
 

@@ -35,6 +35,7 @@ from ssduck.recording import Recording
 from ssduck.result import Result
 from ssduck.running import run
 from ssduck.shapes import Statistics
+from ssduck.shown import MOST_ROWS, Shown
 from ssduck.spelled import Columns, Condition, Elements, Part
 from ssduck.tree import Query
 from ssduck.triggers import Triggers, TriggerVerbs
@@ -76,7 +77,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
             Database(database, tracer, limits, recording), limits, row_by_row=row_by_row
         )
         self._own: list[World] = []
-        self._selects: WeakKeyDictionary[Query, Query] = WeakKeyDictionary()
+        self._selects: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
         self._triggers = Triggers(self)
 
     def close(self) -> None:
@@ -126,6 +127,18 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         compiled = tree_of(program)
         with self._running(compiled):
             return self._run(compiled)
+
+    def show(self, program: str | Compiled, rows: int = MOST_ROWS) -> Shown:
+        """What a program gives, as a table to be looked at: in a terminal, in a notebook.
+
+        Args:
+            program: its text, or what `compile` gave.
+            rows: how many are shown at most.
+
+        Raises:
+            SelectScriptError: as `eval` does.
+        """
+        return Shown(self.eval(program), rows)
 
     def explain(self, program: str | Compiled) -> str:
         """The SQL of the queries in a program's last statement, and what is left to Python.
@@ -276,9 +289,10 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         """The query that is run for a form: the same one each time, as it is planned once."""
         if adapter.select is None:
             return node
-        if node not in self._selects:
-            self._selects[node] = adapter.select(node)
-        return self._selects[node]
+        asked = self._selects.setdefault(node, {})
+        if adapter not in asked:
+            asked[adapter] = adapter.select(node)
+        return asked[adapter]
 
     def _spelled(self, node: Query, frame: Frame) -> tuple[Any, ...]:
         """The arguments of `evalAs`."""

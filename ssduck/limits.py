@@ -23,7 +23,8 @@ class Limits:
         memory: what DuckDB may use, in bytes.
         depth: how many rows a path of a hierarchical query may have.
         eval: whether `eval('text')` may be called.
-        files: whether SQL may read and write files, load extensions and change settings.
+        files: whether SQL may read and write files, load extensions and change settings, and
+            result forms may write files.
     """
 
     seconds: float | None = None

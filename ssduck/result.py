@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, cast
 
@@ -12,7 +11,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
-SHOWN = 20
+    from ssduck.shown import Shown
 
 
 class Result:
@@ -75,19 +74,25 @@ class Result:
     def __repr__(self) -> str:
         return f"<Result: {self.shape[0]} rows of {', '.join(self.columns)}>"
 
+    def __str__(self) -> str:
+        """The first rows as a table."""
+        return repr(_shown(self))
+
     def _repr_html_(self) -> str:
         """A table for notebooks, of the first rows."""
-        head = "".join(f"<th>{html.escape(name)}</th>" for name in self.columns)
-        rows = Result(self._table).fetchmany(SHOWN)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(str(value))}</td>" for value in row) + "</tr>"
-            for row in rows
-        )
-        more = f"<p>first {SHOWN} of {len(self)} rows</p>" if len(self) > SHOWN else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+        return _shown(self)._repr_html_()  # noqa: SLF001  # notebooks call it so
+
+    def __rich__(self) -> Shown:
+        return _shown(self)
 
 
-def values_of(column: pa.ChunkedArray) -> list[Any]:
+def _shown(result: Result) -> Shown:
+    from ssduck.shown import Shown
+
+    return Shown(result)
+
+
+def values_of(column: pa.ChunkedArray | pa.Array) -> list[Any]:
     """A column's values as DuckDB gives them: its 128-bit integers travel as decimals."""
     values: list[Any] = column.to_pylist()
     if pa.types.is_decimal(column.type) and (column.type.precision, column.type.scale) == (38, 0):

@@ -31,8 +31,8 @@ def elements_of(value: Any) -> Sequence[Any]:
 
     Args:
         value: a world (its entities), a list or a tuple, an array (its rows), a table of
-            pandas, polars, Arrow or of `Interpreter.sql` (its rows as dicts); anything else is
-            an element itself.
+            pandas, polars, Arrow or of `Interpreter.sql`, or a structured array (its rows as
+            dicts); anything else is an element itself.
 
     Raises:
         ArgumentError: two columns of a table have the same name.
@@ -41,7 +41,7 @@ def elements_of(value: Any) -> Sequence[Any]:
         return value
     if isinstance(value, World | Past | Now):
         return list(value)
-    if isinstance(value, np.ndarray) and value.ndim:
+    if isinstance(value, np.ndarray) and value.ndim and value.dtype.names is None:
         rows: list[Any] = value.tolist()
         return rows
     table = _table(value)
@@ -81,7 +81,9 @@ def _table(value: Any) -> _Table | None:
     if isinstance(value, Result):
         return _Table(value.columns, [values_of(column) for column in value.arrow().columns])
     if isinstance(value, pa.Table | pa.RecordBatch):
-        return _Table(value.column_names, [column.to_pylist() for column in value.columns])
+        return _Table(value.column_names, [values_of(column) for column in value.columns])
+    if isinstance(value, np.ndarray) and value.ndim and value.dtype.names:
+        return _Table(list(value.dtype.names), [value[n].tolist() for n in value.dtype.names])
     # Without importing what may not be installed.
     match type(value).__module__.partition(".")[0], type(value).__name__:
         case "pandas", "DataFrame":
@@ -113,8 +115,7 @@ def _of_polars(column: Any) -> list[Any]:
     kind = str(column.dtype)
     if kind == "Object" or "128" in kind:
         return [_of_numpy(value) for value in column.to_list()]
-    values: list[Any] = column.to_arrow().to_pylist()
-    return values
+    return values_of(column.to_arrow())
 
 
 def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[Shape, ...]:

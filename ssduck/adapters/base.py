@@ -135,6 +135,7 @@ class Adapter:
             must differ; `"entities"`: there must be some, or no rows; `"query"`: what it asks
             the selection for, and nothing runs before.
         select: the query that is run in the place of the one that was asked; None for the same.
+        writes: whether it writes a file, which `Limits` may forbid.
     """
 
     names: tuple[str, ...]
@@ -142,6 +143,7 @@ class Adapter:
     make: Callable[..., Any]
     needs: Need = "rows"
     select: Callable[[Query], Query] | None = None
+    writes: bool = False
 
     @cached_property
     def signature(self) -> inspect.Signature:

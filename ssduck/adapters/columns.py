@@ -1,0 +1,138 @@
+"""Columns of Python's values as Arrow's: which type they get, and what is no column."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.adapters.base import Selection
+from ssduck.entities import Entity
+from ssduck.errors import ArgumentError
+from ssduck.messages import kind_of, reason, shown
+from ssduck.types import EXACT
+from ssduck.world import World
+
+# What 64 and 128 bits hold; DuckDB's HUGEINT travels as such decimals, too.
+_MOST = 2**63
+_LARGEST = 10**38
+
+
+def table_of(selection: Selection) -> pa.Table:
+    """The rows as an Arrow table.
+
+    Raises:
+        ArgumentError: the values of a column are of several types, or two have one name.
+    """
+    names = distinct(selection.columns)
+    columns = zip(*selection.rows, strict=True) if selection.rows else [()] * len(names)
+    arrays = [array_of(name, list(column)) for name, column in zip(names, columns, strict=True)]
+    return pa.table(arrays, names=list(names))
+
+
+def distinct(names: Sequence[Any]) -> Sequence[str]:
+    """Columns' names.
+
+    Raises:
+        ArgumentError: one is no text, or two are the same.
+    """
+    for index, name in enumerate(names):
+        if not isinstance(name, str):
+            raise ArgumentError(f"a column is to be called by a text, not {shown(name)}")
+        if name in names[:index]:
+            raise ArgumentError(f"two columns are called {name!r}; name them with to(…, 'name')")
+    return names
+
+
+def array_of(name: str, values: Iterable[Any]) -> pa.Array:
+    """A column.
+
+    Args:
+        name: what it is called.
+        values: entities become their names, tuples lists, None null.
+
+    Raises:
+        ArgumentError: they are of several types, or of one that Arrow has not.
+    """
+    plain = [plain_value(value) for value in values]
+    return pa.array(plain, _type_of(plain, name))
+
+
+def plain_value(value: Any) -> Any:
+    """A value without ssduck's and numpy's types: entities and worlds by name, lists."""
+    match value:
+        case Entity() | World():
+            return value.name
+        case np.ndarray() | np.generic():
+            return value.tolist()
+        case list() | tuple():
+            return [plain_value(part) for part in value]
+        case dict():
+            return {key: plain_value(part) for key, part in value.items()}
+    return value
+
+
+def _type_of(values: list[Any], name: str) -> pa.DataType:
+    present = [value for value in values if value is not None]
+    kinds = set(map(type, present))
+    if not kinds:
+        return pa.null()
+    if kinds == {int}:
+        return _integers(present, name)
+    if kinds == {int, float}:
+        return _reals(present, name)
+    if len(kinds) > 1:
+        a, b = (next(v for v in present if type(v) is kind) for kind in _told(present))
+        raise ArgumentError(
+            f"the column {name!r} holds {kind_of(a)} ({shown(a)}) and {kind_of(b)} ({shown(b)}); "
+            "a column is of one type, such as str(…) gives"
+        )
+    (kind,) = kinds
+    if kind is list:
+        return pa.list_(_type_of(list(chain.from_iterable(present)), name))
+    if kind is dict:
+        return _struct(present, name)
+    if kind in _PLAIN:
+        return _PLAIN[kind]
+    try:
+        return pa.infer_type(present)
+    except pa.ArrowException as error:
+        raise ArgumentError(
+            f"the column {name!r} holds what no table does: {kind_of(present[0])} ({reason(error)})"
+        ) from error
+
+
+_PLAIN = {bool: pa.bool_(), float: pa.float64(), str: pa.string(), bytes: pa.binary()}
+
+
+def _told(values: list[Any]) -> list[type]:
+    """The first two types."""
+    return list(dict.fromkeys(map(type, values)))[:2]
+
+
+def _integers(values: list[int], name: str) -> pa.DataType:
+    least, most = min(values), max(values)
+    if -_MOST <= least and most < _MOST:
+        return pa.int64()
+    if -_LARGEST < least and most < _LARGEST:
+        return pa.decimal128(38, 0)
+    raise ArgumentError(f"the column {name!r} holds an integer of more than 38 digits")
+
+
+def _reals(values: list[float], name: str) -> pa.DataType:
+    """Integers beside other numbers become such."""
+    for value in values:
+        if type(value) is int and abs(value) > EXACT:
+            raise ArgumentError(
+                f"the column {name!r} holds fractions and {shown(value)}, which is none exactly; "
+                "float(…) rounds it"
+            )
+    return pa.float64()
+
+
+def _struct(values: list[dict[Any, Any]], name: str) -> pa.DataType:
+    keys = distinct(list(dict.fromkeys(chain.from_iterable(values))))
+    return pa.struct([(k, _type_of([v.get(k) for v in values], f"{name}.{k}")) for k in keys])

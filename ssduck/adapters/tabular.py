@@ -1,0 +1,166 @@
+"""Rows as tables: Arrow's, data frames, arrays, JSON, Parquet files."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import namedtuple
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.columns import distinct, plain_value, table_of
+from ssduck.adapters.optional import library
+from ssduck.answers import as_json
+from ssduck.errors import ArgumentError
+from ssduck.result import Result, values_of
+from ssduck.types import EXACT
+
+# What numpy's integers of 64 bits hold.
+_MOST = 2**63
+
+
+def _result(selection: Selection) -> Result:
+    return Result(table_of(selection))
+
+
+def _df(selection: Selection) -> Any:
+    """Integers and truths among which some are missing stay what they are."""
+    pandas = library("pandas", "pandas")
+    table = table_of(selection)
+    nullable = {pa.int64(): pandas.Int64Dtype(), pa.bool_(): pandas.BooleanDtype()}
+    frame = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_nested(column.type) or pa.types.is_decimal(column.type):
+            frame[name] = pandas.Series(values_of(column), dtype=object)
+        else:
+            frame[name] = column.to_pandas(types_mapper=nullable.get if column.null_count else None)
+    return pandas.DataFrame(frame)
+
+
+def _polars(selection: Selection) -> Any:
+    polars = library("polars", "polars")
+    table = table_of(selection)
+    large = [field.name for field in table.schema if pa.types.is_decimal(field.type)]
+    return polars.from_arrow(table).with_columns(polars.col(large).cast(polars.Int128))
+
+
+def _json(selection: Selection, indent: int | None = None) -> str:
+    names = distinct(selection.columns)
+    rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
+    return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)
+
+
+def _records(selection: Selection) -> list[tuple[Any, ...]]:
+    record = namedtuple("Row", list(map(str, selection.columns)), rename=True)  # type: ignore[misc]  # noqa: PYI024
+    return [record._make(row) for row in selection.rows]
+
+
+def _parquet(selection: Selection, file: str) -> str:
+    """It takes the place of a file of that name at once, when it is written."""
+    query = selection.query
+    if query.group or query.recursion is not None:
+        raise ArgumentError(
+            "each group and each path would replace the file of the one before; select without "
+            "GROUP BY or CONNECT BY, or AS table"
+        )
+    if not isinstance(file, str) or not file:
+        raise ArgumentError("the file is to be a path in quotes")
+    path = Path(file)
+    table = table_of(selection)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        pq.write_table(table, beside)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return file
+
+
+# -- numpy ------------------------------------------------------------------------------------
+
+
+def _numpy(selection: Selection) -> npt.NDArray[Any]:
+    rows = selection.rows
+    if not rows:
+        return np.zeros((0, len(selection.columns)))
+    columns = [[plain_value(value) for value in column] for column in zip(*rows, strict=True)]
+    arrays = [_array(column) for column in columns]
+    kinds = {array.dtype.kind for array in arrays}
+    if kinds <= {"i", "f"} or kinds == {"b"}:
+        if all(array.ndim <= 2 for array in arrays):
+            return np.column_stack(arrays)
+    names = distinct(selection.columns)
+    types = [(name, a.dtype, a.shape[1:]) for name, a in zip(names, arrays, strict=True)]
+    table = np.zeros(len(rows), types)
+    for name, array in zip(names, arrays, strict=True):
+        table[name] = array
+    return table
+
+
+def _array(column: list[Any]) -> npt.NDArray[Any]:
+    """Of numbers, truths or texts, or of lists of as many; of anything else of objects."""
+    shape, flat = _flattened(column)
+    present = [value for value in flat if value is not None]
+    kinds, is_whole = set(map(type, present)), len(present) == len(flat)
+    if kinds in ({bool}, {str}) and is_whole:
+        return np.array(flat).reshape(shape)
+    if kinds == {int} and is_whole and all(-_MOST <= n < _MOST for n in flat):
+        return np.array(flat, np.int64).reshape(shape)
+    if kinds and kinds <= {int, float} and all(type(n) is float or abs(n) <= EXACT for n in present):
+        return np.array(flat, float).reshape(shape)  # None becomes NaN
+    objects = np.full(len(column), None, object)
+    for index, value in enumerate(column):
+        objects[index] = value
+    return objects
+
+
+def _flattened(column: list[Any]) -> tuple[tuple[int, ...], list[Any]]:
+    """The shape of values, as far as all are lists of as many, and what is in these."""
+    shape = (len(column),)
+    while column and all(type(value) is list for value in column):
+        lengths = set(map(len, column))
+        if len(lengths) > 1 or lengths == {0}:
+            break
+        shape = (*shape, *lengths)
+        column = [part for value in column for part in value]
+    return shape, column
+
+
+TABULAR = (
+    Adapter(
+        ("table",),
+        "A table with df(), pl(), arrow() and fetchall(), as Interpreter.sql gives; "
+        "shows in notebooks.",
+        _result,
+        needs="columns",
+    ),
+    Adapter(("arrow",), "A pyarrow table.", table_of, needs="columns"),
+    Adapter(("df", "pandas"), "A pandas data frame. Extra: pandas.", _df, needs="columns"),
+    Adapter(("polars", "pl"), "A polars data frame. Extra: polars.", _polars, needs="columns"),
+    Adapter(
+        ("numpy",),
+        "A 2-D array if all columns are numbers, or lists of as many numbers, side by side; "
+        "else a structured array.",
+        _numpy,
+    ),
+    Adapter(
+        ("json",),
+        "A text: a list of objects. Entities by name; null for what is no number.",
+        _json,
+        needs="columns",
+    ),
+    Adapter(("records",), "A list of named tuples, one a row.", _records),
+    Adapter(
+        ("parquet",),
+        "Writes a Parquet file, in the place of one of that name, and gives its path.",
+        cast("Any", _parquet),
+        needs="columns",
+        writes=True,
+    ),
+)
