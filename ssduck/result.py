@@ -80,7 +80,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """A table for notebooks, of the first rows."""
-        return _shown(self)._repr_html_()  # noqa: SLF001  # notebooks call it so
+        return _shown(self)._repr_html_()  # notebooks call it so
 
     def __rich__(self) -> Shown:
         return _shown(self)

@@ -32,8 +32,10 @@ class Shown:
 
     @property
     def _more(self) -> str:
-        """How many rows there are beside those that are shown."""
+        """How many rows there are, if not all are shown, or none."""
         shown = len(self._answer.rows)
+        if not self._count:
+            return "(no rows)"
         return f"first {shown} of {self._count} rows" if shown < self._count else ""
 
     def __repr__(self) -> str:
@@ -42,7 +44,7 @@ class Shown:
             lines = [readable(row[0]) for row in answer.rows]
         else:
             lines = list(lines_of(answer)) if answer.columns or answer.rows else []
-        return "\n".join([*lines, self._more]).rstrip() or "(no rows)"
+        return "\n".join([*lines, self._more] if self._more else lines)
 
     def _repr_html_(self) -> str:
         answer = self._answer

@@ -115,9 +115,9 @@ def _told(values: list[Any]) -> list[type]:
 
 def _integers(values: list[int], name: str) -> pa.DataType:
     least, most = min(values), max(values)
-    if -_MOST <= least and most < _MOST:
+    if least >= -_MOST and most < _MOST:
         return pa.int64()
-    if -_LARGEST < least and most < _LARGEST:
+    if least > -_LARGEST and most < _LARGEST:
         return pa.decimal128(38, 0)
     raise ArgumentError(f"the column {name!r} holds an integer of more than 38 digits")
 

@@ -92,9 +92,9 @@ def _numpy(selection: Selection) -> npt.NDArray[Any]:
     columns = [[plain_value(value) for value in column] for column in zip(*rows, strict=True)]
     arrays = [_array(column) for column in columns]
     kinds = {array.dtype.kind for array in arrays}
-    if kinds <= {"i", "f"} or kinds == {"b"}:
-        if all(array.ndim <= 2 for array in arrays):
-            return np.column_stack(arrays)
+    alike = kinds <= {"i", "f"} or kinds == {"b"}
+    if alike and all(array.ndim <= 2 for array in arrays):
+        return np.column_stack(arrays)
     names = distinct(selection.columns)
     types = [(name, a.dtype, a.shape[1:]) for name, a in zip(names, arrays, strict=True)]
     table = np.zeros(len(rows), types)
@@ -112,7 +112,8 @@ def _array(column: list[Any]) -> npt.NDArray[Any]:
         return np.array(flat).reshape(shape)
     if kinds == {int} and is_whole and all(-_MOST <= n < _MOST for n in flat):
         return np.array(flat, np.int64).reshape(shape)
-    if kinds and kinds <= {int, float} and all(type(n) is float or abs(n) <= EXACT for n in present):
+    exact = all(type(n) is float or abs(n) <= EXACT for n in present if type(n) in (int, float))
+    if kinds and kinds <= {int, float} and exact:
         return np.array(flat, float).reshape(shape)  # None becomes NaN
     objects = np.full(len(column), None, object)
     for index, value in enumerate(column):
@@ -122,7 +123,7 @@ def _array(column: list[Any]) -> npt.NDArray[Any]:
 
 def _flattened(column: list[Any]) -> tuple[tuple[int, ...], list[Any]]:
     """The shape of values, as far as all are lists of as many, and what is in these."""
-    shape = (len(column),)
+    shape: tuple[int, ...] = (len(column),)
     while column and all(type(value) is list for value in column):
         lengths = set(map(len, column))
         if len(lengths) > 1 or lengths == {0}:

@@ -1,0 +1,102 @@
+"""Selected relations as clauses: their arguments are selected beside what they yield.
+
+`SELECT above(a.this, b.this)` becomes `SELECT to([a.this, b.this, above(a.this, b.this)],
+'above')`, so that one query gives all that a clause is made of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ssduck.adapters.base import Selection
+from ssduck.dependencies import aliases_of, free_aliases
+from ssduck.errors import ArgumentError
+from ssduck.tree import Call, ListOf, Literal, Name, Node, Query, This
+
+
+@dataclass(frozen=True)
+class Clause:
+    """What a relation yields for some arguments.
+
+    Attributes:
+        relation: its name.
+        arguments: their values.
+        result: what it yields.
+    """
+
+    relation: str
+    arguments: Sequence[Any]
+    result: Any
+
+
+def with_arguments(query: Query) -> Query:
+    """The query that gives, of each column, the arguments and the result.
+
+    Raises:
+        ArgumentError: a column is no relation, and `to` gives it no name.
+    """
+    if not query.items:
+        raise ArgumentError(
+            "SELECT * selects no relations; select isRobot(this), say", span=query.span
+        )
+    return replace(query, items=tuple(_with_arguments(item, query) for item in query.items))
+
+
+def clauses(selection: Selection) -> Iterator[Clause]:
+    """What a query of `with_arguments` has found, False and unknown results included.
+
+    Raises:
+        ArgumentError: `to` gives a name that is no text.
+    """
+    rows = selection.read()
+    names = rows.names if isinstance(rows.names, list) else [rows.names] * len(rows.values)
+    for row_names, row in zip(names, rows.values, strict=True):
+        for name, (*arguments, result) in zip(row_names, row, strict=True):
+            if not isinstance(name, str):
+                raise ArgumentError(f"a relation is to be called by a text, not {name!r}")
+            yield Clause(name, arguments, result)
+
+
+def _with_arguments(item: Node, query: Query) -> Node:
+    span = item.span
+    match item:
+        case Call(name="to", arguments=(value, name)):
+            arguments = _arguments(value, query)
+            if arguments is None:
+                arguments = _sources(value, query)
+        case Call(name=called) | Name(name=called) if called != "to":
+            arguments, value, name = _arguments(item, query), item, Literal(span, called)
+            assert arguments is not None
+        case _:
+            raise ArgumentError(
+                "this column is no relation, so the clause has no name; give it one by "
+                "to(…, 'name')",
+                span=span,
+            )
+    return Call(span, "to", (ListOf(span, (*arguments, value)), name), span)
+
+
+def _arguments(value: Node, query: Query) -> tuple[Node, ...] | None:
+    """The arguments of a relation; a plain name is one of `this`. None if it is none."""
+    match value:
+        case Call(arguments=arguments):
+            return arguments
+        case Name(span=span) if len(query.sources) <= 1:
+            return (This(span, None),)
+        case Name(span=span, name=name):
+            raise ArgumentError(
+                f"of several sources, say which one is meant: {name}(a.this)", span=span
+            )
+    return None
+
+
+def _sources(value: Node, query: Query) -> tuple[Node, ...]:
+    """The sources that a value mentions, in their order; a single source always."""
+    if len(query.sources) == 1:
+        return (This(value.span, None),)
+    mentioned = free_aliases(value)
+    return tuple(This(value.span, a) for a in aliases_of(query) if a in mentioned)
+
+

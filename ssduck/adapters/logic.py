@@ -1,0 +1,169 @@
+"""Relations as clauses of logic programs: Prolog's, and those of answer set programming."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeAlias
+
+from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.clauses import Clause, clauses, with_arguments
+from ssduck.adapters.columns import plain_value
+from ssduck.errors import ArgumentError
+from ssduck.messages import kind_of, shown
+
+Term: TypeAlias = Callable[[Any], str]
+
+
+def _told(found: Iterable[Clause], functor: Term, term: Term) -> list[str]:
+    """Clauses that hold as texts, sorted, each once.
+
+    What is False or unknown is left out, and so is True as a result.
+    """
+    kept: set[str] = set()
+    for clause in found:
+        result = plain_value(clause.result)
+        if result is False or result is None:
+            continue
+        parts = [*map(plain_value, clause.arguments), *([] if result is True else [result])]
+        listed = ",".join(map(term, parts))
+        kept.add(functor(clause.relation) + (f"({listed})" if parts else ""))
+    return sorted(kept)
+
+
+_WORDS = {True: "true", False: "false", None: "null"}
+
+
+def _unknown(value: Any) -> ArgumentError:
+    return ArgumentError(f"{kind_of(value)} is no term: {shown(value)}")
+
+
+# -- Prolog -----------------------------------------------------------------------------------
+
+
+def _prolog(selection: Selection) -> list[str]:
+    return _told(clauses(selection), _atom, _term)
+
+
+def _term(value: Any) -> str:
+    match value:
+        case bool() | None:
+            return _WORDS[value]
+        case int():
+            return str(value)
+        case float():
+            return _float(value)
+        case str():
+            return _atom(value)
+        case list():
+            return f"[{', '.join(map(_term, value))}]"
+    raise _unknown(value)
+
+
+def _float(value: float) -> str:
+    """A float as SWI-Prolog reads it: a point before the exponent, and its words for no number."""
+    if not math.isfinite(value):
+        return "1.5NaN" if math.isnan(value) else f"{math.copysign(1, value)}Inf"
+    number, exponent, power = repr(value).partition("e")
+    return number + ("" if "." in number else ".0") + exponent + power
+
+
+_PLAIN_ATOM = re.compile(r"[a-z][A-Za-z0-9_]*")
+_ESCAPED = {"\\": "\\\\", "'": "\\'", "\n": "\\n", "\t": "\\t"}
+
+
+def _atom(text: str) -> str:
+    """A text as an atom, in quotes if it needs them."""
+    if _PLAIN_ATOM.fullmatch(text):
+        return text
+    return f"'{''.join(map(_in_quotes, text))}'"
+
+
+def _in_quotes(letter: str) -> str:
+    if letter in _ESCAPED:
+        return _ESCAPED[letter]
+    if letter.isprintable():
+        return letter
+    if "\ud800" <= letter <= "\udfff":
+        raise ArgumentError(f"{shown(letter)} is no letter that Prolog knows")
+    return f"\\x{ord(letter):x}\\"
+
+
+# -- answer set programming -------------------------------------------------------------------
+
+# clingo's integers have 32 bits.
+_INTEGERS = range(-(2**31), 2**31)
+
+
+def _asp(selection: Selection, scale: float | None = None) -> list[str]:
+    if scale is not None and (type(scale) not in (int, float) or not 0 < scale < math.inf):
+        raise ArgumentError(f"scale is to be a number above 0, not {shown(scale)}")
+
+    def term(value: Any) -> str:
+        return _asp_term(value, scale)
+
+    return [f"{fact}." for fact in _told(clauses(selection), _predicate, term)]
+
+
+def _asp_term(value: Any, scale: float | None) -> str:
+    match value:
+        case bool() | None:
+            return _WORDS[value]
+        case int():
+            return str(value) if value in _INTEGERS else _string(str(value))
+        case float():
+            return _string(repr(value)) if scale is None else str(_scaled(value, scale))
+        case str():
+            return value if _CONSTANT.fullmatch(value) and value != "not" else _string(value)
+        case list():
+            return _tuple([_asp_term(part, scale) for part in value])
+    raise _unknown(value)
+
+
+def _scaled(value: float, scale: float) -> int:
+    scaled = value * scale
+    if not math.isfinite(scaled) or round(scaled) not in _INTEGERS:
+        raise ArgumentError(f"{value!r} times {scale!r} is no integer of 32 bits")
+    return round(scaled)
+
+
+def _tuple(terms: Sequence[str]) -> str:
+    return f"({terms[0]},)" if len(terms) == 1 else f"({','.join(terms)})"
+
+
+_CONSTANT = re.compile(r"[a-z][A-Za-z0-9_]*")
+
+
+def _predicate(name: str) -> str:
+    if _CONSTANT.fullmatch(name) and name != "not":
+        return name
+    raise ArgumentError(
+        f"{shown(name)} cannot be a predicate's name: a small letter first, then letters, digits "
+        "and _; name it with to(…, 'name')"
+    )
+
+
+def _string(text: str) -> str:
+    r"""A text in quotes; clingo knows the escapes \\, \" and \n only."""
+    if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
+        raise ArgumentError(f"{shown(text)} has letters that clingo does not know")
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
+LOGIC = (
+    Adapter(
+        ("prolog",),
+        "Relations as Prolog clauses: a sorted list of texts, without the dot.",
+        _prolog,
+        select=with_arguments,
+    ),
+    Adapter(
+        ("asp",),
+        "Relations as facts for clingo: a sorted list of texts, with the dot. Fractions are "
+        "strings, or integers when times scale.",
+        _asp,
+        select=with_arguments,
+    ),
+)
