@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from ssduck.adapters.base import Adapter, Need, Selection
 from ssduck.adapters.logic import LOGIC
+from ssduck.adapters.network import NETWORK
 from ssduck.adapters.tabular import TABULAR
 from ssduck.adapters.values import VALUES
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
@@ -22,7 +23,9 @@ Maker = TypeVar("Maker", bound=Callable[..., Any])
 
 GROUP = "ssduck.adapters"
 
-_ADAPTERS: dict[str, Adapter] = {name: form for form in (*VALUES, *TABULAR, *LOGIC) for name in form.names}
+_ADAPTERS: dict[str, Adapter] = {
+    name: form for form in (*VALUES, *TABULAR, *LOGIC, *NETWORK) for name in form.names
+}
 _BUILT_IN = frozenset(_ADAPTERS)
 
 

@@ -98,5 +98,3 @@ def _sources(value: Node, query: Query) -> tuple[Node, ...]:
         return (This(value.span, None),)
     mentioned = free_aliases(value)
     return tuple(This(value.span, a) for a in aliases_of(query) if a in mentioned)
-
-
