@@ -28,6 +28,7 @@ ROBOTS = "SELECT id, position, z, isRobot, obj FROM kitchen WHERE isRobot(this) 
 NAMES = ["fridge", "cooker", "barrett_4918", "roomba_625x"]
 POSITIONS = [[-0.87, -2, 1.55], [1.98, 1.72, 0.75], [0.42, 1.3, 0.892], [1.8, 0, 0.17]]
 COLUMNS = ["id", "position", "z", "isRobot", "obj"]
+PLAIN = ssduck.Interpreter()  # for many examples
 TABLES = ["table", "arrow", "df", "polars"]
 
 
@@ -197,12 +198,10 @@ def test_columns_of_one_name(kitchen, form):
 )
 def test_values_come_back_from_tables(form, rows):
     """What is known; pandas has no word of its own for a missing number or text."""
-    names = ["i", "f", "s", "b", "l"]
-    selected = [dict(zip(names, row, strict=True)) for row in rows]
-    with ssduck.Interpreter() as ss:
-        ss.add_variable("rows", selected)
-        ss.add_variable("frame", ss.eval(f"SELECT i, f, s, b, l FROM rows AS {form};"))
-        assert ss.eval("SELECT i, f, s, b, l FROM frame;") == selected
+    selected = [dict(zip("ifsbl", row, strict=True)) for row in rows]
+    PLAIN.add_variable("rows", selected)
+    PLAIN.add_variable("frame", PLAIN.eval(f"SELECT i, f, s, b, l FROM rows AS {form};"))
+    assert PLAIN.eval("SELECT i, f, s, b, l FROM frame;") == selected
 
 
 def test_pandas_keeps_integers_and_truths_among_which_some_are_missing(values):
