@@ -217,8 +217,8 @@ def test_unknown_results_are_left_out(plain):
     plain.add_variable("rows", [None, 1])
     assert plain.eval("SELECT given(1, this) FROM rows AS prolog;") == ["given(1,1,1)"]
     assert plain.eval("SELECT given(this, 2) FROM rows AS prolog;") == [
-        "given(1,2)",
-        "given(null,2)",
+        "given(1,2,2)",
+        "given(null,2,2)",
     ]
 
 
