@@ -11,7 +11,6 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.columns import distinct, plain_value, table_of
@@ -63,6 +62,8 @@ def _records(selection: Selection) -> list[tuple[Any, ...]]:
 
 def _parquet(selection: Selection, file: str) -> str:
     """It takes the place of a file of that name at once, when it is written."""
+    import pyarrow.parquet as pq
+
     query = selection.query
     if query.group or query.recursion is not None:
         raise ArgumentError(
