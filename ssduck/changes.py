@@ -88,7 +88,7 @@ def likeness(value: Any) -> Any:
         return _NAN if value != value else value  # noqa: PLR0124  # which only NaN is not
     if kind in ATOMS or isinstance(value, Entity | World):
         return value
-    if kind is list or kind is tuple:
+    if kind is list or isinstance(value, tuple):
         return (kind, *map(likeness, value))
     if kind is dict:
         return (dict, frozenset((likeness(key), likeness(part)) for key, part in value.items()))
@@ -100,6 +100,9 @@ def likeness(value: Any) -> Any:
         return (np.ndarray, value.shape, _numbers(value))
     if isinstance(value, pa.Table | pa.RecordBatch | Result) or _is_frame(value):
         return (kind, *map(likeness, rows_of(value)))
+    if _is_graph(value):
+        nodes, edges = dict(value.nodes(data=True)), list(value.edges(data=True))
+        return (kind, likeness(nodes), bag(edges))
     return _Other(value)
 
 
@@ -122,6 +125,13 @@ def _is_frame(value: Any) -> bool:
     kind = type(value)
     is_known = kind.__module__.partition(".")[0] in {"pandas", "polars"}
     return is_known and kind.__name__ == "DataFrame"
+
+
+def _is_graph(value: Any) -> bool:
+    """Whether it is a graph of networkx, in the same way."""
+    kind = type(value)
+    is_known = kind.__module__.partition(".")[0] == "networkx"
+    return is_known and kind.__name__ in {"DiGraph", "MultiDiGraph"}
 
 
 class _Other:

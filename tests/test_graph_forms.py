@@ -38,6 +38,21 @@ def test_a_relation_that_is_false_is_no_edge(kitchen):
     assert len(graph) == 29
 
 
+@pytest.mark.parametrize("form", ["graph", "graph(multi=True)", "dot"])
+def test_a_trigger_is_told_of_another_graph_only(form):
+    """Of what stays where it is: nodes tell their positions."""
+    with ssduck.load("kitchen") as ss:
+        seen = []
+        program = f"SELECT obj, isEnabled FROM kitchen WHERE id(this) == 'kitchen' AS {form};"
+        ss.add_trigger("seen", program, 0.1, seen.append)
+        world = ss.call_variable("kitchen")
+        world.step(96)
+        assert len(seen) == 1
+        world["kitchen"].enabled = False
+        world.step(48)
+        assert len(seen) == 2
+
+
 @pytest.mark.parametrize("columns", ["above(table, this), z", "table, obj, z"])
 def test_row_by_row_is_the_same(kitchen, columns):
     with ssduck.Interpreter(row_by_row=True) as ss:

@@ -304,6 +304,20 @@ def test_a_table_a_group(kitchen, form):
     }
 
 
+@pytest.mark.parametrize("form", [*TABLES, "numpy", "json", "records"])
+def test_a_trigger_is_told_of_other_rows_only(form):
+    with ssduck.load("kitchen") as ss:
+        seen = []
+        program = f"SELECT obj, isEnabled FROM kitchen WHERE isRobot(this) AS {form};"
+        ss.add_trigger("seen", program, 0.1, seen.append)
+        world = ss.call_variable("kitchen")
+        world.step(96)
+        assert len(seen) == 1
+        world["fridge"].enabled = False
+        world.step(48)
+        assert len(seen) == 2
+
+
 def test_a_table_a_path(kitchen):
     paths = kitchen.eval(
         "SELECT n FROM [0] START WITH n = 0 CONNECT BY n = n + 1 STOP WITH n == 3 AS arrow;"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections import namedtuple
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -56,8 +57,14 @@ def _json(selection: Selection, indent: int | None = None) -> str:
 
 
 def _records(selection: Selection) -> list[tuple[Any, ...]]:
-    record = namedtuple("Row", list(map(str, selection.columns)), rename=True)  # type: ignore[misc]  # noqa: PYI024
+    record = _record(tuple(map(str, selection.columns)))
     return [record._make(row) for row in selection.rows]
+
+
+@lru_cache
+def _record(names: tuple[str, ...]) -> Any:
+    """The same class for the same columns, so that triggers can compare results."""
+    return namedtuple("Row", names, rename=True)  # noqa: PYI024
 
 
 def _parquet(selection: Selection, file: str) -> str:
