@@ -43,7 +43,7 @@ class Sorts:
     def __init__(self, solids: Sequence[Solid], of: Indices, entities: Indices) -> None:
         self.entities = entities
         self.count = int(entities.max(initial=-1)) + 1
-        self.single = len(np.unique(entities)) == len(entities)
+        self.single = bool(np.bincount(entities).max(initial=0) <= 1)
         self.known = np.array([solid.known for solid in solids], dtype=bool)[of]
         self.is_shown = np.array([not solid.is_empty for solid in solids], dtype=bool)[of]
         self.is_endless = np.array([solid.type == "plane" for solid in solids], dtype=bool)[of]

@@ -195,9 +195,17 @@ for _a in range(3):
 _ROTATION: Array = _SQUARES.reshape(16, 9)
 
 
+# Matrix products of more rows than about twice this BLAS shares out among threads, whose
+# meeting again takes longer than the product itself; and what so many take stays in the cache.
+_ROWS_TOGETHER = 1024
+
+
 def _products(first: Array, second: Array, weights: Array) -> Array:
-    pairs = first[:, :, None] * second[:, None, :]
-    summed: Array = pairs.reshape(len(first), len(weights)) @ weights
+    summed = np.zeros((len(first), weights.shape[1]))
+    for start in range(0, len(first), _ROWS_TOGETHER):
+        some = slice(start, start + _ROWS_TOGETHER)
+        pairs = first[some, :, None] * second[some, None, :]
+        np.matmul(pairs.reshape(-1, len(weights)), weights, out=summed[some])
     return summed
 
 

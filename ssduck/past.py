@@ -21,7 +21,7 @@ import pyarrow as pa
 from ssduck.entities import Entity, Moment, Sensor
 from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices, rotation_matrices
-from ssduck.history import Archive, Near, not_recorded
+from ssduck.history import POSE, Archive, Near, not_recorded
 from ssduck.layout import Layout, Member, Part
 from ssduck.many_ticks import Frames as LinkFrames
 from ssduck.many_ticks import Models, Side
@@ -267,7 +267,7 @@ class Record:
         sides = [
             Side(
                 rows[side].to_numpy(),
-                LinkFrames(_columns(rows, side, _POSE[:3]), _columns(rows, side, _POSE[3:])),
+                LinkFrames(_columns(rows, side, POSE[:3]), _columns(rows, side, POSE[3:])),
                 partial(self._link_frames, ticks),
             )
             for side in "ab"
@@ -302,7 +302,7 @@ class Record:
         if table != "entities":
             is_it &= own["link"] == link
         place = np.flatnonzero(is_it)
-        return np.array([own[name][place[0]] if len(place) else _NAN for name in _POSE])
+        return np.array([own[name][place[0]] if len(place) else _NAN for name in POSE])
 
     def shapes(self, tick: int, ids: Sequence[int]) -> Shapes:
         """The shapes at a tick, to be compared.
@@ -377,7 +377,7 @@ class Record:
         """Of the links of bodies that have several: pose and velocities, (n, 13)."""
         rows = self.rows(self._links, tick)
         keys = np.array([rows[name] for name in ("entity", "link")])
-        names = (*_POSE, "vx", "vy", "vz", "wx", "wy", "wz")
+        names = (*POSE, "vx", "vy", "vz", "wx", "wy", "wz")
         unknown = np.full(len(rows["tick"]), _NAN)
         reals = [rows.get(name, unknown) for name in names]
         return np.array(reals)[:, np.lexsort(keys[::-1])].T
@@ -418,7 +418,6 @@ def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
 
 
 _ROUNDING = 1e-9
-_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _REALS = STORED["entities"].names_of_reals("entities")
 
 
