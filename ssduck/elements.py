@@ -160,8 +160,8 @@ def pairs_then(
     found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
     each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
     parts = [
-        exp.alias_(exp.func("list_extract", exp.column("p"), exp.Literal.number(place)), column)
-        for place, column in enumerate(("tick", "a", "b", "known"), start=1)
+        exp.alias_(exp.func("struct_extract", exp.column("p"), exp.Literal.string(part)), part)
+        for part in ("tick", "a", "b", "known")
     ]
     table = exp.select(*parts).from_(each).subquery(exp.to_identifier(name, quoted=True))
     equal = zip(("tick", "a", "b"), (row.tick, *columns), strict=True)

@@ -24,7 +24,7 @@ from ssduck.geometry import Array, Indices, rotation_matrices
 from ssduck.history import POSE, Archive, Near, not_recorded
 from ssduck.layout import Layout, Member, Part
 from ssduck.many_ticks import Frames as LinkFrames
-from ssduck.many_ticks import Models, Side
+from ssduck.many_ticks import Ids, Models, Side
 from ssduck.recording import FRAMES, STORED, Ticks
 from ssduck.scenes import Camera
 from ssduck.separation import Counter
@@ -43,6 +43,8 @@ MOST_WORLDS = 256
 FEW = 8
 MOST_ASKED = 100_000
 
+# What is told of two entities at a tick: the tick, their ids, and 1, or 0 where it is not known.
+PAIR = ("tick", "a", "b", "known")
 _NAN = float("nan")
 # Tables that are worked out of poses, and those that nobody but a simulator knows.
 _AS_READ = frozenset(("links", "joints", "shapes"))
@@ -252,7 +254,7 @@ class Record:
         self._place_of(tick)
         return self._placing(tuple(np.sort(self.rows("entities", tick)["id"]).tolist()))
 
-    def pairs(self, asked: Near, *, collide: bool) -> list[list[int]]:
+    def pairs(self, asked: Near, *, collide: bool) -> list[Ids]:
         """The pairs of entities that collide, or are as near, at some ticks.
 
         Args:
@@ -260,7 +262,7 @@ class Record:
             collide: whether they are to collide.
 
         Returns:
-            [tick, a, b, 1] of each of which it holds, with a 0 where it is not known.
+            The columns `PAIR` of those of which it holds, or is not known.
         """
         rows = self._near(asked)
         ticks = rows["tick"].to_numpy()
@@ -276,8 +278,7 @@ class Record:
         holds, known = self._models.together(sides[0], sides[1], apart, self.calls)
         found = np.flatnonzero(holds | ~known)
         columns = (ticks, sides[0].ids, sides[1].ids, known.astype(np.int64))
-        listed: list[list[int]] = np.array([column[found] for column in columns]).T.tolist()
-        return listed
+        return [column[found] for column in columns]
 
     def _link_frames(
         self, ticks: npt.NDArray[np.int64], rows: Indices, id: int, link: int
