@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sqlglot import exp
@@ -171,6 +171,20 @@ def pairs_then(
     known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
     holds = exp.case().when(none, exp.false()).when(known, exp.true())
     return Follower(SqlValue(holds, FLAG), join)
+
+
+def needed(followers: Iterable[Follower], select: exp.Select) -> list[exp.Join]:
+    """The joins of those followers that a SELECT, or one behind them, reads a column of.
+
+    None of them makes rows more or fewer.
+    """
+    found: list[exp.Join] = []
+    for follower in reversed(list(followers)):
+        name = follower.join.this.alias
+        parts: list[exp.Expr] = [select, *found]
+        if any(column.table == name for part in parts for column in part.find_all(exp.Column)):
+            found.append(follower.join)
+    return found[::-1]
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from ssduck.elements import (
     Span,
     column_of,
     counted_rows,
+    needed,
     past_table,
     present_table,
     product_of,
@@ -358,11 +359,11 @@ class _Translator:
         select = product_of(self.elements)
         for table in self.pairs:
             select.append("joins", exp.Join(this=table, kind="CROSS"))
-        for follower in self.sql.ticks.followers.values():
-            select.append("joins", follower.join)
         select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
         if order:
             select = select.order_by(*order)
+        for join in needed(self.sql.ticks.followers.values(), select):
+            select.append("joins", join)
         return select if limit is None else select.limit(limit)
 
     def _finish(self, select: exp.Select) -> None:
