@@ -58,10 +58,11 @@ def past_table(
     schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
 ) -> Element:
     """The entities of a world at recorded ticks, or one of them."""
-    rows = exp.select("*").from_(exp.table_("entities_history", db=schema))
-    rows = rows.where(exp.Between(this=exp.column("tick"), low=first, high=last))
+    rows = exp.Select(expressions=[exp.Star()])
+    rows.from_(exp.table_("entities_history", db=schema), copy=False)
+    rows.where(exp.Between(this=exp.column("tick"), low=first, high=last), copy=False)
     if id is not None:
-        rows = rows.where(exp.EQ(this=exp.column("id"), expression=id))
+        rows.where(exp.EQ(this=exp.column("id"), expression=id), copy=False)
     return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
 
 

@@ -359,9 +359,12 @@ class _Translator:
         select = product_of(self.elements)
         for table in self.pairs:
             select.append("joins", exp.Join(this=table, kind="CROSS"))
-        select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
+        # The tree is this one's own: what is put into it is copied, and not it each time.
+        select.set("expressions", [c.copy() for c in self.columns or [exp.Literal.number(1)]])
+        if conditions:
+            select.where(*(condition.copy() for condition in conditions), copy=False)
         if order:
-            select = select.order_by(*order)
+            select.set("order", exp.Order(expressions=[key.copy() for key in order]))
         for join in needed(self.sql.ticks.followers.values(), select):
             select.append("joins", join)
         return select if limit is None else select.limit(limit)
@@ -372,7 +375,6 @@ class _Translator:
         # A part that turned out not to be SQL may have asked for parameters before it did.
         used = {parameter.name for parameter in select.find_all(exp.Parameter)}
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]
-        plan.sql = select.sql(dialect="duckdb")
 
     def _output(self, value: SqlValue) -> Output:
         if not value.tag.comes_back:
