@@ -913,7 +913,7 @@ class Database:
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
         self._make_history_views(name, bound)
-        self._forget_plans()
+        self._forget_plans("entities")
 
     # -- what is kept -----------------------------------------------------------------------
 
@@ -934,7 +934,7 @@ class Database:
             self._show(bound)
             for schema in bound.schemas:
                 self._make_history_views(schema, bound)
-            self._forget_plans()
+            self._forget_plans("entities")
 
     def _keep(self, bound: _Bound, recording: Recording, name: str) -> None:
         world = bound.world
@@ -1119,23 +1119,23 @@ class Database:
 
     def _show(self, bound: _Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
-        for table, live in bound.world.snapshot.tables.items():
-            self._show_buffers(bound, table, _live(bound.key, table), live)
+        buffers: list[tuple[str, str, LiveTable | Shown]] = [
+            (table, _live(bound.key, table), live)
+            for table, live in bound.world.snapshot.tables.items()
+        ]
         if bound.kept is not None:
             shown = bound.kept.shown
             for part, tables in enumerate(shown):
                 for table, rows in tables.items():
                     name = _waiting(bound.key, len(shown), table)[part]
-                    self._show_buffers(bound, history_name(table), name, rows)
-
-    def _show_buffers(
-        self, bound: _Bound, table: str, name: str, buffers: LiveTable | Shown
-    ) -> None:
-        if bound.versions.get(name) != buffers.version:
-            if name in bound.versions:
-                self._forget_plans(table)
-            self.show(name, buffers.arrow)
-            bound.versions[name] = buffers.version
+                    buffers.append((history_name(table), name, rows))
+        new = [entry for entry in buffers if bound.versions.get(entry[1]) != entry[2].version]
+        stale = {table for table, name, _ in new if name in bound.versions}
+        if stale:
+            self._forget_plans(*stale)
+        for _, name, rows in new:
+            self.show(name, rows.arrow)
+            bound.versions[name] = rows.version
 
     def show(self, name: str, table: pa.Table) -> None:
         """Let DuckDB see a table under a name."""
@@ -1145,16 +1145,18 @@ class Database:
         """Let DuckDB forget a table."""
         self._connection.unregister(name)
 
-    def _forget_plans(self, table: str = "entities") -> None:
-        """Drop prepared statements that would go on reading a table's old buffers.
+    def _forget_plans(self, *tables: str) -> None:
+        """Drop prepared statements that would go on reading old buffers of one of these tables.
 
         Our own say by their names what they read. Of a user's it is not known, so that all are
-        dropped if any statement that DuckDB keeps names the table.
+        dropped if any statement that DuckDB keeps names such a table.
         """
-        theirs = table in self._asked_for_good
-        self._generations[table] += 1
+        stale = set(tables)
+        theirs = bool(stale & self._asked_for_good)
+        for table in tables:
+            self._generations[table] += 1
         for (name,) in self.rows("SELECT name FROM duckdb_prepared_statements()"):
-            if table in name.split() if name.startswith(_OURS) else theirs:
+            if stale & set(name.split()) if name.startswith(_OURS) else theirs:
                 self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
 
     @property

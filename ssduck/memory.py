@@ -133,10 +133,11 @@ def _near_in(part: pa.RecordBatch, asked: Near) -> list[npt.NDArray[Any]]:
     part = part.slice(start, end - start)
     ticks, ids = part["tick"].to_numpy(), part["id"].to_numpy()
     one, other = np.flatnonzero(ids == asked.a), np.flatnonzero(ids == asked.b)
-    _, in_one, in_other = np.intersect1d(
-        ticks[one], ticks[other], assume_unique=True, return_indices=True
-    )
-    one, other = one[in_one], other[in_other]
+    if not np.array_equal(ticks[one], ticks[other]):  # one of them was not there all the time
+        _, in_one, in_other = np.intersect1d(
+            ticks[one], ticks[other], assume_unique=True, return_indices=True
+        )
+        one, other = one[in_one], other[in_other]
 
     def column(name: str, rows: Indices) -> Array:
         found: Array = part[name].to_numpy(zero_copy_only=False)[rows]
