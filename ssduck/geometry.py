@@ -214,6 +214,20 @@ def rotation_matrices(orientations: Array) -> Array:
     return _products(orientations, orientations, _ROTATION).reshape(-1, 3, 3)
 
 
+def turns_of(orientations: Array) -> Array:
+    """As `rotation_matrices`, of very many: (n, 4) to (9, n), row by row."""
+    w, x, y, z = np.ascontiguousarray(orientations.T)
+    ww, xx, yy, zz = w * w, x * x, y * y, z * z
+    wx, wy, wz, xy, xz, yz = w * x, w * y, w * z, x * y, x * z, y * z
+    return np.array(
+        [
+            *(ww + xx - yy - zz, 2.0 * (xy - wz), 2.0 * (xz + wy)),
+            *(2.0 * (xy + wz), ww - xx + yy - zz, 2.0 * (yz - wx)),
+            *(2.0 * (xz - wy), 2.0 * (yz + wx), ww - xx - yy + zz),
+        ]
+    )
+
+
 def rotate(matrices: Array, vectors: Array) -> Array:
     """Each (3, 3) of (n, 3, 3) times each (3,) of (n, 3)."""
     rotated: Array = np.einsum("nij,nj->ni", matrices, vectors)

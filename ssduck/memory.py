@@ -97,9 +97,8 @@ class Memory(History):
         starts = [start for start, _, _ in self._parts]
         begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(starts, last, side="right"))
-        return pa.concat_tables(
-            [in_parts(table).empty_table(), *self._kept[table].parts[begin:end]]
-        )
+        kept = self._kept[table]
+        return pa.concat_tables([kept.empty, *kept.parts[begin:end]])
 
     def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
@@ -130,7 +129,7 @@ def _near_of_two(rows: pa.Table, asked: Near) -> pa.Table:
 def _near_in(part: pa.RecordBatch, asked: Near) -> list[npt.NDArray[Any]]:
     """The columns of `near_rows`, of some ticks."""
     start, end = np.searchsorted(part["tick"].to_numpy(), [asked.first, asked.last + 1]).tolist()
-    part = part.slice(start, end - start)
+    part = part.slice(start, max(end - start, 0))
     ticks, ids = part["tick"].to_numpy(), part["id"].to_numpy()
     one, other = np.flatnonzero(ids == asked.a), np.flatnonzero(ids == asked.b)
     if not np.array_equal(ticks[one], ticks[other]):  # one of them was not there all the time
