@@ -81,6 +81,11 @@ def shown(seconds: float) -> str:
     return f"{seconds * 1e3:.2f} ms" if seconds >= 1e-3 else f"{seconds * 1e6:.0f} µs"
 
 
+def shown_finely(seconds: float) -> str:
+    """A time of some microseconds."""
+    return f"{seconds * 1e6:.1f} µs"
+
+
 def printed(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
     """Print a Markdown table, a row as soon as it is measured."""
     print("| " + " | ".join(header) + " |")

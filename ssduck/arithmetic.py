@@ -69,6 +69,8 @@ def _remainder(
     copied(rest)
     zero = exp.Literal.number(0)
     if tag == INTEGER and isinstance(right.sql, exp.Literal) and int(right.sql.name) > 0:
+        if left.natural:  # as DuckDB's; over millions of ticks each operation counts
+            return SqlValue(rest, tag, wide=left.wide, natural=True)
         negative = exp.LT(this=rest, expression=zero)
         case = exp.case().when(negative, exp.Add(this=rest.copy(), expression=b.copy()))
         return SqlValue(case.else_(rest.copy()), tag, wide=left.wide, extent=Extent.FINITE)

@@ -89,7 +89,7 @@ def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
     if tag.type == "list":
         element = Tag(relation.element)
         tag = Tag("list", Tag("list", REAL) if relation.element == "list" else element)
-    return SqlValue(found, tag, extent=extent)
+    return SqlValue(found, tag, natural=relation.name == "tick", extent=extent)
 
 
 def _argument(sql: Expressions, parameter: Parameter, node: Node) -> SqlValue:

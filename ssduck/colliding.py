@@ -43,7 +43,7 @@ class Sorts:
     def __init__(self, solids: Sequence[Solid], of: Indices, entities: Indices) -> None:
         self.entities = entities
         self.count = int(entities.max(initial=-1)) + 1
-        self.single = len(np.unique(entities)) == len(entities)
+        self.single = bool(np.bincount(entities).max(initial=0) <= 1)
         self.known = np.array([solid.known for solid in solids], dtype=bool)[of]
         self.is_shown = np.array([not solid.is_empty for solid in solids], dtype=bool)[of]
         self.is_endless = np.array([solid.type == "plane" for solid in solids], dtype=bool)[of]
@@ -79,6 +79,8 @@ class Scene:
 
     def moved(self, points: Array) -> Array:
         """A point (n, 3) of each shape, in the world."""
+        if not points.any():
+            return self.positions
         with np.errstate(invalid="ignore"):
             moved: Array = self.positions + rotate(self.matrices, points)
         return moved
@@ -96,7 +98,7 @@ class Scene:
     @cached_property
     def bodies(self) -> Bodies:
         """The shapes' cores."""
-        turns = np.ascontiguousarray(self.matrices.reshape(-1, 9).T)
+        turns = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
         centres, inner = map(np.ascontiguousarray, (self.centres.T, self.inner.T))
         return Bodies(self.sorts.cores, turns, centres, inner)
 

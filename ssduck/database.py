@@ -12,13 +12,13 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import count
+from itertools import accumulate, count
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeAlias, TypeVar
 
 import duckdb
 import pyarrow as pa
-from duckdb.func import FunctionNullHandling
+from duckdb.func import FunctionNullHandling, PythonUDFType
 from sqlglot import exp
 
 from ssduck import ctrl_c
@@ -49,7 +49,7 @@ from ssduck.history import (
 from ssduck.limits import Limits, Meter
 from ssduck.memory import Memory
 from ssduck.models import MODELS
-from ssduck.past import Record, RecordedWorld
+from ssduck.past import PAIR, Record, RecordedWorld
 from ssduck.recording import (
     FRAMES,
     MEMORY_TICKS,
@@ -787,20 +787,33 @@ class Database:
         worlds, raised = self._narrow_worlds, self._raised
         collide = name == THEN_COLLIDING
 
-        def call(world: str, first: int, last: int, a: int, b: int, *apart: float) -> Any:
+        def found(
+            world: str, first: int, last: int, a: int, b: int, apart: float = 0.0
+        ) -> pa.StructArray:
+            kept = worlds[world].kept
+            if kept is None:
+                raise EvaluationError(f"the ticks of {world!r} are not recorded")
+            pairs = kept.record.pairs(Near(first, last, a, b, apart), collide=collide)
+            return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PAIR)
+
+        def call(*arguments: pa.ChunkedArray) -> pa.ListArray:
             try:
-                kept = worlds[world].kept
-                if kept is None:
-                    raise EvaluationError(f"the ticks of {world!r} are not recorded")
-                asked = Near(first, last, a, b, 0.0 if collide else apart[0])
-                return kept.record.pairs(asked, collide=collide)
+                rows = zip(*(values.to_pylist() for values in arguments), strict=True)
+                answers = [found(*row) for row in rows]
+                ends = accumulate(map(len, answers), initial=0)
+                offsets = pa.array(ends, pa.int32())
+                return pa.ListArray.from_arrays(offsets, pa.concat_arrays(answers))
             except BaseException as error:
                 raised[:] = [error]
                 raise
 
         taken: list[Any] = ["VARCHAR", *["BIGINT"] * 4, *([] if collide else ["DOUBLE"])]
         _give_arity(call, len(taken))
-        self._connection.create_function(name, call, taken, "BIGINT[][]", side_effects=True)
+        yields: Any = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
+        # In columns: as lists, some thousand pairs took as long as comparing them.
+        self._connection.create_function(
+            name, call, taken, yields, type=PythonUDFType.ARROW, side_effects=True
+        )
 
     def _add_told(self) -> None:
         """Make what contacts and sensors told at recorded ticks a function of SQL."""
@@ -900,7 +913,7 @@ class Database:
             create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
             self.run(create.sql("duckdb"))
         self._make_history_views(name, bound)
-        self._forget_plans()
+        self._forget_plans("entities")
 
     # -- what is kept -----------------------------------------------------------------------
 
@@ -921,7 +934,7 @@ class Database:
             self._show(bound)
             for schema in bound.schemas:
                 self._make_history_views(schema, bound)
-            self._forget_plans()
+            self._forget_plans("entities")
 
     def _keep(self, bound: _Bound, recording: Recording, name: str) -> None:
         world = bound.world
@@ -1106,23 +1119,23 @@ class Database:
 
     def _show(self, bound: _Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
-        for table, live in bound.world.snapshot.tables.items():
-            self._show_buffers(bound, table, _live(bound.key, table), live)
+        buffers: list[tuple[str, str, LiveTable | Shown]] = [
+            (table, _live(bound.key, table), live)
+            for table, live in bound.world.snapshot.tables.items()
+        ]
         if bound.kept is not None:
             shown = bound.kept.shown
             for part, tables in enumerate(shown):
                 for table, rows in tables.items():
                     name = _waiting(bound.key, len(shown), table)[part]
-                    self._show_buffers(bound, history_name(table), name, rows)
-
-    def _show_buffers(
-        self, bound: _Bound, table: str, name: str, buffers: LiveTable | Shown
-    ) -> None:
-        if bound.versions.get(name) != buffers.version:
-            if name in bound.versions:
-                self._forget_plans(table)
-            self.show(name, buffers.arrow)
-            bound.versions[name] = buffers.version
+                    buffers.append((history_name(table), name, rows))
+        new = [entry for entry in buffers if bound.versions.get(entry[1]) != entry[2].version]
+        stale = {table for table, name, _ in new if name in bound.versions}
+        if stale:
+            self._forget_plans(*stale)
+        for _, name, rows in new:
+            self.show(name, rows.arrow)
+            bound.versions[name] = rows.version
 
     def show(self, name: str, table: pa.Table) -> None:
         """Let DuckDB see a table under a name."""
@@ -1132,16 +1145,18 @@ class Database:
         """Let DuckDB forget a table."""
         self._connection.unregister(name)
 
-    def _forget_plans(self, table: str = "entities") -> None:
-        """Drop prepared statements that would go on reading a table's old buffers.
+    def _forget_plans(self, *tables: str) -> None:
+        """Drop prepared statements that would go on reading old buffers of one of these tables.
 
         Our own say by their names what they read. Of a user's it is not known, so that all are
-        dropped if any statement that DuckDB keeps names the table.
+        dropped if any statement that DuckDB keeps names such a table.
         """
-        theirs = table in self._asked_for_good
-        self._generations[table] += 1
+        stale = set(tables)
+        theirs = bool(stale & self._asked_for_good)
+        for table in tables:
+            self._generations[table] += 1
         for (name,) in self.rows("SELECT name FROM duckdb_prepared_statements()"):
-            if table in name.split() if name.startswith(_OURS) else theirs:
+            if stale & set(name.split()) if name.startswith(_OURS) else theirs:
                 self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
 
     @property

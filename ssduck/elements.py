@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sqlglot import exp
@@ -58,10 +58,11 @@ def past_table(
     schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
 ) -> Element:
     """The entities of a world at recorded ticks, or one of them."""
-    rows = exp.select("*").from_(exp.table_("entities_history", db=schema))
-    rows = rows.where(exp.Between(this=exp.column("tick"), low=first, high=last))
+    rows = exp.Select(expressions=[exp.Star()])
+    rows.from_(exp.table_("entities_history", db=schema), copy=False)
+    rows.where(exp.Between(this=exp.column("tick"), low=first, high=last), copy=False)
     if id is not None:
-        rows = rows.where(exp.EQ(this=exp.column("id"), expression=id))
+        rows.where(exp.EQ(this=exp.column("id"), expression=id), copy=False)
     return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
 
 
@@ -160,8 +161,8 @@ def pairs_then(
     found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
     each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
     parts = [
-        exp.alias_(exp.func("list_extract", exp.column("p"), exp.Literal.number(place)), column)
-        for place, column in enumerate(("tick", "a", "b", "known"), start=1)
+        exp.alias_(exp.func("struct_extract", exp.column("p"), exp.Literal.string(part)), part)
+        for part in ("tick", "a", "b", "known")
     ]
     table = exp.select(*parts).from_(each).subquery(exp.to_identifier(name, quoted=True))
     equal = zip(("tick", "a", "b"), (row.tick, *columns), strict=True)
@@ -171,6 +172,20 @@ def pairs_then(
     known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
     holds = exp.case().when(none, exp.false()).when(known, exp.true())
     return Follower(SqlValue(holds, FLAG), join)
+
+
+def needed(followers: Iterable[Follower], select: exp.Select) -> list[exp.Join]:
+    """The joins of those followers that a SELECT, or one behind them, reads a column of.
+
+    None of them makes rows more or fewer.
+    """
+    found: list[exp.Join] = []
+    for follower in reversed(list(followers)):
+        name = follower.join.this.alias
+        parts: list[exp.Expr] = [select, *found]
+        if any(column.table == name for part in parts for column in part.find_all(exp.Column)):
+            found.append(follower.join)
+    return found[::-1]
 
 
 @dataclass(frozen=True)

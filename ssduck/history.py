@@ -370,7 +370,11 @@ class Near:
     apart: float
 
 
-_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+# What `near_rows` gives.
+NEAR_COLUMNS = ("tick", "a", "b", *(f"{side}_{name}" for side in "ab" for name in POSE))
+# Boxes are looked at a little farther out, m, for what is exactly as far as is asked for.
+BOXES_OFF = 1e-9
 _WAITING = "entities that wait"
 
 
@@ -385,7 +389,7 @@ def near_rows(
         asked: which pairs.
         waiting: rows of entities that wait to be stored.
     """
-    columns = ("tick", "id", *_POSE, *BOX)
+    columns = ("tick", "id", *POSE, *BOX)
     places = [] if stored is None else [f"({stored}) AS stored"]
     if waiting is not None:
         places.append(f'"{_WAITING}"')
@@ -394,13 +398,13 @@ def near_rows(
         for place in places
     )
     values = [asked.first, asked.last] * len(places)
-    poses = ", ".join(f'{side}."{name}" AS {side}_{name}' for side in "ab" for name in _POSE)
+    poses = ", ".join(f'{side}."{name}" AS {side}_{name}' for side in "ab" for name in POSE)
     sides = (("a", "b"), ("b", "a"))
     far = [f"{s}.{axis}min > {t}.{axis}max + far" for axis in "xyz" for s, t in sides]
     only = [f"{side}.id = {id}" for side, id in (("a", asked.a), ("b", asked.b)) if id]
     sql = (
         f"WITH seen AS ({rows}), "  # noqa: S608
-        f"asked AS (SELECT {asked.apart!r}::DOUBLE + 1e-9 AS far) "
+        f"asked AS (SELECT {asked.apart!r}::DOUBLE + {BOXES_OFF!r}::DOUBLE AS far) "
         f"SELECT a.tick AS tick, a.id AS a, b.id AS b, {poses} "
         "FROM seen AS a JOIN seen AS b ON a.tick = b.tick CROSS JOIN asked "
         f"WHERE {' AND '.join(['a.id <> b.id', *only])} "

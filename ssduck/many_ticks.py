@@ -146,22 +146,26 @@ class Models:
         return holds, known
 
     def _counts(self, ids: Ids) -> Indices:
-        different, place = np.unique(ids, return_inverse=True)
-        return np.array([self._model(id).count for id in different.tolist()], np.intp)[place]
+        counts = np.zeros(len(ids), np.intp)
+        for id in _different(ids):
+            counts[ids == id] = self._model(id).count
+        return counts
 
     def _some(
         self, first: Side, second: Side, run: Indices, apart: float | None, calls: Counter
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Of these pairs, compared together: the two entities of pair k are 2 k and 2 k + 1."""
-        parts = [*self._placed(first, run, 0), *self._placed(second, run, 1)]
+        """Of these n pairs, compared together: the two entities of pair k are k and n + k."""
+        parts = [*self._placed(first, run, 0), *self._placed(second, run, len(run))]
         owners, of = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
         positions, orientations = (np.concatenate([part[i] for part in parts]) for i in (2, 3))
-        order = np.argsort(owners, kind="stable")
-        owners, of = owners[order], of[order]
-        positions, orientations = positions[order], orientations[order]
-        counts = np.bincount(owners, minlength=2 * len(run))
-        starts = np.concatenate(([0], np.cumsum(counts)))
-        shapes = _each_with_each(starts[:-1:2], counts[::2], starts[1::2], counts[1::2])
+        if (owners[1:] < owners[:-1]).any():  # each entity's shapes together
+            order = np.argsort(owners, kind="stable")
+            owners, of = owners[order], of[order]
+            positions, orientations = positions[order], orientations[order]
+        count = len(run)
+        counts = np.bincount(owners, minlength=2 * count)
+        starts = np.cumsum(counts) - counts
+        shapes = _each_with_each(starts[:count], counts[:count], starts[count:], counts[count:])
         sorts = Sorts(self._solids, of, owners)
         scene = scene_of(sorts, positions, orientations)
         endless = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
@@ -174,33 +178,33 @@ class Models:
 
         found = found_of(scene, shapes, apart, pair)
         calls.pairs += len(found.compared)
-        holds = np.zeros(len(run), dtype=bool)
-        holds[found.sides[0] // 2] = True
-        are_known = np.ones(2 * len(run), dtype=bool)
+        holds = np.zeros(count, dtype=bool)
+        holds[found.sides[0]] = True
+        are_known = np.ones(2 * count, dtype=bool)
         are_known[owners[~scene.known]] = False
-        return holds, are_known[::2] & are_known[1::2]
+        return holds, are_known[:count] & are_known[count:]
 
     def _placed(
-        self, side: Side, run: Indices, which: int
+        self, side: Side, run: Indices, start: int
     ) -> list[tuple[Indices, Indices, Array, Array]]:
-        """Whose, which solids and where the shapes of one side's entities are."""
+        """Whose, which solids and where the shapes of one side's entities are.
+
+        Args:
+            side: one of the two entities of pairs.
+            run: which of these pairs.
+            start: the number of the first of their entities.
+        """
         found = []
         ids = side.ids[run]
-        for id in np.unique(ids).tolist():
+        for id in _different(ids):
             model = self._model(id)
             own = np.flatnonzero(ids == id)
             for link in np.unique(model.links).tolist():
                 frames = self._frames(side, run[own], id, link)
                 for shape in np.flatnonzero(model.links == link).tolist():
-                    count = len(own)
-                    position, orientation = compose(
-                        frames.positions,
-                        frames.orientations,
-                        np.broadcast_to(model.positions[shape], (count, 3)),
-                        np.broadcast_to(model.orientations[shape], (count, 4)),
-                    )
-                    solid = np.full(count, model.of[shape])
-                    found.append((2 * own + which, solid, position, orientation))
+                    placed = _composed(frames, model.positions[shape], model.orientations[shape])
+                    solid = np.full(len(own), model.of[shape])
+                    found.append((start + own, solid, placed.positions, placed.orientations))
         nothing = np.zeros(0, dtype=np.intp)
         return [*found, (nothing, nothing, np.zeros((0, 3)), np.zeros((0, 4)))]
 
@@ -234,6 +238,32 @@ def _around(boxes: Array) -> Array:
     if not len(boxes):
         return np.full(6, np.nan)
     return np.concatenate((boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)))
+
+
+def _different(ids: Ids) -> list[int]:
+    """Which ids there are; mostly it is one."""
+    if len(ids) and (ids == ids[0]).all():
+        return [int(ids[0])]
+    found: list[int] = np.unique(ids).tolist()
+    return found
+
+
+def _composed(frames: Frames, position: Array, orientation: Array) -> Frames:
+    """Where something is that is fixed to each of n frames.
+
+    Args:
+        frames: the frames.
+        position: (3,), in a frame.
+        orientation: (4,), w, x, y, z, in a frame.
+    """
+    if not position.any() and np.array_equal(orientation, _UPRIGHT):
+        return frames
+    count = len(frames.positions)
+    inner = np.broadcast_to(position, (count, 3)), np.broadcast_to(orientation, (count, 4))
+    return Frames(*compose(frames.positions, frames.orientations, *inner))
+
+
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def _each_with_each(first: Indices, counts: Indices, second: Indices, others: Indices) -> Pairs:

@@ -7,11 +7,14 @@ tenth of what storing it in DuckDB's tables does. The oldest are dropped as a wh
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.history import History, Near, Waiting, near_rows
+from ssduck.geometry import Array, Indices
+from ssduck.history import BOXES_OFF, NEAR_COLUMNS, POSE, History, Near, Waiting, near_rows
 from ssduck.recording import QUARTERS, STORED, in_parts
 from ssduck.storing import WHENEVER, Cut, Kept
 
@@ -94,17 +97,56 @@ class Memory(History):
         starts = [start for start, _, _ in self._parts]
         begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(starts, last, side="right"))
-        return pa.concat_tables(
-            [in_parts(table).empty_table(), *self._kept[table].parts[begin:end]]
-        )
+        kept = self._kept[table]
+        return pa.concat_tables([kept.empty, *kept.parts[begin:end]])
 
     def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
         kept = self._between("entities", asked.first, asked.last)
         rows = kept if waiting is None else pa.concat_tables([kept, waiting])
+        if asked.a and asked.b and asked.a != asked.b:
+            return _near_of_two(rows, asked)
         return near_rows(self._writer, None, asked, rows)
 
     def _all(self, table: str, rings: Waiting | None) -> str:
         """A SELECT of all rows of a table, those that wait among them."""
         assert rings is not None
         return " UNION ALL ".join(self._of_ring(table, ring) for ring in rings(table))
+
+
+def _near_of_two(rows: pa.Table, asked: Near) -> pa.Table:
+    """What `near_rows` gives of one pair, picked out of the columns where they are.
+
+    Args:
+        rows: of entities, in parts of whole ticks, the oldest first.
+        asked: which pair.
+    """
+    parts = [_near_in(part, asked) for part in rows.to_batches()]
+    columns = zip(*parts, strict=True) if parts else [[np.zeros(0, np.int64)]] * len(NEAR_COLUMNS)
+    return pa.table([np.concatenate(column) for column in columns], names=NEAR_COLUMNS)
+
+
+def _near_in(part: pa.RecordBatch, asked: Near) -> list[npt.NDArray[Any]]:
+    """The columns of `near_rows`, of some ticks."""
+    start, end = np.searchsorted(part["tick"].to_numpy(), [asked.first, asked.last + 1]).tolist()
+    part = part.slice(start, max(end - start, 0))
+    ticks, ids = part["tick"].to_numpy(), part["id"].to_numpy()
+    one, other = np.flatnonzero(ids == asked.a), np.flatnonzero(ids == asked.b)
+    if not np.array_equal(ticks[one], ticks[other]):  # one of them was not there all the time
+        _, in_one, in_other = np.intersect1d(
+            ticks[one], ticks[other], assume_unique=True, return_indices=True
+        )
+        one, other = one[in_one], other[in_other]
+
+    def column(name: str, rows: Indices) -> Array:
+        found: Array = part[name].to_numpy(zero_copy_only=False)[rows]
+        return found  # NaN where it is not known, which is not far
+
+    apart = asked.apart + BOXES_OFF
+    far = np.zeros(len(one), dtype=bool)
+    for axis in "xyz":
+        for side, beside in ((one, other), (other, one)):
+            far |= column(f"{axis}min", side) > column(f"{axis}max", beside) + apart
+    one, other = one[~far], other[~far]
+    poses = [column(name, side) for side in (one, other) for name in POSE]
+    return [ticks[one], ids[one], ids[other], *poses]

@@ -27,7 +27,7 @@ from ssduck.colliding import (
     colliding_of,
     within_of,
 )
-from ssduck.geometry import Array, Indices, rotate, rotation_matrices
+from ssduck.geometry import Array, Indices, rotate, rotation_matrices, turns_of
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
 from ssduck.overlap import (
     Box,
@@ -524,7 +524,7 @@ def scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
         length = np.sqrt(np.einsum("ij,ij->i", orientations, orientations))
         unit = orientations / length[:, None]
         finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
-        matrices = rotation_matrices(unit)
+        matrices = turns_of(unit).reshape(3, 3, -1).transpose(2, 0, 1)
     known = _known_with_all(sorts, finite & sorts.known)
     return Scene(sorts, known, np.zeros((6, 0)), positions, matrices)
 

@@ -21,10 +21,10 @@ import pyarrow as pa
 from ssduck.entities import Entity, Moment, Sensor
 from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices, rotation_matrices
-from ssduck.history import Archive, Near, not_recorded
+from ssduck.history import POSE, Archive, Near, not_recorded
 from ssduck.layout import Layout, Member, Part
 from ssduck.many_ticks import Frames as LinkFrames
-from ssduck.many_ticks import Models, Side
+from ssduck.many_ticks import Ids, Models, Side
 from ssduck.recording import FRAMES, STORED, Ticks
 from ssduck.scenes import Camera
 from ssduck.separation import Counter
@@ -43,6 +43,8 @@ MOST_WORLDS = 256
 FEW = 8
 MOST_ASKED = 100_000
 
+# What is told of two entities at a tick: the tick, their ids, and 1, or 0 where it is not known.
+PAIR = ("tick", "a", "b", "known")
 _NAN = float("nan")
 # Tables that are worked out of poses, and those that nobody but a simulator knows.
 _AS_READ = frozenset(("links", "joints", "shapes"))
@@ -252,7 +254,7 @@ class Record:
         self._place_of(tick)
         return self._placing(tuple(np.sort(self.rows("entities", tick)["id"]).tolist()))
 
-    def pairs(self, asked: Near, *, collide: bool) -> list[list[int]]:
+    def pairs(self, asked: Near, *, collide: bool) -> list[Ids]:
         """The pairs of entities that collide, or are as near, at some ticks.
 
         Args:
@@ -260,14 +262,14 @@ class Record:
             collide: whether they are to collide.
 
         Returns:
-            [tick, a, b, 1] of each of which it holds, with a 0 where it is not known.
+            The columns `PAIR` of those of which it holds, or is not known.
         """
         rows = self._near(asked)
         ticks = rows["tick"].to_numpy()
         sides = [
             Side(
                 rows[side].to_numpy(),
-                LinkFrames(_columns(rows, side, _POSE[:3]), _columns(rows, side, _POSE[3:])),
+                LinkFrames(_columns(rows, side, POSE[:3]), _columns(rows, side, POSE[3:])),
                 partial(self._link_frames, ticks),
             )
             for side in "ab"
@@ -276,8 +278,7 @@ class Record:
         holds, known = self._models.together(sides[0], sides[1], apart, self.calls)
         found = np.flatnonzero(holds | ~known)
         columns = (ticks, sides[0].ids, sides[1].ids, known.astype(np.int64))
-        listed: list[list[int]] = np.array([column[found] for column in columns]).T.tolist()
-        return listed
+        return [column[found] for column in columns]
 
     def _link_frames(
         self, ticks: npt.NDArray[np.int64], rows: Indices, id: int, link: int
@@ -302,7 +303,7 @@ class Record:
         if table != "entities":
             is_it &= own["link"] == link
         place = np.flatnonzero(is_it)
-        return np.array([own[name][place[0]] if len(place) else _NAN for name in _POSE])
+        return np.array([own[name][place[0]] if len(place) else _NAN for name in POSE])
 
     def shapes(self, tick: int, ids: Sequence[int]) -> Shapes:
         """The shapes at a tick, to be compared.
@@ -377,7 +378,7 @@ class Record:
         """Of the links of bodies that have several: pose and velocities, (n, 13)."""
         rows = self.rows(self._links, tick)
         keys = np.array([rows[name] for name in ("entity", "link")])
-        names = (*_POSE, "vx", "vy", "vz", "wx", "wy", "wz")
+        names = (*POSE, "vx", "vy", "vz", "wx", "wy", "wz")
         unknown = np.full(len(rows["tick"]), _NAN)
         reals = [rows.get(name, unknown) for name in names]
         return np.array(reals)[:, np.lexsort(keys[::-1])].T
@@ -418,7 +419,6 @@ def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
 
 
 _ROUNDING = 1e-9
-_POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _REALS = STORED["entities"].names_of_reals("entities")
 
 

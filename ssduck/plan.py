@@ -114,7 +114,7 @@ class Plan:
     Attributes:
         query: what it is a plan of, bare names looked up.
         shapes: what the sources are.
-        select: the SQL as sqlglot's tree; `sql` is its text.
+        select: the SQL as sqlglot's tree.
         bindings: its parameters.
         tables: sources that SQL reads as tables of their own, by alias: the table's name.
         constants: what does not depend on rows, with the types that the plan relies on.
@@ -136,7 +136,6 @@ class Plan:
     query: Query
     shapes: tuple[Shape, ...]
     select: exp.Select = field(default_factory=exp.Select)
-    sql: str = ""
     bindings: list[Binding] = field(default_factory=list)
     tables: dict[str, str] = field(default_factory=dict)
     constants: dict[Node, Tag] = field(default_factory=dict)
@@ -153,6 +152,11 @@ class Plan:
     bare: dict[str, bool] = field(default_factory=dict)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     cautious: bool = False
+
+    @cached_property
+    def sql(self) -> str:
+        """The text of the SQL; where values are written in, it is never asked for."""
+        return self.select.sql(dialect="duckdb")
 
     @cached_property
     def numbers(self) -> dict[str, Literal["real", "integer"]]:

@@ -57,6 +57,7 @@ class SqlValue:
         elements: of a list that is written out, its elements.
         fields: of a record, what its keys hold.
         wide: whether it may be an integer that no DOUBLE is.
+        natural: whether it is an integer that is never below 0.
         extent: which reals it may be; of a list, which its elements may be.
         risky: whether SQL may fail at it, so that it must be evaluated where Python does.
     """
@@ -67,6 +68,7 @@ class SqlValue:
     elements: tuple[SqlValue, ...] | None = None
     fields: Mapping[str, SqlValue] = field(default_factory=dict)
     wide: bool = False
+    natural: bool = False
     extent: Extent = Extent.FINITE
     risky: bool = False
 

@@ -18,19 +18,20 @@ class Kept:
     """The rows of a table, in parts.
 
     Attributes:
+        empty: no rows, with the columns.
         parts: the oldest first.
         version: counts up whenever `arrow` becomes another object.
     """
 
     def __init__(self, columns: pa.Schema) -> None:
-        self._empty = columns.empty_table()
+        self.empty = columns.empty_table()
         self.parts: list[pa.Table] = []
         self.version = 0
 
     @property
     def arrow(self) -> pa.Table:
         """All rows."""
-        return pa.concat_tables([self._empty, *self.parts])
+        return pa.concat_tables([self.empty, *self.parts])
 
 
 class Storing:

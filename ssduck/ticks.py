@@ -92,7 +92,7 @@ class Ticks:
         key = (relation.name, apart.sql(), span.tick.sql(), *(id.sql() for id in ids))
         if key not in self.followers:
             name = self._context.alias("pairs then")
-            columns = a.column("id"), b.column("id")
+            columns = self._id_at_row(a), self._id_at_row(b)
             self.followers[key] = pairs_then(candidates, apart, span, ids, columns, name)
         return self.followers[key].value
 
@@ -141,6 +141,15 @@ class Ticks:
                 return self._parameters[id]
         span = self.spans.get(value.column("tick").sql())
         return value.column("id") if span is None or span.id is None else span.id
+
+    def _id_at_row(self, value: SqlValue) -> exp.Expr:
+        """The id of an entity at a row, for a table of pairs of those that were there.
+
+        That of a handle is the same at each row: where it was, its own row need not be looked at.
+        """
+        assert value.column is not None
+        is_handle = any(known.value is value for known in self.followers.values())
+        return self._id_of(value) if is_handle else value.column("id")
 
     def _all_rows(self) -> list[SqlValue]:
         """The current elements of all sources, those of the queries around this one first."""

@@ -22,6 +22,7 @@ from ssduck.elements import (
     Span,
     column_of,
     counted_rows,
+    needed,
     past_table,
     present_table,
     product_of,
@@ -358,11 +359,14 @@ class _Translator:
         select = product_of(self.elements)
         for table in self.pairs:
             select.append("joins", exp.Join(this=table, kind="CROSS"))
-        for follower in self.sql.ticks.followers.values():
-            select.append("joins", follower.join)
-        select = select.select(*(self.columns or [exp.Literal.number(1)])).where(*conditions)
+        # The tree is this one's own: what is put into it is copied, and not it each time.
+        select.set("expressions", [c.copy() for c in self.columns or [exp.Literal.number(1)]])
+        if conditions:
+            select.where(*(condition.copy() for condition in conditions), copy=False)
         if order:
-            select = select.order_by(*order)
+            select.set("order", exp.Order(expressions=[key.copy() for key in order]))
+        for join in needed(self.sql.ticks.followers.values(), select):
+            select.append("joins", join)
         return select if limit is None else select.limit(limit)
 
     def _finish(self, select: exp.Select) -> None:
@@ -371,7 +375,6 @@ class _Translator:
         # A part that turned out not to be SQL may have asked for parameters before it did.
         used = {parameter.name for parameter in select.find_all(exp.Parameter)}
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]
-        plan.sql = select.sql(dialect="duckdb")
 
     def _output(self, value: SqlValue) -> Output:
         if not value.tag.comes_back:
