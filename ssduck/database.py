@@ -539,7 +539,7 @@ class Database:
 
     def _forget_lost_views(self) -> None:
         """Drop the views on worlds of a process that was killed."""
-        lost = self.rows(
+        lost = self._own_rows(
             "SELECT schema_name, view_name FROM duckdb_views() WHERE NOT internal AND NOT "  # noqa: S608
             f"temporary AND regexp_matches(sql, {_LOST})"
         )
@@ -646,6 +646,11 @@ class Database:
     def run(self, sql: str, *, timed: bool = False) -> None:
         """Run a statement of ssduck's own; whatever a program may take, it is not cut off."""
         self._told(sql, lambda: self._connection.execute(sql).fetchall(), timed=timed)
+
+    def _own_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
+        """All rows of a statement of ssduck's own, which no time limit ends."""
+        work = partial(self._connection.execute, sql, parameters)
+        return self._told(sql, lambda: work().fetchall(), timed=False)
 
     def _told(self, sql: str, work: Callable[[], T], *, timed: bool = True) -> T:
         """Tell the tracer of a statement, run it, and end it in time.
@@ -866,12 +871,13 @@ class Database:
                     self.unshow(shown)
 
     def _check_schema(self, name: str) -> None:
-        ((database,),) = self.rows("SELECT current_database()")
+        ((database,),) = self._own_rows("SELECT current_database()")
         if name.casefold() in _TAKEN or name.casefold() == database.casefold():
             raise ArgumentError(
                 f"a world cannot be called {name!r}: DuckDB has a schema or database of that name"
             )
-        taken = self.rows("SELECT schema_name FROM duckdb_tables() WHERE table_name = ?", [ABOUT])
+        runs = "SELECT schema_name FROM duckdb_tables() WHERE table_name = ?"
+        taken = self._own_rows(runs, [ABOUT])
         if name.casefold() in {schema.casefold() for (schema,) in taken}:
             raise ArgumentError(
                 f"a world cannot be called {name!r}: a recorded run is called so in SQL"
@@ -986,7 +992,8 @@ class Database:
 
     def _free_schema(self, world: str) -> str:
         taken = {
-            name.casefold() for (name,) in self.rows("SELECT schema_name FROM duckdb_schemas()")
+            name.casefold()
+            for (name,) in self._own_rows("SELECT schema_name FROM duckdb_schemas()")
         }
         names = (f"{world}_record_{number}" for number in count())
         return next(name for name in names if name.casefold() not in taken)
@@ -1155,7 +1162,7 @@ class Database:
         theirs = bool(stale & self._asked_for_good)
         for table in tables:
             self._generations[table] += 1
-        for (name,) in self.rows("SELECT name FROM duckdb_prepared_statements()"):
+        for (name,) in self._own_rows("SELECT name FROM duckdb_prepared_statements()"):
             if stale & set(name.split()) if name.startswith(_OURS) else theirs:
                 self.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
 
