@@ -8,7 +8,19 @@ from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import ArgumentError
-from ssduck.tree import Aged, Assignment, Bare, Call, Name, Node, Query, Recursion, Source, This
+from ssduck.tree import (
+    Adapter,
+    Aged,
+    Assignment,
+    Bare,
+    Call,
+    Name,
+    Node,
+    Query,
+    Recursion,
+    Source,
+    This,
+)
 from ssduck.udfs import RELATIONS
 
 T = TypeVar("T")
@@ -94,6 +106,13 @@ def calls_of(node: Node) -> frozenset[str]:
     """The functions that a part calls."""
     own = (node.name,) if isinstance(node, Call) else ()
     return frozenset(own).union(*map(calls_of, node.children()))
+
+
+@known
+def forms_of(node: Node) -> frozenset[str]:
+    """The result forms that a part names."""
+    own = (node.name,) if isinstance(node, Adapter) else ()
+    return frozenset(own).union(*map(forms_of, node.children()))
 
 
 def states(query: Query) -> frozenset[str]:

@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
+from ssduck.adapters import tables_of_forms
 from ssduck.database import Database
 from ssduck.deferred import Deferred
-from ssduck.dependencies import calls_of, tables_of, variables_of
+from ssduck.dependencies import calls_of, forms_of, tables_of, variables_of
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.forms import help_of_forms
 from ssduck.functions import BUILTINS, Function
@@ -225,7 +226,7 @@ class Names:
 
     def _tables_of(self, node: Node) -> frozenset[str]:
         """The tables that relations in a part look things up in."""
-        found = tables_of(node)
+        found = tables_of(node) | tables_of_forms(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
             if isinstance(value, Deferred):

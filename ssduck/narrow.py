@@ -41,7 +41,7 @@ from ssduck.overlap import (
     share_inside,
 )
 from ssduck.separation import Counter, Placed, Point, Separation, separation
-from ssduck.solids import Solid
+from ssduck.solids import PlacedSolids, Solid
 
 # What is deeper collides.
 COLLIDES = 1e-6
@@ -319,6 +319,18 @@ class Narrow:
     def is_without_shapes(self, e: int) -> bool:
         """Whether an entity has no shape with a point."""
         return not self._shapes[e]
+
+    def placed(self, entities: Sequence[int], ids: Sequence[int]) -> PlacedSolids:
+        """The shapes of entities, those without a point left out, as of `ids`."""
+        counts = [len(self._shapes[e]) for e in entities]
+        numbers = [s for e in entities for s in self._shapes[e]]
+        return PlacedSolids(
+            [self._solids[s] for s in numbers],
+            self._positions[numbers],
+            self._matrices[numbers],
+            self._boxes[numbers],
+            np.repeat(np.array(ids, dtype=np.intp), counts),
+        )
 
     # -- of two entities ------------------------------------------------------------------
 

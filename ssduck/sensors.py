@@ -17,6 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from ssduck.broad import Flags
 from ssduck.geometry import Array
 
 Settings: TypeAlias = Mapping[str, float]
@@ -66,6 +67,8 @@ class SensorType:
             and its settings; None for one that has no rays, and so no range.
         shape: how many rays it has, (n,) or (height, width), worked out before they are made.
         has_picture: whether it has colours.
+        view: which points (n, 3) in its own frame are in its field of view, by its greatest range,
+            its settings, and how far off what is flat still counts as in it, m.
     """
 
     name: str
@@ -74,6 +77,7 @@ class SensorType:
     rays: Callable[[float, Settings], Array] | None = None
     shape: Callable[[Settings], tuple[int, ...]] = lambda _: (1,)
     has_picture: bool = False
+    view: Callable[[Array, float, Settings, float], Flags] | None = None
 
     @property
     def has_range(self) -> bool:
@@ -151,6 +155,41 @@ def _image(settings: Settings) -> tuple[int, int]:
     return int(settings["height"]), int(settings["width"])
 
 
+# -- the field of view ----------------------------------------------------------------------------
+
+
+def _on_ray(points: Array, reach: float, _: Settings, off: float) -> Flags:
+    """Of a single ray: what is at most that far off it."""
+    x, y, z = points.T
+    seen: Flags = (x > 0.0) & (x <= reach) & (np.hypot(y, z) <= off)
+    return seen
+
+
+def _in_image(points: Array, reach: float, settings: Settings, _: float) -> Flags:
+    """Of a camera: the pyramid of its image, to a depth of the greatest range."""
+    x, y, z = points.T
+    height, width = _image(settings)
+    half = math.tan(math.radians(settings["fov"]) / 2) * (1 + _SAME)
+    inside = (abs(z) <= half * x) & (abs(y) <= half * width / height * x)
+    seen: Flags = inside & (x > 0.0) & (x <= reach)
+    return seen
+
+
+def _in_sweep(points: Array, reach: float, settings: Settings, off: float) -> Flags:
+    """Of fans: between the outermost rays; of one, which is flat, what is at most that far off."""
+    x, y, z = points.T
+    distance = np.linalg.norm(points, axis=1)
+    turn = np.degrees(np.arctan2(y, x)) - settings["min_angle"] + _SAME
+    seen: Flags = (distance > 0.0) & (distance <= reach)
+    seen &= turn % 360.0 <= settings["max_angle"] - settings["min_angle"] + 2 * _SAME
+    low, high = (settings.get(f"{side}_elevation", 0.0) for side in ("min", "max"))
+    if low == high or settings.get("layers") == 1:  # which is the lowest
+        up = np.arctan2(z, np.hypot(x, y)) - math.radians(low)
+        return seen & (abs(distance * np.sin(up)) <= off)
+    up = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    return seen & (up >= low - _SAME) & (up <= high + _SAME)
+
+
 # -- the registry ---------------------------------------------------------------------------------
 
 
@@ -174,6 +213,7 @@ _LISTED = (
         rays=_pixels,
         shape=_image,
         has_picture=True,
+        view=_in_image,
     ),
     SensorType(
         "planar_laser",
@@ -185,6 +225,7 @@ _LISTED = (
         ),
         rays=_plane,
         shape=lambda settings: (_steps(settings),),
+        view=_in_sweep,
     ),
     SensorType(
         "lidar",
@@ -199,8 +240,9 @@ _LISTED = (
         ),
         rays=_layers,
         shape=lambda settings: (int(settings["layers"]) * _steps(settings),),
+        view=_in_sweep,
     ),
-    SensorType("range_finder", "One ray along the sensor's +x.", rays=_one),
+    SensorType("range_finder", "One ray along the sensor's +x.", rays=_one, view=_on_ray),
     SensorType(
         "contact_sensor",
         "What presses on the link that the sensor sits on, or on the whole body if no link is "

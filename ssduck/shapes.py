@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -17,6 +17,7 @@ from ssduck.colliding import Found, Sorts, pair_number
 from ssduck.geometry import Array
 from ssduck.narrow import Narrow
 from ssduck.relations import MOST_IDS
+from ssduck.solids import PlacedSolids
 
 # After more pairs, or one for every four entities, all pairs of the tick are compared at once.
 FEW = 64
@@ -189,6 +190,14 @@ class Shapes:
     def volume(self, entity: int) -> float | None:
         """The sum of the volumes of its shapes, m³."""
         return self._narrow.solid_volume(self._numbers[entity])
+
+    def unknown(self, ids: Sequence[int]) -> list[int]:
+        """Those of some entities whose poses are no numbers, or whose shapes are no shapes."""
+        return [id for id in ids if not self._narrow.is_known(self._numbers[id])]
+
+    def placed(self, ids: Sequence[int]) -> PlacedSolids:
+        """The shapes of some entities where they are."""
+        return self._narrow.placed([self._numbers[id] for id in ids], ids)
 
 
 def _both_ways(a: Ids, b: Ids) -> list[int]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from threading import RLock
@@ -16,7 +17,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry import Array, Geometry, Triangles, cross
+from ssduck.broad import Flags
+from ssduck.geometry import Array, Geometry, Indices, Triangles, cross
 from ssduck.surfaces import Surface, enclosed_volume, without_copies
 
 SolidType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
@@ -124,6 +126,44 @@ class Solid:
             hull = hull_of(self.points / size)
             return Surface(hull.core * size, hull.faces)
         return self.fine_surface
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSolids:
+    """Solids in the world.
+
+    Attributes:
+        solids: (n,)
+        positions: (n, 3)
+        matrices: (n, 3, 3)
+        boxes: (n, 6), lower corners, upper corners.
+        owners: (n,), the ids of the entities that they are of.
+    """
+
+    solids: Sequence[Solid]
+    positions: Array
+    matrices: Array
+    boxes: Array
+    owners: Indices
+
+    def __len__(self) -> int:
+        return len(self.solids)
+
+    def __iter__(self) -> Iterator[tuple[Solid, Array, Array]]:
+        """Each with its position and its matrix."""
+        return zip(self.solids, self.positions, self.matrices, strict=True)
+
+    def of(self, some: Flags) -> PlacedSolids:
+        """Some of them."""
+        solids = [solid for solid, is_one in zip(self.solids, some, strict=True) if is_one]
+        rows = (rows[some] for rows in (self.positions, self.matrices, self.boxes, self.owners))
+        return PlacedSolids(solids, *rows)
+
+    @classmethod
+    def none(cls) -> PlacedSolids:
+        """No solids."""
+        points = np.zeros((0, 3))
+        return cls([], points, np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros(0, np.intp))
 
 
 def solid_of(geometry: Geometry) -> Solid:

@@ -7,11 +7,12 @@ one; so does a package that has entry points of the group `ssduck.adapters`.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 from ssduck.adapters.base import Adapter, Need, Selection
+from ssduck.adapters.grids import GRIDS
 from ssduck.adapters.logic import LOGIC
 from ssduck.adapters.network import NETWORK
 from ssduck.adapters.tabular import TABULAR
@@ -24,7 +25,7 @@ Maker = TypeVar("Maker", bound=Callable[..., Any])
 GROUP = "ssduck.adapters"
 
 _ADAPTERS: dict[str, Adapter] = {
-    name: form for form in (*VALUES, *TABULAR, *LOGIC, *NETWORK) for name in form.names
+    name: form for form in (*VALUES, *TABULAR, *LOGIC, *NETWORK, *GRIDS) for name in form.names
 }
 _BUILT_IN = frozenset(_ADAPTERS)
 
@@ -87,6 +88,12 @@ def find(name: str) -> Adapter:
     return _ADAPTERS[name]
 
 
+def tables_of_forms(names: Iterable[str]) -> frozenset[str]:
+    """The tables that forms read beside that of entities; those that are no forms read none."""
+    known = (_ADAPTERS[name].tables for name in names if name in _ADAPTERS)
+    return frozenset().union(*known)
+
+
 def forms() -> list[Adapter]:
     """All forms, ssduck's own first; those of packages that cannot be imported left out."""
     for name in _entry_points().keys() - _ADAPTERS.keys():
@@ -115,4 +122,4 @@ def _loaded(name: str, point: Any) -> Adapter:
     return Adapter((name,), inspect.getdoc(found) or f"A form of {point.value}.", found)
 
 
-__all__ = ["Adapter", "Need", "Selection", "adapter", "find", "forms"]
+__all__ = ["Adapter", "Need", "Selection", "adapter", "find", "forms", "tables_of_forms"]

@@ -136,6 +136,7 @@ class Adapter:
             the selection for, and nothing runs before.
         select: the query that is run in the place of the one that was asked; None for the same.
         writes: whether it writes a file, which `Limits` may forbid.
+        tables: what it reads of the tick beside the entities, so that the tick has it.
     """
 
     names: tuple[str, ...]
@@ -144,6 +145,7 @@ class Adapter:
     needs: Need = "rows"
     select: Callable[[Query], Query] | None = None
     writes: bool = False
+    tables: frozenset[str] = frozenset()
 
     @cached_property
     def signature(self) -> inspect.Signature:

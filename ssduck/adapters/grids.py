@@ -1,0 +1,340 @@
+"""Grids: what shapes occupy, how many sensors see a place, values summed over a plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ssduck.adapters.base import Adapter, Selection
+from ssduck.entities import Entity, Sensor
+from ssduck.errors import ArgumentError
+from ssduck.geometry import Array, rotation_matrices
+from ssduck.grids import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
+from ssduck.messages import shown
+from ssduck.sensors import SENSOR_TYPES
+from ssduck.sightlines import are_blocked
+from ssduck.slicing import ROUNDED, Raster, Slicer
+from ssduck.solids import PlacedSolids
+from ssduck.tree import Bare, Call, Name, Query, This
+from ssduck.world import World
+
+MOST_CELLS = 100_000_000
+# Bounds that are not given are rounded outward to that, m, as in the tutorial.
+_STEP = 0.01
+# What is over by less than this share of a step or a cell is not over.
+_OVER = 1e-6
+_PLANES = {"XY": (0, 1), "XZ": (0, 2), "YZ": (1, 2)}
+
+
+# -- what is occupied -----------------------------------------------------------------------------
+
+
+def _occupancy(
+    selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
+) -> OccupancyGrid:
+    heights = z_pos if isinstance(z_pos, list | tuple) else [z_pos, z_pos]
+    if len(heights) != 2:
+        raise ArgumentError(f"z_pos is a height or [lowest, highest], not {shown(z_pos)}")
+    low, high = (_number(height, "z_pos") for height in heights)
+    if low > high:
+        raise ArgumentError(f"z_pos: the lowest height {low:g} is above the highest, {high:g}")
+    size = _size(grid_size)
+    placed = _shapes_of(selection)
+    lower, upper = _bounds(bounds, placed, 2)
+    counts = _counts(lower, upper, size)
+    return _sliced(placed, lower, size, counts, (low, high))
+
+
+def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025) -> OccupancyGrid:
+    z, size = _number(z_pos, "z_pos"), _size(grid_size)
+    placed = _shapes_of(selection)
+    lower, upper = _bounds(None, placed, 2)
+    # The tutorial's module is asked for one cell more than the bounds have.
+    nx, ny = (count + 1 for count in _counts(lower, upper, size))
+    return _sliced(placed, lower, size, (nx, ny), (z, z))
+
+
+def _sliced(
+    placed: PlacedSolids,
+    lower: tuple[float, ...],
+    size: float,
+    counts: tuple[int, ...],
+    heights: tuple[float, float],
+) -> OccupancyGrid:
+    raster = Raster((lower[0], lower[1]), size, (counts[0], counts[1]))
+    cells = Slicer(placed).cells(raster, *heights)
+    z = heights[0] if heights[0] == heights[1] else heights
+    return OccupancyGrid(cells, raster.origin, size, z)
+
+
+def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGrid:
+    size = _size(grid_size)
+    placed = _shapes_of(selection)
+    lower, upper = _bounds(bounds, placed, 3)
+    nx, ny, nz = _counts(lower, upper, size)
+    raster, slicer = Raster((lower[0], lower[1]), size, (nx, ny)), Slicer(placed)
+    cells = np.zeros((nx, ny, nz), dtype=bool)
+    for layer in range(nz):
+        ground = lower[2] + layer * size
+        cells[:, :, layer] = slicer.cells(raster, ground, ground + size, reach=ROUNDED)
+    return VoxelGrid(cells, lower, size)
+
+
+# -- what sensors see -----------------------------------------------------------------------------
+
+
+def _sensor_grid(
+    selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
+) -> SensorGrid:
+    z, size = _number(z_pos, "z_pos"), _size(grid_size)
+    sensors = [entity for entity in selection.entities if isinstance(entity, Sensor)]
+    if not sensors and selection.entities:
+        raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
+    world = selection.world
+    placed = _placed(world, [e for e in world if not isinstance(e, Sensor)])
+    lower, upper = _bounds(bounds, placed, 2, endless_aside=True)
+    nx, ny = _counts(lower, upper, size)
+    cells = np.zeros((nx, ny), dtype=np.int32)
+    raster = Raster((lower[0], lower[1]), size, (nx, ny))
+    x, y = np.meshgrid(raster.centres(0), raster.centres(1), indexing="ij")
+    points = np.stack((x.ravel(), y.ravel(), np.full(x.size, z)), axis=1)
+    for sensor in sensors:
+        cells.reshape(-1)[_seen(sensor, placed, points, size / 2)] += 1
+    return SensorGrid(cells, raster.origin, size, z, tuple(sensor.name for sensor in sensors))
+
+
+def _seen(sensor: Sensor, placed: PlacedSolids, points: Array, off: float) -> Any:
+    """The numbers of the points (n, 3) that a sensor sees."""
+    spec = sensor.spec
+    view = SENSOR_TYPES[spec.type].view
+    if view is None or not sensor.powered:
+        return []
+    start, turn = np.array(sensor.position), np.array([sensor.orientation])
+    if not np.isfinite(np.concatenate((start, turn[0]))).all():
+        raise ArgumentError(f"{sensor.name!r} is nowhere: its pose is no number")
+    matrix = rotation_matrices(turn)[0]
+    inside = np.flatnonzero(view((points - start) @ matrix, spec.max_range, spec.settings, off))
+    host = sensor.state.snapshot.members[sensor.state.snapshot.rows[sensor.id]].mount[0]
+    others = placed.of(placed.owners != host)
+    return inside[~are_blocked(others, start, points[inside])]
+
+
+# -- values over a plane --------------------------------------------------------------------------
+
+
+def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 1) -> PlaneGrid:
+    plane = axes.upper() if isinstance(axes, str) else ""
+    if plane not in _PLANES:
+        raise ArgumentError(f"axes are 'XY', 'XZ' or 'YZ', not {shown(axes)}")
+    lower = np.array(_numbers(origin, 2, "origin", "[first, second]"))
+    *counts, side = _numbers(size, 3, "size", "[cells along first, along second, m a cell]")
+    side = _size(side)
+    if any(count < 1 or count != int(count) for count in counts):
+        raise ArgumentError(f"size: there are whole numbers of cells, not {shown(size)}")
+    nx, ny = map(int, counts)
+    _check_count((nx, ny))
+    if not isinstance(blur, int) or isinstance(blur, bool) or not 1 <= blur <= max(nx, ny):
+        raise ArgumentError(f"blur is a whole number of cells from 1 on, not {shown(blur)}")
+    cells = np.zeros((nx + 2 * blur, ny + 2 * blur))
+    for entity, value in _valued(selection):
+        steps = (np.array(_place(entity))[list(_PLANES[plane])] - lower) / side
+        if ((steps >= 0) & (steps < (nx, ny))).all():
+            i, j = steps.astype(np.intp) + blur
+            around = slice(i - blur + 1, i + blur), slice(j - blur + 1, j + blur)
+            cells[around] += value * _pyramid(blur)
+    return PlaneGrid(cells[blur:-blur, blur:-blur].copy(), tuple(lower.tolist()), side, plane)
+
+
+def _pyramid(blur: int) -> Array:
+    """Weights (2 blur - 1, 2 blur - 1) that fall with the steps from the middle; their sum is 1."""
+    steps = np.abs(np.arange(1 - blur, blur))
+    weights: Array = np.maximum(1.0 + blur - steps[:, None] - steps, 0.0)
+    return weights / weights.sum()
+
+
+def _valued(selection: Selection) -> list[tuple[Entity, float]]:
+    """The entity of each row, and the sum of the row's numbers."""
+    names = selection.columns
+    found = []
+    for row in selection.rows:
+        entities = [value for value in row if isinstance(value, Entity)]
+        if not entities:
+            raise ArgumentError("a row has no entity, whose position says where its values go")
+        values = [
+            _summed(value, name)
+            for name, value in zip(names, row, strict=True)
+            if not isinstance(value, Entity)
+        ]
+        found.append((entities[0], math.fsum(values)))
+    return found
+
+
+def _summed(value: Any, name: str) -> float:
+    """A number, or the sum of a list of them; what is unknown counts 0."""
+    if value is None:
+        return 0.0
+    if isinstance(value, list | tuple):
+        return math.fsum(_summed(part, name) for part in value)
+    if isinstance(value, int | float | np.number):
+        return float(value)
+    raise ArgumentError(f"column {name!r} is to be summed, but {shown(value)} is no number")
+
+
+def _with_entity(query: Query) -> Query:
+    """A query of one source with its entity as a column, which says where the values go."""
+    if len(query.sources) != 1 or not query.items or any(map(_is_entity, query.items)):
+        return query
+    span = query.span
+    alias = query.sources[0].alias
+    entity = Call(span, "obj", (This(span, alias),), span)
+    return replace(query, items=(*query.items, entity))
+
+
+def _is_entity(item: Any) -> bool:
+    return isinstance(item, This) or (isinstance(item, Name | Bare | Call) and item.name == "obj")
+
+
+# -- arguments, bounds, shapes --------------------------------------------------------------------
+
+
+def _number(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise ArgumentError(f"{what} is a number, not {shown(value)}")
+    if not math.isfinite(value):
+        raise ArgumentError(f"{what} is a finite number, not {shown(value)}")
+    return float(value)
+
+
+def _numbers(values: Any, count: int, what: str, form: str) -> list[float]:
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    if not isinstance(values, list | tuple) or len(values) != count:
+        raise ArgumentError(f"{what} is {form}, not {shown(values)}")
+    return [_number(value, what) for value in values]
+
+
+def _size(value: Any) -> float:
+    size = _number(value, "the size of a cell")
+    if size <= 0.0:
+        raise ArgumentError(f"the size of a cell is above 0 m, not {shown(value)}")
+    return size
+
+
+def _bounds(
+    given: Any, placed: PlacedSolids, count: int, *, endless_aside: bool = False
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The corners that are given, or those around shapes, rounded outward to 1 cm."""
+    if given is not None:
+        form = "[[xmin, ymin], [xmax, ymax]]" if count == 2 else "two corners [x, y, z]"
+        if not isinstance(given, list | tuple) or len(given) != 2:
+            raise ArgumentError(f"bounds are {form}, not {shown(given)}")
+        # a box of an entity will do, too
+        corners = [list(c)[:count] if isinstance(c, list | tuple) else c for c in given]
+        lower, upper = (tuple(_numbers(c, count, "a corner of bounds", form)) for c in corners)
+        return lower, upper
+    boxes = placed.boxes[np.isfinite(placed.boxes).all(axis=1)] if endless_aside else placed.boxes
+    if not len(boxes):
+        raise ArgumentError("nothing that is selected has shapes; give bounds for an empty grid")
+    endless = placed.owners[
+        ~np.isfinite(placed.boxes[:, [*range(count), *range(3, 3 + count)]]).all(axis=1)
+    ]
+    if len(endless) and not endless_aside:
+        raise ArgumentError("a plane that is selected has no end; give bounds, or leave it out")
+    low, high = boxes[:, :count].min(axis=0), boxes[:, 3 : 3 + count].max(axis=0)
+    low = np.floor(low / _STEP + _OVER) * _STEP
+    high = np.ceil(high / _STEP - _OVER) * _STEP
+    # as they are written: 0.29, not 0.29000000000000004
+    return tuple(low.round(9).tolist()), tuple(high.round(9).tolist())
+
+
+def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tuple[int, ...]:
+    """How many cells there are from one corner to the other."""
+    for low, high in zip(lower, upper, strict=True):
+        if not low < high:
+            raise ArgumentError(f"bounds: {low:g} is not below {high:g}")
+    steps = [math.ceil((h - l) / size - _OVER) for l, h in zip(lower, upper, strict=True)]
+    counts = tuple(max(1, step) for step in steps)
+    _check_count(counts)
+    return counts
+
+
+def _check_count(counts: tuple[int, ...]) -> None:
+    if math.prod(counts) > MOST_CELLS:
+        told = " x ".join(f"{count:,}" for count in counts)
+        raise ArgumentError(
+            f"{told} cells are more than {MOST_CELLS:,}; take larger cells, or bounds of a part"
+        )
+
+
+def _shapes_of(selection: Selection) -> PlacedSolids:
+    """The shapes of what is selected."""
+    entities = [entity for entity in selection.entities if not isinstance(entity, Sensor)]
+    if not entities:
+        return PlacedSolids.none()
+    return _placed(selection.world, entities)
+
+
+def _placed(world: World, entities: Sequence[Entity]) -> PlacedSolids:
+    for entity in entities:
+        if not entity.is_there:
+            raise entity.removed()
+    world.ask(("shapes",))
+    shapes = world.snapshot.shapes()
+    ids = [entity.id for entity in entities]
+    for id in shapes.unknown(ids)[:1]:
+        name = world.entity(id).name
+        raise ArgumentError(f"{name!r} is nowhere: its pose is no number; leave it out by WHERE")
+    return shapes.placed(ids)
+
+
+def _place(entity: Entity) -> list[float]:
+    place = entity.position
+    if not np.isfinite(place).all():
+        raise ArgumentError(f"{entity.name!r} is nowhere: its position is no number")
+    return place
+
+
+_SHAPES = frozenset(("shapes",))
+
+GRIDS = (
+    Adapter(
+        ("occupancygrid", "map"),
+        "The cells that shapes occupy at a height, or between two, [lowest, highest].",
+        _occupancy,
+        needs="entities",
+        tables=_SHAPES,
+    ),
+    Adapter(
+        ("roombaGrid",),
+        "The same with the sizes of SelectScript's tutorial, and its one cell more.",
+        _roomba_grid,
+        needs="entities",
+        tables=_SHAPES,
+    ),
+    Adapter(
+        ("voxelgrid",),
+        "The cubes that shapes occupy.",
+        _voxels,
+        needs="entities",
+        tables=_SHAPES,
+    ),
+    Adapter(
+        ("sensorgrid",),
+        "How many of the selected sensors see each cell at a height.",
+        _sensor_grid,
+        needs="entities",
+        tables=_SHAPES,
+    ),
+    Adapter(
+        ("plane",),
+        "The rows' values, summed in the cells of a plane, 'XY' say, that positions fall into; "
+        "size is [cells, cells, m a cell].",
+        _plane,
+        needs="entities",
+        select=_with_entity,
+    ),
+)
