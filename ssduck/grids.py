@@ -65,9 +65,8 @@ class Grid:
 
     def centres(self, axis: int) -> npt.NDArray[np.float64]:
         """The coordinates of the cells' centres along an axis, m."""
-        steps = np.arange(self.shape[axis]) + 0.5
-        found: npt.NDArray[np.float64] = self.origin[axis] + steps * self.resolution
-        return found
+        steps: npt.NDArray[np.float64] = np.arange(self.shape[axis], dtype=np.float64) + 0.5
+        return self.origin[axis] + steps * self.resolution
 
     def at(self, *point: float) -> Any:
         """The value of the cell that a point is in; of two cells, the upper one.
@@ -89,7 +88,7 @@ class Grid:
         """The cells as an array of another type."""
         return self.cells.astype(dtype)
 
-    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> Cells:
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> Cells:
         return np.array(self.cells, dtype=dtype, copy=copy)
 
     def __getitem__(self, key: Any) -> Any:

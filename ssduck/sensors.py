@@ -185,9 +185,11 @@ def _in_sweep(points: Array, reach: float, settings: Settings, off: float) -> Fl
     low, high = (settings.get(f"{side}_elevation", 0.0) for side in ("min", "max"))
     if low == high or settings.get("layers") == 1:  # which is the lowest
         up = np.arctan2(z, np.hypot(x, y)) - math.radians(low)
-        return seen & (abs(distance * np.sin(up)) <= off)
+        seen &= abs(distance * np.sin(up)) <= off
+        return seen
     up = np.degrees(np.arctan2(z, np.hypot(x, y)))
-    return seen & (up >= low - _SAME) & (up <= high + _SAME)
+    seen &= (up >= low - _SAME) & (up <= high + _SAME)
+    return seen
 
 
 # -- the registry ---------------------------------------------------------------------------------

@@ -112,7 +112,10 @@ def _quadratic(ways: Array, off: Array, radius: float) -> _Part:
 
 
 def _of_triangles(solid: Solid, start: Array, ways: Array) -> Array:
-    """The share of each ray at which it meets the first triangle, else inf (Möller, Trumbore 1997)."""
+    """The share of each ray at which it meets the first triangle, else inf.
+
+    By T. Möller and B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection, 1997.
+    """
     corners = solid.surface.triangles
     u, v, off = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], start - corners[:, 0]
     normal, turned = cross(u, v), cross(off, v)
@@ -122,4 +125,5 @@ def _of_triangles(solid: Solid, start: Array, ways: Array) -> Array:
         second = -(ways @ cross(off, u).T) / below
         share = np.einsum("mi,mi->m", normal, off) / below
         met = (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0) & (share > 0.0)
-    return np.where(met, share, np.inf).min(axis=1, initial=np.inf)
+    nearest: Array = np.where(met, share, np.inf).min(axis=1, initial=np.inf)
+    return nearest

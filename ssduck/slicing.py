@@ -50,8 +50,8 @@ class Raster:
 
     def centres(self, axis: int) -> Array:
         """The coordinates of the cells' centres along x (0) or y (1)."""
-        found: Array = self.origin[axis] + (np.arange(self.shape[axis]) + 0.5) * self.size
-        return found
+        steps: Array = np.arange(self.shape[axis], dtype=np.float64) + 0.5
+        return self.origin[axis] + steps * self.size
 
     def reached(self, low: Array, high: Array, within: float, axis: int) -> tuple[Indices, Indices]:
         """The first and the last cell along an axis that intervals reach into.
@@ -96,7 +96,8 @@ class Slicer:
             elif solid.radius or solid.disc:
                 self._round += _round_parts(solid, position, matrix)
             elif len(solid.core):
-                corners = (solid.core @ matrix.T + position)[solid.surface.faces]
+                surface = solid.surface
+                corners = (surface.vertices @ matrix.T + position)[surface.faces]
                 apart = np.arange(len(corners)) if not _is_full_hull(solid) else 0
                 groups.append(np.zeros(len(corners), np.intp) + apart + count)
                 count = int(groups[-1][-1]) + 1
@@ -232,7 +233,8 @@ def _runs(first: Indices, counts: Indices) -> Indices:
     """first, first + 1, … (count of them), of each."""
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
-    return np.arange(total) + np.repeat(first - (ends - counts), counts)
+    found: Indices = np.arange(total) + np.repeat(first - (ends - counts), counts)
+    return found
 
 
 def _heights(

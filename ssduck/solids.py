@@ -156,8 +156,13 @@ class PlacedSolids:
     def of(self, some: Flags) -> PlacedSolids:
         """Some of them."""
         solids = [solid for solid, is_one in zip(self.solids, some, strict=True) if is_one]
-        rows = (rows[some] for rows in (self.positions, self.matrices, self.boxes, self.owners))
-        return PlacedSolids(solids, *rows)
+        return PlacedSolids(
+            solids,
+            self.positions[some],
+            self.matrices[some],
+            self.boxes[some],
+            self.owners[some],
+        )
 
     @classmethod
     def none(cls) -> PlacedSolids:

@@ -96,7 +96,8 @@ def _sensor_grid(
         raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
     world = selection.world
     placed = _placed(world, [e for e in world if not isinstance(e, Sensor)])
-    lower, upper = _bounds(bounds, placed, 2, endless_aside=True)
+    has_end = placed.of(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
+    lower, upper = _bounds(bounds, has_end, 2)
     nx, ny = _counts(lower, upper, size)
     cells = np.zeros((nx, ny), dtype=np.int32)
     raster = Raster((lower[0], lower[1]), size, (nx, ny))
@@ -153,7 +154,8 @@ def _pyramid(blur: int) -> Array:
     """Weights (2 blur - 1, 2 blur - 1) that fall with the steps from the middle; their sum is 1."""
     steps = np.abs(np.arange(1 - blur, blur))
     weights: Array = np.maximum(1.0 + blur - steps[:, None] - steps, 0.0)
-    return weights / weights.sum()
+    weights /= weights.sum()
+    return weights
 
 
 def _valued(selection: Selection) -> list[tuple[Entity, float]]:
@@ -225,30 +227,35 @@ def _size(value: Any) -> float:
 
 
 def _bounds(
-    given: Any, placed: PlacedSolids, count: int, *, endless_aside: bool = False
+    given: Any, placed: PlacedSolids, count: int
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The corners that are given, or those around shapes, rounded outward to 1 cm."""
     if given is not None:
-        form = "[[xmin, ymin], [xmax, ymax]]" if count == 2 else "two corners [x, y, z]"
-        if not isinstance(given, list | tuple) or len(given) != 2:
-            raise ArgumentError(f"bounds are {form}, not {shown(given)}")
-        # a box of an entity will do, too
-        corners = [list(c)[:count] if isinstance(c, list | tuple) else c for c in given]
-        lower, upper = (tuple(_numbers(c, count, "a corner of bounds", form)) for c in corners)
-        return lower, upper
-    boxes = placed.boxes[np.isfinite(placed.boxes).all(axis=1)] if endless_aside else placed.boxes
-    if not len(boxes):
+        return _given_bounds(given, count)
+    if not len(placed):
         raise ArgumentError("nothing that is selected has shapes; give bounds for an empty grid")
-    endless = placed.owners[
-        ~np.isfinite(placed.boxes[:, [*range(count), *range(3, 3 + count)]]).all(axis=1)
-    ]
-    if len(endless) and not endless_aside:
-        raise ArgumentError("a plane that is selected has no end; give bounds, or leave it out")
-    low, high = boxes[:, :count].min(axis=0), boxes[:, 3 : 3 + count].max(axis=0)
+    low, high = placed.boxes[:, :count].min(axis=0), placed.boxes[:, 3 : 3 + count].max(axis=0)
+    if not np.isfinite((low, high)).all():
+        raise ArgumentError("a plane has no end: give bounds, or leave it out by WHERE")
     low = np.floor(low / _STEP + _OVER) * _STEP
     high = np.ceil(high / _STEP - _OVER) * _STEP
     # as they are written: 0.29, not 0.29000000000000004
     return tuple(low.round(9).tolist()), tuple(high.round(9).tolist())
+
+
+def _given_bounds(given: Any, count: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Two corners, or what `aabb` gives; what they have more than the grid needs is left out."""
+    corner = "[x, y]" if count == 2 else "[x, y, z]"
+    form = f"two corners {corner}, or the aabb of an entity"
+    if isinstance(given, list | tuple) and len(given) == 6:
+        given = [given[0::2], given[1::2]]
+    if not isinstance(given, list | tuple) or len(given) != 2:
+        raise ArgumentError(f"bounds are {form}, not {shown(given)}")
+    lower, upper = (
+        tuple(_numbers(c[:count] if isinstance(c, list | tuple) else c, count, "bounds", form))
+        for c in given
+    )
+    return lower, upper
 
 
 def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tuple[int, ...]:
@@ -256,7 +263,7 @@ def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tupl
     for low, high in zip(lower, upper, strict=True):
         if not low < high:
             raise ArgumentError(f"bounds: {low:g} is not below {high:g}")
-    steps = [math.ceil((h - l) / size - _OVER) for l, h in zip(lower, upper, strict=True)]
+    steps = [math.ceil((high - low) / size - _OVER) for low, high in zip(lower, upper, strict=True)]
     counts = tuple(max(1, step) for step in steps)
     _check_count(counts)
     return counts
