@@ -9,10 +9,10 @@ from __future__ import annotations
 import platform
 import sys
 
-from benchmarks import language, pairs, queries, recorded, ticks
+from benchmarks import adapters, language, pairs, queries, recorded, ticks
 from benchmarks.timing import printed
 
-TABLES = {"ticks": ticks, "queries": queries, "language": language}
+TABLES = {"ticks": ticks, "queries": queries, "language": language, "adapters": adapters}
 LONG = {"pairs": pairs.main, "time": recorded.main}
 
 

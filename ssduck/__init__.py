@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from ssduck.entities import Entity, Sensor
     from ssduck.episode import Episode
     from ssduck.errors import SelectScriptError
+    from ssduck.grids import OccupancyGrid
     from ssduck.interpreter import Interpreter
     from ssduck.limits import Limits
     from ssduck.opened import episodes
@@ -25,6 +26,7 @@ __all__ = [
     "Episode",
     "Interpreter",
     "Limits",
+    "OccupancyGrid",
     "Past",
     "Recording",
     "SelectScriptError",
@@ -44,6 +46,7 @@ _HOMES = {
     "Episode": "episode",
     "Interpreter": "interpreter",
     "Limits": "limits",
+    "OccupancyGrid": "grids",
     "Past": "past",
     "Recording": "recording",
     "SelectScriptError": "errors",

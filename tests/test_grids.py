@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pybullet
@@ -18,6 +20,7 @@ from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.grids import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.simulators.pybullet import PyBulletSimulator
 
+ROOT = Path(__file__).resolve().parent.parent
 ALL = "SELECT obj FROM kitchen AS"
 
 
@@ -262,7 +265,8 @@ def test_it_is_an_array(grid):
     assert np.asarray(grid, dtype=float).sum() == 2.0
     assert np.flatnonzero(grid).tolist() == [3, 11]
     assert grid[1].tolist() == [True, False, False]
-    assert grid[1, 0] and len(grid) == 4 and grid.shape == (4, 3)
+    assert grid[1, 0]
+    assert (len(grid), grid.shape) == (4, (4, 3))
     assert grid.bounds == ((-1.0, 2.0), (1.0, 3.5))
     assert grid.axes == "XY"
     assert grid.centres(0).tolist() == [-0.75, -0.25, 0.25, 0.75]
@@ -322,6 +326,52 @@ def test_its_picture_has_x_to_the_right_and_y_up(grid):
     assert colours.shape == (2, 2, 3)
     assert colours[1, 0].tolist() == [255, 255, 255]
     assert colours[1, 1].sum() == colours.sum(axis=2).min()
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """The pictures of the manual, drawn anew: arrays of their pixels, (y, x, 3)."""
+    folder = tmp_path_factory.mktemp("pictures")
+    command = [sys.executable, str(ROOT / "tools" / "draw_forms.py"), str(folder)]
+    subprocess.run(command, check=True, env={"PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL)
+    return {path.stem: pixels(path) for path in sorted(folder.glob("*.png"))}
+
+
+def pixels(path):
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB")).astype(int)
+
+
+def test_the_manuals_pictures_are_up_to_date(pictures):
+    page = (ROOT / "docs" / "adapters.md").read_text(encoding="utf-8")
+    assert len(pictures) == 5
+    for name, drawn in pictures.items():
+        stored = ROOT / "docs" / f"{name}.png"
+        assert f"({name}.png)" in page
+        assert stored.stat().st_size < 100_000
+        assert np.array_equal(pixels(stored), drawn), f"{name}: run tools/draw_forms.py"
+
+
+def test_the_pictures_show_what_they_should(pictures, tmp_path):
+    """Pixels are counted by colours, and are as many a cell as the cells are drawn wide."""
+    with ssduck.load("kitchen") as ss:
+        bounds = "bounds=[[-1.75, -2.5], [2.45, 2.7]]"
+        maps = [ss.eval(f"{ALL} map({z}, 0.02, {bounds});") for z in ("0.22", "[0.2, 1.0]")]
+        roomba = ss.eval(f"{ALL} roombaGrid;")
+        masses = ss.eval("SELECT mass FROM kitchen AS plane('XY', [-2, -3], [50, 60, 0.1]);")
+    dark, white = ((pictures["occupancygrid"] == shade).all(axis=2).sum() for shade in (40, 255))
+    assert dark == 4 * sum(grid.cells.sum() for grid in maps)
+    assert white == 4 * sum((~grid.cells).sum() for grid in maps)
+    dark = (pictures["roombagrid"] == 40).all(axis=2)
+    assert dark[:, : 12 + 2 * roomba.shape[0]].sum() == 4 * roomba.cells.sum()
+    left = pictures["plane"][:, : 12 + 6 * 50]
+    assert ((left != 255).any(axis=2) & (left != [200, 210, 220]).any(axis=2)).sum() == 36 * (
+        np.rint(masses.cells / masses.cells.max() * 255) > 0
+    ).sum()
+    seen = pictures["sensorgrid"]
+    assert (seen == 40).all(axis=2).sum() > 20_000
+    assert (seen == [74, 0, 60]).all(axis=2).sum() > 0  # where most sensors see
+    assert len(np.unique(pictures["voxelgrid"].reshape(-1, 3), axis=0)) > 20
 
 
 def test_plot(grid):
@@ -413,7 +463,7 @@ def test_maps_that_cannot_be_read(tmp_path, change, message):
 
 
 def test_files_that_are_not_there(grid, tmp_path):
-    with pytest.raises(ArgumentError, match="nowhere.yaml cannot be read"):
+    with pytest.raises(ArgumentError, match=r"nowhere\.yaml cannot be read"):
         OccupancyGrid.load(tmp_path / "nowhere.yaml")
     with pytest.raises(ArgumentError, match="where the picture goes"):
         grid.save(tmp_path / "map.pgm")
@@ -444,7 +494,7 @@ def test_a_box_casts_a_shadow(z):
         seen &= ~crosses(points, np.array([0.9, -0.1, -0.1]), np.array([1.1, 0.7, 0.3]))
         assert np.array_equal(grid.cells.ravel(), seen)
         assert (grid.sensors, grid.z) == (("a_lidar",), z)
-        assert 0 < (~seen).sum()
+        assert (~seen).sum() > 0
 
 
 @pytest.mark.parametrize("kind", ["sphere", "cylinder", "capsule"])

@@ -196,7 +196,7 @@ def _faults(ss: ssduck.Interpreter, ticks: list[int], told: Told) -> Any:
     if ticks[-1] not in told.counts or ticks[0] > min(known):
         yield f"ticks {ticks[0]} to {ticks[-1]} are kept, of {min(known)} to {max(told.counts)}"
     for table in TABLES:
-        rows = ss.sql(f"SELECT tick, count(*) FROM {table}_history GROUP BY tick").fetchall()  # noqa: S608
+        rows = ss.sql(f"SELECT tick, count(*) FROM {table}_history GROUP BY tick").fetchall()
         found = dict(rows)
         for tick in ticks:
             wanted = told.counts.get(tick, {}).get(table)

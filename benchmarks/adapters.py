@@ -1,0 +1,114 @@
+"""Grids of the shipped kitchen, against rays: what one would write with PyBullet alone.
+
+`occupancygrid` is compared with a ray a cell, straight down from above the scene to the height
+asked for, in batches as large as PyBullet takes them. The rays tell less: what is above the height
+hides what is at it, and a ray through the centre of a cell tells nothing of the rest of it.
+`sensorgrid` is compared with a ray from each sensor to each cell, in its field of view or not.
+Queries are compiled, and asked of a fresh tick each time; of the rays, only casting them counts.
+
+A row more is an entry of `COMPARISONS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeAlias
+
+import numpy as np
+import pybullet
+
+import ssduck
+from benchmarks.timing import Way, minima, shown
+
+# PyBullet refuses more rays in one call.
+MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
+ROUNDS, MOST_SECONDS = 7, 10.0
+Loop: TypeAlias = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A query, and what does as much, or less, without ssduck.
+
+    Attributes:
+        program: about `kitchen`.
+        other: what is called in its place, made of the world and of the query's result.
+        told: what that is.
+    """
+
+    program: str
+    other: Callable[[ssduck.World, Any], Loop]
+    told: str
+
+
+def rays_down(kitchen: ssduck.World, grid: Any) -> Loop:
+    """A ray through the centre of each cell, from 3 m above its height, or heights, down to it."""
+    z = grid.z[0] if isinstance(grid.z, tuple) else grid.z
+    x, y = np.meshgrid(grid.centres(0), grid.centres(1), indexing="ij")
+    return _batches(kitchen, _points(x, y, z + 3.0), _points(x, y, z))
+
+
+def rays_from_sensors(kitchen: ssduck.World, grid: Any) -> Loop:
+    """A ray from each sensor to the centre of each cell, whatever it sees."""
+    x, y = np.meshgrid(grid.centres(0), grid.centres(1), indexing="ij")
+    ends = _points(x, y, grid.z)
+    places = [kitchen[name].position for name in grid.sensors]
+    return _batches(kitchen, np.repeat(places, len(ends), axis=0), np.tile(ends, (len(places), 1)))
+
+
+def _points(x: Any, y: Any, z: float) -> Any:
+    return np.stack((x.ravel(), y.ravel(), np.full(x.size, z)), axis=1)
+
+
+def _batches(kitchen: ssduck.World, starts: Any, ends: Any) -> Loop:
+    client = kitchen._simulator.client  # type: ignore[attr-defined]
+    parts = [slice(first, first + MOST_RAYS) for first in range(0, len(starts), MOST_RAYS)]
+
+    def loop() -> object:
+        return [
+            pybullet.rayTestBatch(starts[part], ends[part], numThreads=0, physicsClientId=client)
+            for part in parts
+        ]
+
+    return loop
+
+
+ALL = "SELECT obj FROM kitchen AS"
+COMPARISONS = {
+    "occupancygrid(0.22, 0.05)": Comparison(
+        f"{ALL} occupancygrid(0.22, 0.05);", rays_down, "a ray a cell"
+    ),
+    "occupancygrid(0.22, 0.01)": Comparison(
+        f"{ALL} occupancygrid(0.22, 0.01);", rays_down, "a ray a cell"
+    ),
+    "occupancygrid([0.2, 1.5], 0.01)": Comparison(
+        f"{ALL} occupancygrid([0.2, 1.5], 0.01);", rays_down, "a ray a cell"
+    ),
+    "sensorgrid(0.24, 0.05)": Comparison(
+        "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.05);",
+        rays_from_sensors,
+        "a ray a sensor and a cell",
+    ),
+}
+
+
+def rows() -> Iterator[tuple[str, ...]]:
+    """One row a comparison: the cells, ssduck, the other, the ratio."""
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen").step(240)
+        for name, comparison in COMPARISONS.items():
+            compiled = ss.compile(comparison.program)
+            result = ss.eval(compiled)  # plans are made once
+            ways = {
+                "ours": Way(partial(ss.eval, compiled), kitchen.tick),
+                "other": Way(comparison.other(kitchen, result)),
+            }
+            times = minima(ways, ROUNDS, MOST_SECONDS)
+            cells = f"{result.cells.size:,}" if hasattr(result, "cells") else ""
+            ratio = f"{times['ours'] / times['other']:.2g}"
+            yield name, cells, shown(times["ours"]), comparison.told, shown(times["other"]), ratio
+
+
+HEADER = ("behind AS", "cells", "ssduck", "against", "which takes", "ratio")
