@@ -121,8 +121,8 @@ def _of_triangles(solid: Solid, start: Array, ways: Array) -> Array:
     normal, turned = cross(u, v), cross(off, v)
     with np.errstate(divide="ignore", invalid="ignore"):
         below = -(ways @ normal.T)
-        first = ways @ turned.T / below
-        second = -(ways @ cross(off, u).T) / below
+        first = -(ways @ turned.T) / below
+        second = ways @ cross(off, u).T / below
         share = np.einsum("mi,mi->m", normal, off) / below
         met = (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0) & (share > 0.0)
     nearest: Array = np.where(met, share, np.inf).min(axis=1, initial=np.inf)

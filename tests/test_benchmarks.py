@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import pairs, recorded
+import ssduck
+from benchmarks import adapters, pairs, recorded
 from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, Crowd, Piece, crowd
 from benchmarks.referee import bounds, may_touch, verdict
 
@@ -96,3 +97,35 @@ def test_the_tables_of_recorded_time(capsys):
         assert f"| {' | '.join(header)} |" in printed
     assert printed.count("| 5 boxes |") == 2
     assert printed.count("| opening") == 3
+
+
+def test_grids_and_rays(monkeypatch):
+    few = {
+        "map(0.22, 0.2)": adapters.Comparison(
+            f"{adapters.ALL} map(0.22, 0.2);", adapters.rays_down, "rays"
+        ),
+        "sensorgrid(0.24, 0.2)": adapters.Comparison(
+            "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.2);",
+            adapters.rays_from_sensors,
+            "rays",
+        ),
+    }
+    monkeypatch.setattr(adapters, "COMPARISONS", few)
+    monkeypatch.setattr(adapters, "ROUNDS", 1)
+    rows = list(adapters.rows())
+    assert [row[:2] for row in rows] == [
+        ("map(0.22, 0.2)", "546"),
+        ("sensorgrid(0.24, 0.2)", "546"),
+    ]
+    assert all(len(row) == len(adapters.HEADER) for row in rows)
+
+
+@pytest.mark.parametrize("many", [1, 7, adapters.MOST_RAYS])
+def test_all_rays_are_cast(monkeypatch, many):
+    monkeypatch.setattr(adapters, "MOST_RAYS", many)
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        grid = ss.eval(f"{adapters.ALL} map(0.9, 0.5);")
+        hits = [hit for part in adapters.rays_down(kitchen, grid)() for hit in part]
+    assert len(hits) == grid.cells.size
+    assert 0 < sum(hit[0] >= 0 for hit in hits)

@@ -18,6 +18,7 @@ import ssduck
 from ssduck.adapters import grids as forms
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.grids import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
+from ssduck.scenes import find_scene
 from ssduck.simulators.pybullet import PyBulletSimulator
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -756,3 +757,35 @@ def test_help_tells_the_forms():
     for form in forms.GRIDS:
         assert form.usage in told
     assert "AS occupancygrid | map(z_pos, grid_size, bounds=None)" in told
+
+
+# -- records, evaluators, other ways in -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("row_by_row", [False, True])
+def test_an_opened_record_has_the_same_grids(tmp_path, row_by_row):
+    queries = [
+        "SELECT obj FROM kitchen AS map(0.22, 0.05);",
+        "SELECT obj FROM kitchen AS voxelgrid(0.2);",
+        "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.1);",
+        "SELECT mass FROM kitchen AS plane('XY', [-5,-5], [10,10,1]);",
+    ]
+    world = ssduck.World.load(find_scene("kitchen")).step(3)
+    with ssduck.Interpreter(row_by_row=row_by_row) as ss:
+        ss.add_variable("kitchen", world)
+        live = [ss.eval(query) for query in queries]
+        ss.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        assert [record.eval(query) for query in queries] == live
+
+
+def test_where_a_thing_was_over_time():
+    """Rows of all ticks, each at its own."""
+    with Boxes(others=[BALL | {"position": [0.5, 0.5, 10]}]) as boxes:
+        boxes.world.step(2)
+        boxes.eval("SELECT obj FROM sim AS list;")
+        ticks = len(boxes.eval("SELECT obj FROM sim{} AS list;"))
+        grid = boxes.eval("SELECT obj, 1 FROM sim{} AS plane('XZ', [0, 0], [2, 20, 1]);")
+        assert grid.cells.sum() == ticks > 1
+        with pytest.raises(ArgumentError, match="several ticks"):
+            boxes.eval("SELECT obj FROM sim{} AS map(10, 0.1);")
