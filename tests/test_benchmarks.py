@@ -128,4 +128,4 @@ def test_all_rays_are_cast(monkeypatch, many):
         grid = ss.eval(f"{adapters.ALL} map(0.9, 0.5);")
         hits = [hit for part in adapters.rays_down(kitchen, grid)() for hit in part]
     assert len(hits) == grid.cells.size
-    assert 0 < sum(hit[0] >= 0 for hit in hits)
+    assert sum(hit[0] >= 0 for hit in hits) > 0

@@ -528,6 +528,14 @@ def test_a_box_around_a_sensor_is_not_in_its_way(at, seen):
         assert bool(grid.at(2.0, 0.05)) == seen
 
 
+def test_bunches_of_cells_change_nothing(kitchen, monkeypatch):
+    query = "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.1);"
+    whole = kitchen.eval(query)
+    monkeypatch.setattr(forms, "_TOGETHER", 120)
+    assert kitchen.eval(query) == whole
+    assert whole
+
+
 def test_fields_of_view_and_what_is_off():
     with Boxes(([0.3, 0.3, 0.3], [0, 0, 0])) as boxes:  # the host is in nobody's way
         add = boxes.world.add_sensor

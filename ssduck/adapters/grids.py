@@ -23,6 +23,8 @@ from ssduck.tree import Bare, Call, Name, Query, This
 from ssduck.world import World
 
 MOST_CELLS = 100_000_000
+# Cells that sensors look at together.
+_TOGETHER = 1_000_000
 # Bounds that are not given are rounded outward to that, m, as in the tutorial.
 _STEP = 0.01
 # What is over by less than this share of a step or a cell is not over.
@@ -101,10 +103,13 @@ def _sensor_grid(
     nx, ny = _counts(lower, upper, size)
     cells = np.zeros((nx, ny), dtype=np.int32)
     raster = Raster((lower[0], lower[1]), size, (nx, ny))
-    x, y = np.meshgrid(raster.centres(0), raster.centres(1), indexing="ij")
-    points = np.stack((x.ravel(), y.ravel(), np.full(x.size, z)), axis=1)
-    for sensor in sensors:
-        cells.reshape(-1)[_seen(sensor, placed, points, size / 2)] += 1
+    together = max(1, _TOGETHER // ny)
+    for first in range(0, nx, together):
+        some = slice(first, first + together)
+        x, y = np.meshgrid(raster.centres(0)[some], raster.centres(1), indexing="ij")
+        points = np.stack((x.ravel(), y.ravel(), np.full(x.size, z)), axis=1)
+        for sensor in sensors:
+            cells[some].reshape(-1)[_seen(sensor, placed, points, size / 2)] += 1
     return SensorGrid(cells, raster.origin, size, z, tuple(sensor.name for sensor in sensors))
 
 
@@ -238,7 +243,7 @@ def _bounds(
     if not np.isfinite((low, high)).all():
         raise ArgumentError("a plane has no end: give bounds, or leave it out by WHERE")
     low = np.floor(low / _STEP + _OVER) * _STEP
-    high = np.ceil(high / _STEP - _OVER) * _STEP
+    high = np.maximum(np.ceil(high / _STEP - _OVER) * _STEP, low + _STEP)  # a wall is flat
     # as they are written: 0.29, not 0.29000000000000004
     return tuple(low.round(9).tolist()), tuple(high.round(9).tolist())
 
