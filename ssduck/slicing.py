@@ -16,62 +16,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck.broad import Flags
 from ssduck.geometry import Array, Indices
+from ssduck.rasters import ROUNDED, Raster, Spans
+from ssduck.round_shapes import Round, round_parts
 from ssduck.solids import PlacedSolids, Solid
 from ssduck.volumes import cut
 
-# What is as near to a boundary is on it, m.
-ROUNDED = 1e-9
-# How far a point that is worked out may be outside of what bounds it, m.
-_SLACK = 1e-10
 # Pairs of an edge and a strip that are looked at together.
 TOGETHER = 2_000_000
-
-
-@dataclass(frozen=True)
-class Raster:
-    """Square cells over a part of the xy plane.
-
-    Attributes:
-        origin: x and y of the lower corner, m.
-        size: the side of a cell, m.
-        shape: how many cells there are along x and along y.
-    """
-
-    origin: tuple[float, float]
-    size: float
-    shape: tuple[int, int]
-
-    def centres(self, axis: int) -> Array:
-        """The coordinates of the cells' centres along x (0) or y (1)."""
-        steps: Array = np.arange(self.shape[axis], dtype=np.float64) + 0.5
-        return self.origin[axis] + steps * self.size
-
-    def reached(self, low: Array, high: Array, within: float, axis: int) -> tuple[Indices, Indices]:
-        """The first and the last cell along an axis that intervals reach into.
-
-        Args:
-            low: where they begin,
-            high: and end.
-            within: by how much they have to reach into a cell; negative for how far they may be.
-            axis: x (0) or y (1).
-
-        Returns:
-            Numbers from 0 on; the last is below the first where there is none.
-        """
-        start, count = self.origin[axis], self.shape[axis]
-        first = np.floor((low + within - start) / self.size)
-        last = np.ceil((high - within - start) / self.size) - 1
-        return (
-            np.clip(first, 0, count).astype(np.intp),
-            np.clip(last, -1, count - 1).astype(np.intp),
-        )
 
 
 class Slicer:
@@ -86,7 +43,7 @@ class Slicer:
         groups: list[Indices] = [np.zeros(0, np.intp)]
         thin: list[Flags] = [np.zeros(0, bool)]
         count = 0
-        self._round: list[_Round] = []
+        self._round: list[Round] = []
         self._meshes: list[Array] = []
         self._planes: list[tuple[Array, float]] = []
         for solid, position, matrix in placed:
@@ -94,7 +51,7 @@ class Slicer:
                 normal = matrix @ solid.normals[0]
                 self._planes.append((normal, float(normal @ position)))
             elif solid.radius or solid.disc:
-                self._round += _round_parts(solid, position, matrix)
+                self._round += round_parts(solid, position, matrix)
             elif len(solid.core):
                 surface = solid.surface
                 corners = (surface.vertices @ matrix.T + position)[surface.faces]
@@ -136,7 +93,7 @@ class Slicer:
                 _add_half_space(raster, normal, offset, (low + reach, high - reach), occupied)
         return occupied
 
-    def _spans(self, raster: Raster, low: float, high: float, reach: float) -> Iterator[_Spans]:
+    def _spans(self, raster: Raster, low: float, high: float, reach: float) -> Iterator[Spans]:
         for shape in self._round:
             found = shape.spans(raster, low + reach, high - reach)
             if found is not None:
@@ -154,31 +111,6 @@ class Slicer:
                 yield from _of_polygons(raster, polygons, groups, -ROUNDED if thin else ROUNDED)
 
 
-@dataclass(frozen=True, eq=False)
-class _Spans:
-    """Intervals along y of strips of cells.
-
-    Attributes:
-        strips: (n,)
-        low: (n,) where they begin,
-        high: and end.
-        within: by how much they have to reach into a cell.
-    """
-
-    strips: Indices
-    low: Array
-    high: Array
-    within: float
-
-    def count(self, raster: Raster, changes: npt.NDArray[np.int32]) -> None:
-        """Add 1 at the first cell of each, and -1 behind its last."""
-        first, last = raster.reached(self.low, self.high, self.within, 1)
-        some = first <= last
-        strips = self.strips[some]
-        np.add.at(changes, (strips, first[some]), 1)
-        np.add.at(changes, (strips, last[some] + 1), -1)
-
-
 def _is_full_hull(solid: Solid) -> bool:
     return solid.is_convex and solid.volume > 0.0
 
@@ -188,7 +120,7 @@ def _is_full_hull(solid: Solid) -> bool:
 
 def _of_polygons(
     raster: Raster, polygons: Array, groups: Indices, within: float
-) -> Iterator[_Spans]:
+) -> Iterator[Spans]:
     """The intervals of sets of convex polygons (n, k, 3), each set a number in `groups`."""
     if not len(polygons):
         return
@@ -211,7 +143,7 @@ def _of_polygons(
         keys = (owners[edges] - owners[edges[0]]) * raster.shape[0] + strips
         order = np.argsort(keys, kind="stable")
         keys, begin = np.unique(keys[order], return_index=True)
-        yield _Spans(
+        yield Spans(
             keys % raster.shape[0],
             np.minimum.reduceat(low[order], begin),
             np.maximum.reduceat(high[order], begin),
@@ -305,130 +237,3 @@ def _add_half_space(
         near = raster.origin[axis] + np.arange(raster.shape[axis]) * raster.size + ROUNDED
         sums[axis] = np.minimum(normal[axis] * near, normal[axis] * (near + raster.size - 2e-9))
     occupied |= sums[0][:, None] + sums[1] + least <= offset
-
-
-# -- what is round --------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Round:
-    """A sphere, or a cylinder along its frame's z.
-
-    Attributes:
-        radius: m.
-        half: half of a cylinder's length; negative for a sphere.
-        position: (3,)
-        matrix: (3, 3)
-    """
-
-    radius: float
-    half: float
-    position: Array
-    matrix: Array
-
-    def spans(self, raster: Raster, low: float, high: float) -> _Spans | None:
-        """Its interval in each strip that it reaches between two heights; None if in none."""
-        across = np.hypot(self.matrix[:, 0], self.matrix[:, 1])
-        reach = self.radius * across + abs(self.matrix[:, 2]) * self.half
-        if self.half < 0.0:
-            reach = np.full(3, self.radius)
-        start, end = self.position - reach, self.position + reach
-        if start[2] > high or end[2] < low or low > high:
-            return None
-        within = -ROUNDED if self.half == 0.0 else ROUNDED
-        first, last = raster.reached(start[:1], end[:1], within, 0)
-        strips = np.arange(first[0], last[0] + 1)
-        left = raster.origin[0] + strips * raster.size + within
-        right = left + raster.size - 2 * within
-        bounds = self._of_sphere if self.half < 0.0 else self._of_cylinder
-        bottom, top = bounds(left, right, low, high)
-        some = bottom <= top
-        return _Spans(strips[some], bottom[some], top[some], within)
-
-    def _of_sphere(self, left: Array, right: Array, low: float, high: float) -> tuple[Array, Array]:
-        x, y, z = self.position
-        aside = x - np.clip(x, left, right)
-        square = self.radius**2 - aside**2 - (z - np.clip(z, low, high)) ** 2
-        reach = np.where(square >= 0.0, np.sqrt(np.maximum(square, 0.0)), -np.inf)
-        return y - reach, y + reach
-
-    def _of_cylinder(
-        self, left: Array, right: Array, low: float, high: float
-    ) -> tuple[Array, Array]:
-        """The least and the greatest y of points of the cylinder, in strips (n,).
-
-        It is linear over the cylinder between pairs of planes: its ends, the sides of the strip,
-        the heights. So it is least where three planes meet, where two meet the round side, or on
-        the ellipse of one with the round side, where the gradients of all three are in a plane.
-        """
-        (x, y, z), count = self.position, len(left)
-        axis = np.array([0.0, 0.0, 1.0])
-        along = np.broadcast_to
-        pairs = (
-            (axis, [along(-self.half, count), along(self.half, count)]),
-            (self.matrix[0], [left - x, right - x]),
-            (self.matrix[2], [along(low - z, count), along(high - z, count)]),
-        )
-        points = [np.zeros((count, 0, 3))]
-        points += [_corners(pairs)]
-        points += [self._on_lines(*two) for two in itertools.combinations(pairs, 2)]
-        points += [self._on_ellipses(*one) for one in pairs]
-        found = np.concatenate(points, axis=1)
-        fits = np.hypot(found[:, :, 0], found[:, :, 1]) <= self.radius + _SLACK
-        for normal, (least, most) in pairs:
-            value = found @ normal
-            fits &= (value >= least[:, None] - _SLACK) & (value <= most[:, None] + _SLACK)
-        value = found @ self.matrix[1] + y
-        return (
-            np.where(fits, value, np.inf).min(axis=1, initial=np.inf),
-            np.where(fits, value, -np.inf).max(axis=1, initial=-np.inf),
-        )
-
-    def _on_lines(self, one: tuple[Array, list[Array]], two: tuple[Array, list[Array]]) -> Array:
-        """Where the lines of pairs of planes meet the round side: (n, 8, 3) at most."""
-        way = np.cross(one[0], two[0])
-        square, flat = float(way @ way), float(way[:2] @ way[:2])
-        found = []
-        if flat > 1e-24:
-            for c, d in itertools.product(one[1], two[1]):
-                base = np.outer(c, np.cross(two[0], way)) + np.outer(d, np.cross(way, one[0]))
-                base /= square
-                middle = -(base[:, :2] @ way[:2]) / flat
-                base = base + middle[:, None] * way
-                room = self.radius**2 - np.einsum("ni,ni->n", base[:, :2], base[:, :2])
-                step = np.sqrt(np.where(room >= 0.0, room, np.nan) / flat)[:, None] * way
-                found += [base - step, base + step]
-        return np.stack(found, axis=1) if found else np.zeros((len(one[1][0]), 0, 3))
-
-    def _on_ellipses(self, normal: Array, offsets: list[Array]) -> Array:
-        """Where y is least and greatest of where planes cut the round side: (n, 4, 3) at most."""
-        if abs(normal[2]) < 1e-12:
-            return np.zeros((len(offsets[0]), 0, 3))
-        steep = self.matrix[1] - self.matrix[1, 2] / normal[2] * normal
-        length = float(np.hypot(steep[0], steep[1]))
-        flat = steep[:2] * (self.radius / length) if length > 1e-12 else np.array([self.radius, 0])
-        found = []
-        for offset, side in itertools.product(offsets, (flat, -flat)):
-            height = (offset - normal[:2] @ side) / normal[2]
-            found.append(np.column_stack((np.tile(side, (len(height), 1)), height)))
-        return np.stack(found, axis=1)
-
-
-def _corners(pairs: tuple[tuple[Array, list[Array]], ...]) -> Array:
-    """Where three planes meet, one of each pair: (n, 8, 3), none if they meet in no point."""
-    normals = np.array([normal for normal, _ in pairs])
-    if abs(np.linalg.det(normals)) < 1e-12:
-        return np.zeros((len(pairs[0][1][0]), 0, 3))
-    inverse = np.linalg.inv(normals)
-    offsets = [np.stack(three, axis=1) for three in itertools.product(*(c for _, c in pairs))]
-    found: Array = np.stack(offsets, axis=1) @ inverse.T
-    return found
-
-
-def _round_parts(solid: Solid, position: Array, matrix: Array) -> list[_Round]:
-    if solid.type == "cylinder":
-        return [_Round(solid.disc, solid.half, position, matrix)]
-    parts = [_Round(solid.radius, -1.0, matrix @ point + position, matrix) for point in solid.core]
-    if solid.type == "capsule":
-        parts.append(_Round(solid.radius, solid.half, position, matrix))
-    return parts

@@ -12,7 +12,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from ssduck.geometry import Geometry
-from ssduck.slicing import ROUNDED, Raster, Slicer
+from ssduck.rasters import ROUNDED, Raster
+from ssduck.slicing import Slicer
 from ssduck.solids import PlacedSolids, solid_of
 
 RNG = np.random.default_rng(7)

@@ -15,9 +15,10 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry import Array, rotation_matrices
 from ssduck.grids import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.messages import shown
+from ssduck.rasters import ROUNDED, Raster
 from ssduck.sensors import SENSOR_TYPES
 from ssduck.sightlines import are_blocked
-from ssduck.slicing import ROUNDED, Raster, Slicer
+from ssduck.slicing import Slicer
 from ssduck.solids import PlacedSolids
 from ssduck.tree import Bare, Call, Name, Query, This
 from ssduck.world import World
