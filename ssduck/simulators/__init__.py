@@ -224,5 +224,8 @@ class Simulator(Protocol):
     def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
         """A colour picture, (height, width, 3)."""
 
+    def segment(self, camera: Camera, width: int, height: int) -> Indices:
+        """The handle of the body that each pixel of it shows, (height, width); -1 for none."""
+
     def close(self) -> None:
         """Give up what the simulator holds; a client that the user made stays connected."""

@@ -77,5 +77,7 @@ class Posed:
         """Refuse."""
         raise UnsupportedError(f"{self.called} has no picture: no simulator draws it")
 
+    segment = render
+
     def close(self) -> None:
         """It holds nothing."""
