@@ -47,7 +47,8 @@ class PointCloud:
         """The points of an entity, (k, 3)."""
         if name not in self.names:
             raise ArgumentError(f"there are no points of {name!r}", suggestions=list(self.names))
-        return self.points[self.owners == self.names.index(name)]
+        own: Array = self.points[self.owners == self.names.index(name)]
+        return own
 
     def save(self, path: str | Path) -> Path:
         """Write a file of the kind that its suffix says: `.ply`, `.xyz`, `.obj` or `.glb`."""
