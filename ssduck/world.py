@@ -179,11 +179,16 @@ class World(Ticked, WorldSpellings):
             self._simulator.close()
 
     def render(
-        self, width: int = 960, height: int = 720, camera: Camera | None = None
+        self,
+        width: int = 960,
+        height: int = 720,
+        camera: Camera | None = None,
+        *,
+        shadow: bool = True,
     ) -> npt.NDArray[np.uint8]:
         """A colour picture of the simulation as it is now, (height, width, 3)."""
         with self.lock:
-            return self._simulator.render(camera or self.camera, width, height)
+            return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
 
     def segmentation(
         self, width: int = 960, height: int = 720, camera: Camera | None = None

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-SCENE = Path(__file__).resolve().parent.parent / "scenes" / "kitchen"
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
 Span = tuple[float, float]
 Vec = tuple[float, float, float]
@@ -896,6 +896,8 @@ class Body:
     orientation: Quat = (1.0, 0.0, 0.0, 0.0)
     fixed: bool = False
     joints: dict[str, float] = field(default_factory=dict)
+    velocity: tuple[float, ...] = ()
+    damping: float | None = None
 
 
 @dataclass(frozen=True)
@@ -1143,6 +1145,10 @@ def body_lines(body: Body) -> Iterator[str]:
     yield f"position = {array(body.position)}\norientation = {array(body.orientation)}"
     if body.fixed:
         yield "fixed = true"
+    if body.velocity:
+        yield f"velocity = {array(body.velocity)}"
+    if body.damping is not None:
+        yield f"damping = {real(body.damping)}"
     if body.joints:
         values = ", ".join(f"{name} = {real(v)}" for name, v in body.joints.items())
         yield f"joints = {{ {values} }}"
@@ -1157,28 +1163,19 @@ def sensor_lines(sensor: Sensor) -> Iterator[str]:
         yield f"{key} = {real(value)}"
 
 
-def scene_text() -> str:
-    lines = [
-        "# Written by tools/build_kitchen.py; change it there.",
-        'name = "kitchen"',
-        'description = "A kitchen with a laid table, appliances and four robots."',
-        "gravity = [0.0, 0.0, -9.81]",
-        f"timestep = {1 / 240!r}",
-        "\n[camera]",
-        "eye = [3.55, -4.1, 3.45]",
-        "target = [0.18, 0.03, 0.7]",
-        "fov = 47.0",
-    ]
-    for body in [*ROBOTS, *KINBODIES]:
+def scene_text(heading: str, bodies: Iterable[Body], sensors: Iterable[Sensor]) -> str:
+    lines = [heading.strip()]
+    for body in bodies:
         lines += body_lines(body)
-    for sensor in SENSORS:
+    for sensor in sensors:
         lines += sensor_lines(sensor)
     return "\n".join(lines) + "\n"
 
 
-def files() -> dict[Path, str]:
-    texts = {Path("scene.toml"): scene_text()}
-    for model in MODELS:
+def files(scene: str, models: Iterable[Model]) -> dict[Path, str]:
+    """What is in a scene's folder: `scene.toml`, of that text, and models."""
+    texts = {Path("scene.toml"): scene}
+    for model in models:
         texts[Path(f"{model.name}.urdf")] = urdf_text(model)
         for shape in (shape for link in model.links for shape in link.shapes):
             if shape.kind == "mesh":
@@ -1186,23 +1183,43 @@ def files() -> dict[Path, str]:
     return texts
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description="Write the kitchen scene.")
+def write(name: str, texts: dict[Path, str]) -> int:
+    """Write the folder of a scene, or compare it with what is there; the exit status."""
+    parser = argparse.ArgumentParser(description=f"Write the scene {name}.")
     parser.add_argument("--check", action="store_true", help="only report files that differ")
     check = parser.parse_args().check
-    texts = files()
-    there = {p.relative_to(SCENE): p.read_text() for p in SCENE.rglob("*") if p.is_file()}
+    folder = SCENES / name
+    there = {p.relative_to(folder): p.read_text() for p in folder.rglob("*") if p.is_file()}
     differing = sorted(p for p in texts.keys() | there.keys() if texts.get(p) != there.get(p))
     for path in differing:
         print(path)
         if check:
             continue
-        (SCENE / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
         if path in texts:
-            (SCENE / path).write_text(texts[path])
+            (folder / path).write_text(texts[path])
         else:
-            (SCENE / path).unlink()
+            (folder / path).unlink()
     return 1 if check and differing else 0
+
+
+HEADING = f"""
+# Written by tools/build_kitchen.py; change it there.
+name = "kitchen"
+description = "A kitchen with a laid table, appliances and four robots."
+gravity = [0.0, 0.0, -9.81]
+timestep = {1 / 240!r}
+
+[camera]
+eye = [3.55, -4.1, 3.45]
+target = [0.18, 0.03, 0.7]
+fov = 47.0
+"""
+
+
+def main() -> int:
+    scene = scene_text(HEADING, [*ROBOTS, *KINBODIES], SENSORS)
+    return write("kitchen", files(scene, MODELS))
 
 
 if __name__ == "__main__":

@@ -221,8 +221,10 @@ class Simulator(Protocol):
     def show(self, body: Body, on: bool) -> None:
         """Draw a body, or do not."""
 
-    def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
-        """A colour picture, (height, width, 3)."""
+    def render(
+        self, camera: Camera, width: int, height: int, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
+        """A colour picture, (height, width, 3), with shadows or without."""
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
         """The handle of the body that each pixel of it shows, (height, width); -1 for none."""

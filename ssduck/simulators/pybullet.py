@@ -284,9 +284,11 @@ class PyBulletSimulator:
             shapes[entry[1]] += 1
         return colours
 
-    def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
+    def render(
+        self, camera: Camera, width: int, height: int, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
         """A colour picture by PyBullet's software renderer, (height, width, 3)."""
-        return self._drawn(width, height, *_seen(camera, width, height), shadow=True)
+        return self._drawn(width, height, *_seen(camera, width, height), shadow=shadow)
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
         """The number of the body that each pixel of that picture shows, -1 for none."""
