@@ -33,7 +33,7 @@ from tools.build_kitchen import (
 
 LENGTH, WIDTH = 12.0, 8.0
 START, GOAL = (1.0, 1.0), (11.0, 7.0)
-SEED = 4
+SEED = 8
 
 HEADING = f"""
 # Written by tools/build_hall.py; change it there.
@@ -80,9 +80,7 @@ def shelf() -> Model:
         box("oak", (0.03 - half, -deep, z), (half - 0.03, deep, z + 0.03))
         for z in (0.05, 0.53, 1.01, high - 0.03)
     ]
-    sides = [
-        box("walnut", (x, -deep, 0.0), (x + 0.03, deep, high)) for x in (-half, half - 0.03)
-    ]
+    sides = [box("walnut", (x, -deep, 0.0), (x + 0.03, deep, high)) for x in (-half, half - 0.03)]
     goods = [
         box("teal", (-0.7, -0.15, 0.08), (-0.3, 0.15, 0.4)),
         box("mustard", (0.1, -0.18, 0.56), (0.6, 0.14, 0.9)),
@@ -119,37 +117,26 @@ def goal() -> Model:
 def rover() -> Model:
     """A round base on two driven wheels and two casters, with a mast for the scanner.
 
-    All of it is within 0.25 m of the vertical axis through its origin, which is on the floor.
+    All of it is within 0.2 m of the vertical axis through its origin, which is on the floor.
     """
     base = [
-        cylinder("charcoal", (0.0, 0.0, 0.1), 0.25, 0.12),
-        cylinder("orange", (0.0, 0.0, 0.17), 0.21, 0.02),
+        cylinder("charcoal", (0.0, 0.0, 0.1), 0.2, 0.12),
+        cylinder("orange", (0.0, 0.0, 0.17), 0.17, 0.02),
         cylinder("iron", (-0.05, 0.0, 0.25), 0.03, 0.14),
         cylinder("charcoal", (-0.05, 0.0, 0.35), 0.06, 0.06),
     ]
     links = [Link("base", 14.0, base)]
     joints = []
     wheel, limit = 0.07, (0.0, 0.0, 5.0, 15.0)
-    for side, y in (("left", 0.19), ("right", -0.19)):
-        rim = [cylinder("iron", (0.0, 0.0, 0.0), wheel, 0.03, "y")]
-        links.append(Link(f"{side}_tyre", 0.5, rim))
-        joints.append(
-            Joint(
-                f"{side}_wheel",
-                "continuous",
-                "base",
-                f"{side}_tyre",
-                (0.0, y, wheel),
-                (0.0, 1.0, 0.0),
-                limit,
-            )
-        )
-    for place, x in (("front", 0.19), ("rear", -0.19)):
+    for side, y in (("left", 0.15), ("right", -0.15)):
+        tyre = f"{side}_tyre"
+        links.append(Link(tyre, 0.5, [cylinder("iron", (0.0, 0.0, 0.0), wheel, 0.03, "y")]))
+        place, axis = (0.0, y, wheel), (0.0, 1.0, 0.0)
+        joints.append(Joint(f"{side}_wheel", "continuous", "base", tyre, place, axis, limit))
+    for end, x in (("front", 0.14), ("rear", -0.14)):
         ball_ = ball("steel", (0.0, 0.0, 0.0), 0.025)
-        links.append(Link(f"{place}_caster", 0.2, [ball_], slippery=True))
-        joints.append(
-            Joint(f"{place}_mount", "fixed", "base", f"{place}_caster", (x, 0.0, 0.025))
-        )
+        links.append(Link(f"{end}_caster", 0.2, [ball_], slippery=True))
+        joints.append(Joint(f"{end}_mount", "fixed", "base", f"{end}_caster", (x, 0.0, 0.025)))
     return Model("rover", links, joints)
 
 
@@ -177,10 +164,12 @@ SHELVES = [
     (7.6, 0.95, True), (7.6, 2.8, True), (7.6, 4.65, True),
 ]  # fmt: skip
 PILLARS = [(2.0, 4.0), (5.5, 4.0), (9.5, 4.0), (5.5, 6.6), (5.5, 1.4)]
+# Where the rows end: x, y, and how far around nothing is strewn.
+PASSAGES = [(3.4, 1.4, 0.5), (7.6, 6.7, 0.5)]
 STREWN = [
     Sort("table", 3, 0.95, 0.35),
-    Sort("crate", 11, 0.38, 0.45),
-    Sort("barrel", 7, 0.25, 0.45),
+    Sort("crate", 10, 0.38, 0.6),
+    Sort("barrel", 6, 0.25, 0.6),
 ]
 
 
@@ -205,7 +194,7 @@ def strewn() -> Iterator[Body]:
     draw = random.Random(SEED)  # noqa: S311  # no secret
     taken = [(x, y, 0.37) for x, y in PILLARS]
     taken += [(x, y + dy, 0.35) for x, y, _ in SHELVES for dy in (-0.6, 0.0, 0.6)]
-    taken += [(*START, 0.5), (*GOAL, 0.5)]
+    taken += [(*START, 0.5), (*GOAL, 0.5), *PASSAGES]
     for sort in STREWN:
         for i in range(1, sort.count + 1):
             while True:

@@ -64,5 +64,7 @@ class Placing:
         return [
             name
             for (other, name), gap in zip(self._others, apart.tolist(), strict=True)
-            if gap <= self._apart and shapes.near(me, other, self._apart)
+            # Asked how far apart they are, what collides takes longest to answer.
+            if gap <= self._apart
+            and (shapes.collides(me, other) or shapes.near(me, other, self._apart))
         ]
