@@ -16,30 +16,24 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from ssduck.demos.drawing import TopView, save
+from ssduck.demos.grid import Cell, Grid, free_cells, shortest_way
 from ssduck.demos.placing import Placing
 
 if TYPE_CHECKING:
     from ssduck.entities import Entity
     from ssduck.interpreter import Interpreter
 
-Cell: TypeAlias = tuple[int, int]
-
-# Metres: between two cells; where the first one is; how many there are.
-SIDE = 0.4
-FIRST = (0.6, 0.6)
-COUNTS = (28, 18)
+GRID = Grid(first=(0.6, 0.6), side=0.4, counts=(28, 18))
 # The robot is within this distance of its axis. Between two cells it is nowhere nearer to
 # anything than at one of them, less this: sqrt(r² + (side / 2)²) - r, of a disc that moves
 # straight by a side.
 RADIUS = 0.2
-APART = math.hypot(RADIUS, SIDE / 2) - RADIUS
+APART = math.hypot(RADIUS, GRID.side / 2) - RADIUS
 GROUND = ("floor", "goal")
 # Metres a tick, when it drives.
 STRIDE = 0.05
@@ -53,11 +47,6 @@ CONNECT BY MEMORIZE 500 MAXIMUM 1 at = after(at, m.this)
 STOP WITH [] != inTheWay(after(at, m.this))
 AS list;"""
 
-TRIED = """\
-SELECT tick(this) FROM hall{}
-WHERE near(rover, this, apart) AND id(this) != 'floor' AND id(this) != 'goal'
-AS list;"""
-
 DRIVEN = """\
 SELECT time(this), id FROM hall{}
 WHERE collides(rover, this) AND id(this) != 'floor' AND id(this) != 'goal';"""
@@ -69,16 +58,16 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
 
     with load("hall") as ss:
         hall = ss.call_variable("hall")
-        start, goal = (cell_at(hall[name].position) for name in ("rover", "goal"))
+        start, goal = (GRID.cell(hall[name].position) for name in ("rover", "goal"))
         say(PROGRAM)
         way = found_way(ss, start, goal, say)
         view = TopView(hall, (-0.2, -0.2), (12.2, 8.2), width=900)
     with load("hall") as ss:
-        free = free_cells(ss)
-        least = shortest(free, start, goal)
+        free = free_cells(ss, ss.call_variable("hall")["rover"], GRID, APART, GROUND)
+        least = len(shortest_way(free, start, goal)) - 1
         say(
-            f"{len(free)} of {math.prod(COUNTS)} cells are free; the shortest way by scipy's "
-            f"Dijkstra: {'none' if least is None else f'{least} steps, {least * SIDE:g} m'}"
+            f"{len(free)} of {len(GRID.cells())} cells are free; the shortest way by scipy's "
+            f"Dijkstra: {'none' if least < 0 else f'{least} steps, {least * GRID.side:g} m'}"
         )
     hits = None
     if way:
@@ -92,16 +81,6 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
     return bool(way) and len(way) == least and set(way) <= free and hits == []
 
 
-def place_of(cell: Sequence[int]) -> tuple[float, float]:
-    """The middle of a cell, metres."""
-    return FIRST[0] + SIDE * cell[0], FIRST[1] + SIDE * cell[1]
-
-
-def cell_at(position: Sequence[float]) -> Cell:
-    """The cell whose middle is nearest."""
-    return round((position[0] - FIRST[0]) / SIDE), round((position[1] - FIRST[1]) / SIDE)
-
-
 def found_way(ss: Interpreter, start: Cell, goal: Cell, say: Callable[[str], None]) -> list[Cell]:
     """The cells that the query goes through, without the first; none if there is no way."""
     hall = ss.call_variable("hall")
@@ -112,10 +91,10 @@ def found_way(ss: Interpreter, start: Cell, goal: Cell, say: Callable[[str], Non
 
     @cache
     def near(x: int, y: int) -> list[str]:
-        return placing.near(*place_of((x, y)))
+        return placing.near(*GRID.place((x, y)))
 
     def in_the_way(cell: list[int]) -> list[str]:
-        if not all(0 <= number < count for number, count in zip(cell, COUNTS, strict=True)):
+        if cell not in GRID:
             return ["the edge of the grid"]
         return near(*cell)
 
@@ -131,40 +110,9 @@ def found_way(ss: Interpreter, start: Cell, goal: Cell, say: Callable[[str], Non
     paths = ss.eval(PROGRAM)
     taken = time.perf_counter() - began
     way: list[Cell] = [(row[0][0], row[0][1]) for row in paths[0]] if paths else []
-    told = f"a way of {len(way)} steps, {len(way) * SIDE:g} m" if way else "no way"
+    told = f"a way of {len(way)} steps, {len(way) * GRID.side:g} m" if way else "no way"
     say(f"The query found {told}, in {taken:.1f} s; it looked at {placing.asked} places")
     return way
-
-
-def free_cells(ss: Interpreter) -> set[Cell]:
-    """The cells where nothing is too near: each is a tick of a record, asked all at once."""
-    hall = ss.call_variable("hall")
-    rover = ss.add_variable("rover", hall["rover"])
-    ss.add_variable("apart", APART)
-    at: dict[int, Cell] = {}
-    for cell in product(range(COUNTS[0]), range(COUNTS[1])):
-        rover.move([*place_of(cell), rover.position[2]])
-        at[hall.snapshot.number] = cell
-    taken = {at[tick] for tick in ss.eval(TRIED) if tick in at}
-    return set(at.values()) - taken
-
-
-def shortest(free: set[Cell], start: Cell, goal: Cell) -> int | None:
-    """How many steps the shortest way over free cells takes; None if there is none."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
-
-    cells = {cell: number for number, cell in enumerate(sorted(free | {start, goal}))}
-    steps = [
-        (number, cells[x + dx, y + dy])
-        for (x, y), number in cells.items()
-        for dx, dy in ((1, 0), (0, 1))
-        if (x + dx, y + dy) in cells
-    ]
-    first, second = np.array(steps).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(steps)), (first, second)), shape=(len(cells),) * 2)
-    far = float(dijkstra(graph, directed=False, indices=cells[start])[cells[goal]])
-    return round(far) if math.isfinite(far) else None
 
 
 def driven(ss: Interpreter, way: Sequence[Cell]) -> tuple[int, list[dict[str, object]]]:
@@ -172,8 +120,8 @@ def driven(ss: Interpreter, way: Sequence[Cell]) -> tuple[int, list[dict[str, ob
     hall = ss.call_variable("hall")
     rover: Entity = ss.add_variable("rover", hall["rover"])
     height, first = rover.position[2], hall.snapshot.number
-    strides = round(SIDE / STRIDE)
-    for before, after in pairwise(map(place_of, way)):
+    strides = round(GRID.side / STRIDE)
+    for before, after in pairwise(map(GRID.place, way)):
         yaw = math.atan2(after[1] - before[1], after[0] - before[0])
         for stride in range(1, strides + 1):
             part = stride / strides
@@ -186,11 +134,11 @@ def driven(ss: Interpreter, way: Sequence[Cell]) -> tuple[int, list[dict[str, ob
 def draw(view: TopView, free: set[Cell], way: Sequence[Cell]) -> None:
     """Draw where the robot may be, and its way."""
     for cell in free:
-        view.square(place_of(cell), 0.1, (70, 150, 90))
-    points = list(map(place_of, way))
+        view.square(GRID.place(cell), 0.1, (70, 150, 90))
+    points = list(map(GRID.place, way))
     view.path(points, (200, 30, 30), 4)
     for point, name in ((points[0], "start"), (points[-1], "goal")):
         view.dot(point, (200, 30, 30))
         view.text(point, name)
-    words = f"{len(way) - 1} steps, {(len(way) - 1) * SIDE:g} m"
+    words = f"{len(way) - 1} steps, {(len(way) - 1) * GRID.side:g} m"
     view.text(points[len(points) // 2], words)
