@@ -34,7 +34,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class BodySpec:
-    """A body of a scene: position (metres) and orientation (w, x, y, z) of its base link frame."""
+    """A body of a scene: position (metres) and orientation (w, x, y, z) of its base link frame.
+
+    `velocity` is what it begins with, of its centre of mass, m/s, and angular, rad/s, in the
+    world frame.
+    """
 
     name: str | None
     kind: Literal["robot", "kinbody"] | None
@@ -43,6 +47,7 @@ class BodySpec:
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     fixed: bool = False
     joints: dict[str, float] = field(default_factory=dict)
+    velocity: tuple[float, ...] = (0.0,) * 6
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,10 @@ class SensorSpec:
 
 @dataclass(frozen=True)
 class Scene:
-    """A whole scene; bodies and sensors in load order."""
+    """A whole scene; bodies and sensors in load order.
+
+    In an `elastic` one there is neither friction nor damping, and collisions lose no energy.
+    """
 
     name: str
     path: Path
@@ -77,6 +85,7 @@ class Scene:
     camera: Camera = Camera()
     bodies: tuple[BodySpec, ...] = ()
     sensors: tuple[SensorSpec, ...] = ()
+    elastic: bool = False
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -166,6 +175,7 @@ def _scene(table: _Table, path: Path) -> Scene:
         ),
         bodies=bodies,
         sensors=sensors,
+        elastic=table.flag("elastic", False),
     )
     if scene.camera.eye == scene.camera.target:
         camera.fail("target", "the camera looks at where it is")
@@ -198,6 +208,7 @@ def _body(table: _Table, path: Path) -> BodySpec:
         orientation=_unit(table, "orientation"),
         fixed=table.flag("fixed", False),
         joints={name: joints.number(name) for name in list(joints.values)},
+        velocity=table.numbers("velocity", 6, BodySpec.velocity),
     )
     table.end()
     return spec

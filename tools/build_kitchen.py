@@ -135,7 +135,7 @@ def profile(points: Sequence[Span], x0: float, x1: float) -> Piece:
 
 @dataclass(frozen=True)
 class Shape:
-    """What collides and is drawn: `kind` box, cylinder, sphere or mesh, of `size` or `pieces`."""
+    """What collides and is drawn: box, cylinder, sphere, capsule of a `size`, mesh of `pieces`."""
 
     colour: str
     kind: str
@@ -144,6 +144,7 @@ class Shape:
     rpy: Vec = (0.0, 0.0, 0.0)
     part: str = ""
     pieces: tuple[Piece, ...] = ()
+    drawn: bool = True
 
 
 @dataclass(frozen=True)
@@ -897,7 +898,6 @@ class Body:
     fixed: bool = False
     joints: dict[str, float] = field(default_factory=dict)
     velocity: tuple[float, ...] = ()
-    damping: float | None = None
 
 
 @dataclass(frozen=True)
@@ -1019,8 +1019,9 @@ def solids(shape: Shape) -> Iterable[Piece]:
     """The shape as polyhedra; a ball becomes the cube of the same moment of inertia per mass."""
     if shape.kind == "mesh":
         return shape.pieces
-    if shape.kind == "cylinder":
+    if shape.kind in ("cylinder", "capsule"):  # a capsule of the length of all of it
         radius, length = shape.size
+        length += 2 * radius * (shape.kind == "capsule")
         flat, half = ngon(16, 0.0, 0.0, radius), length / 2
     else:
         size = shape.size if shape.kind == "box" else (shape.size[0] * math.sqrt(2.4),) * 3
@@ -1081,6 +1082,9 @@ def geometry(model: Model, shape: Shape) -> str:
             return f'<cylinder radius="{number(shape.size[0])}" length="{number(shape.size[1])}"/>'
         case "sphere":
             return f'<sphere radius="{number(shape.size[0])}"/>'
+        case "capsule":
+            radius, length = map(number, shape.size)
+            return f'<capsule radius="{radius}" length="{length}"/>'
     return f'<mesh filename="meshes/{model.name}_{shape.part}.obj"/>'
 
 
@@ -1101,6 +1105,8 @@ def link_lines(model: Model, link: Link) -> Iterator[str]:
     for shape in link.shapes:
         body = f"{place(shape.origin, shape.rpy)}<geometry>{geometry(model, shape)}</geometry>"
         yield f"    <collision>{body}</collision>"
+        if not shape.drawn:  # without anything to draw PyBullet draws what collides
+            body = f'{place(shape.origin)}<geometry><box size="0.0001 0.0001 0.0001"/></geometry>'
         yield f'    <visual>{body}<material name="{shape.colour}"/></visual>'
     yield "  </link>"
 
@@ -1147,8 +1153,6 @@ def body_lines(body: Body) -> Iterator[str]:
         yield "fixed = true"
     if body.velocity:
         yield f"velocity = {array(body.velocity)}"
-    if body.damping is not None:
-        yield f"damping = {real(body.damping)}"
     if body.joints:
         values = ", ".join(f"{name} = {real(v)}" for name, v in body.joints.items())
         yield f"joints = {{ {values} }}"

@@ -31,6 +31,15 @@ def load_models(scene: Scene, client: int) -> tuple[dict[int, str], dict[int, Ki
     """
     pybullet.setTimeStep(scene.timestep, client)
     pybullet.setGravity(*scene.gravity, physicsClientId=client)
+    if scene.elastic:
+        pybullet.setPhysicsEngineParameter(
+            # Slow contacts bounce, too; none is begun before shapes meet, which would brake
+            # them, nor pushed apart afterwards, which would speed them up.
+            restitutionVelocityThreshold=0.0,
+            contactBreakingThreshold=1e-6,
+            contactERP=0.0,
+            physicsClientId=client,
+        )
     names: dict[int, str] = {}
     kinds: dict[int, Kind] = {}
     for index, spec in enumerate(scene.bodies):
@@ -42,9 +51,30 @@ def load_models(scene: Scene, client: int) -> tuple[dict[int, str], dict[int, Ki
             if spec.kind:
                 kinds[handle] = spec.kind
             _set_joints(handle, spec, place, client)
+            if any(spec.velocity):
+                linear, angular = spec.velocity[:3], spec.velocity[3:]
+                pybullet.resetBaseVelocity(handle, linear, angular, client)
+            if scene.elastic:
+                _make_elastic(handle, client)
     # Contacts and rays of the first tick are of where things are now.
     pybullet.performCollisionDetection(client)
     return names, kinds
+
+
+def _make_elastic(handle: int, client: int) -> None:
+    """Let a body lose no energy: neither where it meets something nor in between."""
+    for link in range(-1, pybullet.getNumJoints(handle, client)):
+        pybullet.changeDynamics(
+            handle,
+            link,
+            restitution=1.0,
+            lateralFriction=0.0,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            physicsClientId=client,
+        )
 
 
 def _load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
