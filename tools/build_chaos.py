@@ -91,12 +91,12 @@ def flying() -> Iterator[Body]:
     cells = list(product(CELLS, repeat=3))
     draw.shuffle(cells)
     counts = dict.fromkeys((kind.name for kind in KINDS), 0)
-    for place in cells[:COUNT]:
+    for x, y, z in cells[:COUNT]:
         kind = draw.choice(KINDS).name
         counts[kind] += 1
         velocity = tuple(round(draw.uniform(-2.0, 2.0), 2) for _ in range(6))
         yield Body(
-            f"{kind}_{counts[kind]}", "kinbody", kind, place, turned(draw), False, {}, velocity
+            f"{kind}_{counts[kind]}", "kinbody", kind, (x, y, z), turned(draw), False, {}, velocity
         )
 
 

@@ -54,7 +54,7 @@ class Grid:
 
     def cells(self) -> list[Cell]:
         """All of them."""
-        return list(product(*map(range, self.counts)))
+        return list(product(range(self.counts[0]), range(self.counts[1])))
 
 
 def free_cells(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,6 @@ class Placing:
         robot: who is put somewhere.
         apart: how far it is to be from everything, metres.
         ignored: names of what it may be near, as of the floor that it stands on.
-        moved: of other bodies that are to be elsewhere meanwhile, poses as of `World.what_if`.
 
     Attributes:
         asked: at how many places it was looked at.
@@ -34,14 +33,12 @@ class Placing:
         apart: float,
         *,
         ignored: Iterable[str] = (),
-        moved: Mapping[str, list[float]] | None = None,
     ) -> None:
-        self._base = world.what_if(moved or {})
-        self._robot = self._base[robot.name]
+        self._world, self._robot = world, robot
         self._height = robot.position[2]
         self._apart = apart
         left_out = {robot.name, *ignored}
-        others = [e for e in self._base if e.kind != "sensor" and e.name not in left_out]
+        others = [e for e in self._world if e.kind != "sensor" and e.name not in left_out]
         self._others = [(other.id, other.name) for other in others]
         self._boxes = np.array([other.aabb for other in others]).reshape(-1, 2, 3)
         self.asked = 0
@@ -56,7 +53,7 @@ class Placing:
         """
         self.asked += 1
         pose = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2), x, y, self._height]
-        there = self._base.what_if({self._robot: pose})
+        there = self._world.what_if({self._robot: pose})
         there.ask(["shapes"])
         low, high = np.array(there.entity(self._robot.id).aabb)
         apart = np.maximum(self._boxes[:, 0] - high, low - self._boxes[:, 1]).max(axis=1)
