@@ -210,6 +210,8 @@ def _body(table: _Table, path: Path) -> BodySpec:
         joints={name: joints.number(name) for name in list(joints.values)},
         velocity=table.numbers("velocity", 6, BodySpec.velocity),
     )
+    if spec.fixed and any(spec.velocity):
+        table.fail("velocity", "what is fixed does not move")
     table.end()
     return spec
 

@@ -205,7 +205,7 @@ def strewn() -> Iterator[Body]:
                     break
             taken.append((x, y, sort.radius))
             yaw = round(draw.uniform(0.0, math.pi), 3)
-            yield placed(f"{sort.model}_{i}", sort.model, x, y, yaw, fixed=sort.model == "table")
+            yield placed(f"{sort.model}_{i}", sort.model, x, y, yaw, fixed=sort.model != "crate")
 
 
 ROBOT = Body("rover", "robot", "rover", (*START, 0.0))
