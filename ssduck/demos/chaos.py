@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ssduck.answers import Answer, aligned
+from ssduck.answers import Answer, lines_of
 from ssduck.demos.drawing import save
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
             if second in energies
         ]
         told = Answer(["second", "body and body", "body and side", "energy, J"], rows)
-        say("\n".join(aligned(told)))
+        say("\n".join(lines_of(told)))
         say(
             f"What the camera in the western side sees changed {len(seen) - 1} times: "
             f"{min(seen)} to {max(seen)} bodies at once"

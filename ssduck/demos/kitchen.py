@@ -169,7 +169,7 @@ def ask(
     Raises:
         SelectScriptError: the scene cannot be loaded, or the picture not be written.
     """
-    from ssduck.interpreter import load
+    from ssduck.opening import load
 
     console = console_of_answers()
     asked = questions(scene)

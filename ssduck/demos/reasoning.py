@@ -54,7 +54,7 @@ WHERE collides(rover, this) AND id(this) != 'floor' AND id(this) != 'goal';"""
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
     """Find the way, check and draw it; nothing of it is by chance."""
-    from ssduck.interpreter import load
+    from ssduck.opening import load
 
     with load("hall") as ss:
         hall = ss.call_variable("hall")

@@ -23,7 +23,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ssduck.answers import Answer, aligned
+from ssduck.answers import Answer, lines_of
 from ssduck.demos.drawing import Colour, TopView, save
 from ssduck.demos.grid import Cell, Grid, Place, free_cells, shortest_way
 
@@ -105,7 +105,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
         kitchen.run(0.5)
         say(f"{kitchen.time:.1f} s; the trigger fired {len(watch.told)} times:")
         rows = [[f"{a:.1f}", f"{b:.1f}", *sight] for a, b, *sight in watch.spans()]
-        say("\n".join(aligned(Answer(["from", "until", "sensor", "sees robot"], rows))))
+        say("\n".join(lines_of(Answer(["from", "until", "sensor", "sees robot"], rows))))
         hits = checked(ss, say)
         agrees = told_by_record(ss, watch)
         word = "the same at each of these ticks" if agrees else "something else"
