@@ -35,7 +35,7 @@ class PointCloud:
     names: tuple[str, ...]
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> Array:
-        return np.array(self.points, dtype=dtype, copy=copy)  # type: ignore[no-any-return]
+        return np.array(self.points, dtype=dtype, copy=copy)
 
     def __len__(self) -> int:
         return len(self.points)

@@ -6,6 +6,8 @@ import inspect
 import math
 import random
 import re
+import shutil
+import sys
 from collections import deque
 from itertools import pairwise
 
@@ -15,7 +17,7 @@ from typer.testing import CliRunner
 
 import ssduck
 from ssduck.cli import app
-from ssduck.demos import NAMES, chaos, description_of, drawing, reasoning, robots, run_of
+from ssduck.demos import NAMES, chaos, description_of, drawing, prolog, reasoning, robots, run_of
 from ssduck.demos.grid import Grid, free_cells, shortest_way
 from ssduck.demos.placing import Placing
 
@@ -282,3 +284,57 @@ AMONG = [
 @pytest.mark.parametrize(("some", "others", "among"), AMONG)
 def test_overlaps_among_others(some, others, among):
     assert chaos._are_among(some, others) == among
+
+
+# -- maps, and clauses ---------------------------------------------------------------------------
+
+
+def test_maps_of_the_kitchen(tmp_path):
+    told = []
+    assert run_of("map")(tmp_path, told.append, seed=0)
+    assert any("20 separate things" in line for line in told)
+    sizes = {}
+    for name in ("kitchen", "near_roomba"):
+        with Image.open(tmp_path / f"{name}.pgm") as picture:
+            sizes[name] = picture.size
+        assert f"image: {name}.pgm" in (tmp_path / f"{name}.yaml").read_text()
+        with Image.open(tmp_path / f"{name}.png") as picture:
+            assert picture.width % 4 == 0
+    assert sizes["near_roomba"] < sizes["kitchen"]
+
+
+ENGINES = [
+    pytest.param(
+        "SWI-Prolog", marks=pytest.mark.skipif(not shutil.which("swipl"), reason="no swipl")
+    ),
+    "clingo",
+]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_clauses_are_asked(tmp_path, monkeypatch, engine):
+    if engine == "clingo":
+        monkeypatch.setattr(prolog.shutil, "which", lambda _: None)
+    told = []
+    assert prolog.run(tmp_path, told.append, seed=0)
+    assert f"The questions are put to {engine}" in told
+    assert told.count("SelectScript says the same") == 3
+    assert "above(table,cup_58a2).\n" in (tmp_path / "kitchen.pl").read_text()
+
+
+def test_nobody_to_be_asked(tmp_path, monkeypatch):
+    monkeypatch.setattr(prolog.shutil, "which", lambda _: None)
+    monkeypatch.setitem(sys.modules, "clingo", None)
+    told = []
+    assert not prolog.run(tmp_path, told.append, seed=0)
+    assert told == [
+        "Neither SWI-Prolog (swipl) nor clingo (pip install clingo) is here to be asked"
+    ]
+
+
+def test_other_answers_are_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(prolog.shutil, "which", lambda _: "swipl")
+    monkeypatch.setattr(prolog, "_prolog", lambda ss, target, number: ["cup_58a2"])
+    told = []
+    assert not prolog.run(tmp_path, told.append, seed=0)
+    assert "SelectScript says ['kitchen']" in told

@@ -23,6 +23,8 @@ NAMES = (
     "robots",
     "reasoning",
     "chaos",
+    "map",
+    "prolog",
 )
 
 
