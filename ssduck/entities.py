@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -194,6 +194,37 @@ class Entity(EntitySpellings):
                 unit(finite(turn, 4, f"{self.name}: orientation"), self.name),
             )
         self.state.place(self, pose, joints)
+
+    def drive(
+        self,
+        positions: JointValues | None = None,
+        velocities: Mapping[str, float] | None = None,
+        efforts: Mapping[str, float] | None = None,
+    ) -> None:
+        """Set the motors of its joints; they act in the steps to come, until they are set again.
+
+        Nothing moves at once, and no tick is taken. Motors of joints that are not named go on
+        with what they did. `move` with joints makes motors hold the new positions, in a
+        simulation that ssduck loaded.
+
+        Args:
+            positions: where motors take joints and hold them, rad or m: by the joint's name, or
+                one for each revolute and prismatic joint in order. They go no faster than the
+                joint's model allows.
+            velocities: how fast motors turn joints, rad/s or m/s, by the joint's name.
+            efforts: the most that these motors give, N m or N, by the joint's name; others give
+                what the joint's model allows.
+
+        Raises:
+            StateError: a number is not finite, a position is beyond the joint's limits, or a
+                velocity or an effort is more than its model allows.
+            UnknownNameError: there is no joint of a name, with the nearest names.
+            ArgumentError: it is a sensor, a joint has both a position and a velocity, or an
+                effort and neither; there are too many positions or too few.
+            RemovedEntityError: it is no longer in its world.
+            UnsupportedError: it is in a what-if world.
+        """
+        self.state.drive(self, positions, velocities, efforts)
 
     @property
     def enabled(self) -> bool:

@@ -24,7 +24,7 @@ from ssduck.geometry import (
     rotate,
     rotation_matrices,
 )
-from ssduck.simulators import SETTABLE, Body, Frames, Joint
+from ssduck.simulators import SETTABLE, Body, Frames, Joint, Motor
 
 Pose: TypeAlias = tuple[Array, Array]
 JointValues: TypeAlias = Mapping[str, float] | Sequence[float]
@@ -102,6 +102,55 @@ def positions_of(values: JointValues, body: Body, name: str) -> dict[int, float]
         joint.link: _position(value, joint, name)
         for joint, value in ((_named(key, joints, name), value) for key, value in values.items())
     }
+
+
+def motors_of(
+    positions: JointValues | None,
+    velocities: Mapping[str, float] | None,
+    efforts: Mapping[str, float] | None,
+    body: Body,
+    name: str,
+) -> dict[int, Motor]:
+    """What motors are to do, by the numbers of the links that they move; see `Entity.drive`."""
+    joints = {joint.name: joint for joint in body.joints}
+    places = positions_of(positions, body, name) if positions is not None else {}
+    speeds = {
+        _named(key, joints, name).link: _bounded(value, joints[key], "velocity", name)
+        for key, value in (velocities or {}).items()
+    }
+    limits = {
+        _named(key, joints, name).link: _bounded(value, joints[key], "effort", name)
+        for key, value in (efforts or {}).items()
+    }
+    by_link = {joint.link: joint for joint in body.joints}
+    for link in places.keys() & speeds.keys():
+        raise ArgumentError(f"{name}: joint {by_link[link].name!r}: a position or a velocity")
+    for link in limits.keys() - places.keys() - speeds.keys():
+        raise ArgumentError(
+            f"{name}: joint {by_link[link].name!r} has an effort, but no position or velocity"
+        )
+    return {
+        link: Motor(
+            position=places.get(link),
+            velocity=speeds.get(link, 0.0),
+            effort=limits.get(link, by_link[link].max_effort or 0.0),
+            speed=by_link[link].max_velocity or None,
+        )
+        for link in sorted(places.keys() | speeds.keys())
+    }
+
+
+def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
+    """A velocity or an effort that the joint's model allows."""
+    given = float(finite([value], 1, f"{name}: joint {joint.name!r}: {what}")[0])
+    most = joint.max_velocity if what == "velocity" else joint.max_effort
+    if (most is not None and abs(given) > most) or (what == "effort" and given < 0.0):
+        raise StateError(
+            f"{name}: joint {joint.name!r}: {what} {given:g} is more than the joint's {most:g}"
+            if given > 0.0 or what == "velocity"
+            else f"{name}: joint {joint.name!r}: effort {given:g} is below 0"
+        )
+    return given
 
 
 def _named(key: str, joints: Mapping[str, Joint], name: str) -> Joint:

@@ -21,7 +21,7 @@ from ssduck.errors import (
     nearest,
 )
 from ssduck.geometry import Indices
-from ssduck.kinematics import JointValues, Pose, pose_of, positions_of
+from ssduck.kinematics import JointValues, Pose, motors_of, pose_of, positions_of
 from ssduck.openrave import WorldSpellings
 from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.sensing import Reading
@@ -384,6 +384,20 @@ class World(Ticked, WorldSpellings):
 
         self._change(entity, "move", put)
 
+    def drive(
+        self,
+        entity: Entity,
+        positions: JointValues | None,
+        velocities: Mapping[str, float] | None,
+        efforts: Mapping[str, float] | None,
+    ) -> None:
+        """Set motors of its joints, for the steps to come; see `Entity.drive`."""
+        with self.lock:
+            self._check_not_held()
+            body = self._present(entity, "drive")
+            motors = motors_of(positions, velocities, efforts, body, entity.name)
+            self._simulator.drive(body, motors)
+
     def enable(self, entity: Entity, on: bool) -> None:
         """Let a body take part in collisions, or not, and take a tick."""
         self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
@@ -396,14 +410,17 @@ class World(Ticked, WorldSpellings):
         """Change a body in the simulator, and take a tick."""
         with self.lock:
             self._check_not_held()
-            # Its number may be another body's by now.
-            self._members.update(self._simulator)
-            member = self._members.of(entity.id)
-            if member is None:
-                raise entity.removed()
-            change(entity.body_of(member, verb))
+            change(self._present(entity, verb))
             self.snapshot.read_all_anew()
             self._take_tick()
+
+    def _present(self, entity: Entity, verb: str) -> Body:
+        """What an entity is made of, if the simulation still has it."""
+        self._members.update(self._simulator)  # its number may be another body's by now
+        member = self._members.of(entity.id)
+        if member is None:
+            raise entity.removed()
+        return entity.body_of(member, verb)
 
 
 def _plain(values: Any) -> Any:

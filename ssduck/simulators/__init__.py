@@ -121,6 +121,23 @@ class Contact:
     friction: tuple[float, float, float]
 
 
+@dataclass(frozen=True)
+class Motor:
+    """What the motor of a joint is to do from the next step on.
+
+    Attributes:
+        position: where it takes the joint and holds it, rad or m; None for one that turns.
+        velocity: how fast it turns the joint, rad/s or m/s, if it has no position to take it to.
+        effort: the most that it gives, N m or N.
+        speed: how fast it goes to its position at most, rad/s or m/s; None for no bound.
+    """
+
+    position: float | None
+    velocity: float
+    effort: float
+    speed: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Hits:
     """What n rays end on.
@@ -214,6 +231,9 @@ class Simulator(Protocol):
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
         """Set joints of a body, at rest: radians or metres by the number of the joint's link."""
+
+    def drive(self, body: Body, motors: Mapping[int, Motor]) -> None:
+        """Set motors of a body's joints, by the number of the joint's link, for the next steps."""
 
     def enable(self, body: Body, on: bool) -> None:
         """Let a body take part in collisions, or not."""

@@ -31,11 +31,11 @@ from ssduck.geometry import (
     rotation_matrices,
 )
 from ssduck.scenes import Camera, Scene
-from ssduck.simulators import Body, Contact, Frames, Hits, Kind, View
+from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
 from ssduck.simulators.pybullet_bodies import Description, Pose, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_rays import cast_rays
-from ssduck.simulators.pybullet_scenes import hold_joint, load_models
+from ssduck.simulators.pybullet_scenes import hold_joint, load_models, set_motor
 
 T = TypeVar("T")
 
@@ -235,6 +235,15 @@ class PyBulletSimulator:
                 if not self.watched:
                     hold_joint(body.handle, body.joints[link - 1], position, self.client)
             pybullet.performCollisionDetection(self.client)
+
+        self._call(put)
+
+    def drive(self, body: Body, motors: Mapping[int, Motor]) -> None:
+        """Set motors of joints by the numbers of their links; they act in the next steps."""
+
+        def put() -> None:
+            for link, motor in motors.items():
+                set_motor(body.handle, link, motor, self.client)
 
         self._call(put)
 

@@ -12,7 +12,7 @@ import numpy as np
 from ssduck.errors import SceneError, nearest
 from ssduck.geometry import compose
 from ssduck.scenes import BodySpec, Scene
-from ssduck.simulators import SETTABLE, Joint, Kind
+from ssduck.simulators import SETTABLE, Joint, Kind, Motor
 from ssduck.simulators.pybullet_bodies import joint_of, wxyz, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 
@@ -138,17 +138,20 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> None:
 
 def hold_joint(handle: int, joint: Joint, value: float, client: int) -> None:
     """Let a joint's motor hold it there; one without limits is held at velocity 0."""
-    motor: dict[str, Any] = (
-        {"controlMode": pybullet.POSITION_CONTROL, "targetPosition": value}
-        if joint.lower is not None
-        else {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0}
+    position = None if joint.lower is None else value
+    set_motor(handle, joint.link, Motor(position, 0.0, joint.max_effort or 0.0, None), client)
+
+
+def set_motor(handle: int, link: int, motor: Motor, client: int) -> None:
+    """Let the motor of a link's joint act so from the next step on."""
+    bounds: dict[str, Any] = {} if motor.speed is None else {"maxVelocity": motor.speed}
+    target: dict[str, Any] = (
+        {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": motor.velocity}
+        if motor.position is None
+        else {"controlMode": pybullet.POSITION_CONTROL, "targetPosition": motor.position}
     )
     pybullet.setJointMotorControl2(
-        handle,
-        joint.link - 1,
-        force=joint.max_effort or 0.0,
-        physicsClientId=client,
-        **motor,
+        handle, link - 1, force=motor.effort, physicsClientId=client, **target, **bounds
     )
 
 
