@@ -93,6 +93,14 @@ class Chain:
         """The number of a link."""
         return [link.name for link in self.body.links].index(name)
 
+    def beyond(self, name: str) -> list[int]:
+        """The numbers of a link and of all that hang on it."""
+        found = {self.link(name)}
+        for number, link in enumerate(self.body.links):
+            if link.parent in found:
+                found.add(number)
+        return sorted(found)
+
     def columns(self, names: Sequence[str]) -> Indices:
         """Which positions are those of these joints."""
         return np.array([self.names.index(name) for name in names], dtype=np.intp)

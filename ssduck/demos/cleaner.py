@@ -1,0 +1,326 @@
+"""A robot on wheels, with an arm and a hand, that takes cups to where they belong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssduck.demos.chain import Chain
+from ssduck.demos.motion import Mover
+from ssduck.demos.obstacles import Held, Surroundings, hull_in
+from ssduck.demos.planning import plan, shortened
+from ssduck.demos.spaces import ArmSpace, BaseSpace
+from ssduck.entities import Entity
+from ssduck.geometry import Array
+from ssduck.narrow import TOUCHES
+from ssduck.world import World
+
+ARM = ("j1", "j2", "j3", "j4", "j5", "j6", "j7")
+WHEELS = ("left_wheel", "right_wheel")
+RADIUS, TRACK, AXLE = 0.24, 0.49, -0.04
+# How far from each joint of the arm, and from the axle, anything is, m.
+LEVERS = np.array([1.1, 1.1, 0.85, 0.7, 0.45, 0.38, 0.15])
+LEVER = 0.4
+# Where a cup's rim is in the hand's frame when the fingers are in it, m.
+GRIP = np.array([0.0, 0.0, 0.125])
+# Fingers that fit into a cup, rad; spread against its walls they hold it by friction, N m.
+NARROW = {"f1": 0.3, "f2": 0.25, "f3": 0.25, "spread": 0.0}
+SPREAD = {"f1": 0.0, "f2": 0.0, "f3": 0.0}
+FORCE = 3.0
+# How far above a cup the hand begins to go straight down, m, and in what steps.
+ABOVE = 0.09
+STEP = 0.01
+# Where the arm holds a cup's rim while the robot drives, in the base's frame.
+CARRIED = np.array([0.2, 0.0, 0.16])
+# The hand with a cup is tilted no more, rad.
+TILT = 0.6
+# What is tried: places to stand at, postures of the arm at each, random postures of a plan.
+PLACES, POSTURES, TRIES = 600, 8, 400
+FLOOR = 0.16
+
+
+class Failed(Exception):  # noqa: N818  # it is no error: it is what is told
+    """Why a cup was not taken away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Where to stand, (3,), and the arm's posture there, (arm joints,)."""
+
+    place: Array
+    posture: Array
+
+
+class Cleaner:
+    """Plans and runs what the robot does.
+
+    Args:
+        robot: the robot, its arm out of the way.
+        rng: chance.
+        say: is told what it does.
+        after: is called as the simulation runs.
+    """
+
+    def __init__(
+        self,
+        robot: Entity,
+        rng: np.random.Generator,
+        say: Callable[[str], None],
+        after: Callable[[], object],
+    ) -> None:
+        self.robot, self.rng, self.say = robot, rng, say
+        self.world: World = robot.world
+        self.chain = Chain.of(robot)
+        self.arm = self.chain.columns(ARM)
+        self.hand = self.chain.link("arm7")
+        self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, after)
+        self.held: Held | None = None
+        self.mover.pose(NARROW)
+        self.mover.run(60)
+        self.carrying = self._carrying()
+
+    # -- what it does ---------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Bring the arm to where it is while the robot drives."""
+        self._bring(self.carrying)
+
+    def pick(self, cup: Entity) -> None:
+        """Take a cup that stands upright.
+
+        Raises:
+            Failed: it cannot.
+        """
+        low, high = cup.aabb
+        rim = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
+        above = rim + [0.0, 0.0, ABOVE]
+        self._drive_to(above, rim, but=cup)
+        posture = self._posture(above)
+        self._bring(posture)
+        down = self._line(self._now(), above, rim)
+        self._check(down, but=cup)
+        self.mover.follow(down)
+        self.mover.pose(SPREAD, FORCE)
+        self.mover.run(120)
+        if not self._touches(cup):
+            raise Failed("the fingers do not touch it")
+        self.mover.follow(self._line(self._now(), rim, above))
+        if cup.position[2] < low[2] + ABOVE / 2:
+            raise Failed("it slipped out of the fingers")
+        base, angles = self.chain.now(self.robot)
+        frame = self.chain.frames(base[None], angles[None])[0, self.hand]
+        self.held = Held(self.hand, cup, hull_in(frame, cup))
+        self._bring(self.carrying)
+
+    def drop(self, spot: Array) -> None:
+        """Bring what it holds to a spot, let go of it, and draw the arm back.
+
+        Args:
+            spot: (3,), where its underside is to be, m.
+
+        Raises:
+            Failed: it cannot.
+        """
+        assert self.held is not None
+        cup = self.held.entity
+        hangs = self._hand()[:3, 3] + self._hand()[:3, :3] @ GRIP - cup.aabb[0]
+        goal = spot + [0.0, 0.0, float(hangs[2])]
+        above = goal + [0.0, 0.0, 0.22]
+        self._drive_to(above, goal)
+        self._bring(self._posture(above))
+        if (lost := self._lost()) is not None:
+            raise Failed(lost)
+        down = self._line(self._now(), above, goal)
+        self._check(down)
+        self.mover.follow(down)
+        self.mover.pose(NARROW)
+        self.mover.run(120)
+        self.held = None
+        self.mover.follow(self._line(self._now(), goal, above))
+        self._bring(self.carrying)
+
+    # -- where ----------------------------------------------------------------------------
+
+    def _carrying(self) -> Array:
+        """The posture of the arm in which the robot takes the least room."""
+        base, angles = self.chain.now(self.robot)
+        base = np.eye(4)
+        found, solved = self._solve(base, CARRIED, 64, angles)
+        space = self._arm_space(base, self._around(()))
+        found = found[solved]
+        found = found[space.clear(found)]
+        frames = self.chain.frames(np.tile(base, (len(found), 1, 1)), space.full(found))
+        size = np.hypot(frames[..., 0, 3], frames[..., 1, 3]).max(axis=1)
+        return found[int(size.argmin())]
+
+    def _solve(
+        self, base: Array, rim: Array, count: int, angles: Array
+    ) -> tuple[Array, Array]:
+        """Postures of the arm that bring the hand over a rim: (n, joints), and which do."""
+        starts = np.tile(angles, (count, 1))
+        starts[:, self.arm] = self.rng.uniform(
+            self.chain.lower[self.arm], self.chain.upper[self.arm], (count, len(self.arm))
+        )
+        goals = np.tile([*rim, 0.0, 0.0, -1.0], (count, 1))
+        bases = np.tile(base, (count, 1, 1))
+        found, solved = self.chain.reach(bases, starts, self.arm, self.hand, GRIP, goals)
+        return found[:, self.arm], solved
+
+    def _drive_to(self, above: Array, goal: Array, but: Entity | None = None) -> None:
+        """Drive to where the hand reaches both points."""
+        space = self._base_space()
+        here = space.place(self.chain.now(self.robot)[0])
+        for stand in self._stands(space, here, above, goal, but):
+            path = plan(space, here, stand.place, self.rng, TRIES // 4, 1.0)
+            if path is not None:
+                path = shortened(space, path, self.rng, 60)
+                if not self.mover.roll(space, path):
+                    raise Failed("the robot is stuck on its way")
+                if (lost := self._lost()) is not None:
+                    raise Failed(lost)
+                return
+        raise Failed("there is no place to stand from which the arm reaches it")
+
+    def _stands(
+        self, space: BaseSpace, here: Array, above: Array, goal: Array, but: Entity | None
+    ) -> Iterator[Stand]:
+        """Where the robot may stand to reach two points, the nearest first."""
+        away = self.rng.uniform(0.3, 0.75, PLACES)
+        way = self.rng.uniform(-np.pi, np.pi, PLACES)
+        yaw = self.rng.uniform(-np.pi, np.pi, PLACES)
+        # The arm's first joint is behind the axle.
+        places = np.stack((
+            above[0] + away * np.cos(way) + 0.06 * np.cos(yaw),
+            above[1] + away * np.sin(way) + 0.06 * np.sin(yaw),
+            yaw,
+        ), axis=1)
+        places = np.concatenate((here[None], places))
+        places = places[np.argsort(space.distances(here, places))]
+        around = self._around(self._others(but))
+        _, angles = self.chain.now(self.robot)
+        for start in range(0, len(places), 64):
+            some = places[start : start + 64]
+            some = some[space.clear(some)]
+            if not len(some):
+                continue
+            bases = np.repeat(space.bases(some), POSTURES, axis=0)
+            starts = np.tile(angles, (len(bases), 1))
+            starts[:, self.arm] = self.rng.uniform(
+                self.chain.lower[self.arm],
+                self.chain.upper[self.arm],
+                (len(bases), len(self.arm)),
+            )
+            goals = np.tile([*above, 0.0, 0.0, -1.0], (len(bases), 1))
+            found, solved = self.chain.reach(bases, starts, self.arm, self.hand, GRIP, goals)
+            for row in np.flatnonzero(solved):
+                arm = self._arm_space(bases[row], around)
+                posture = found[row, self.arm]
+                if not arm.clear(posture[None])[0]:
+                    continue
+                try:
+                    line = self._line(posture, above, goal, bases[row])
+                except Failed:
+                    continue
+                if arm.clear(line).all():
+                    yield Stand(some[row // POSTURES], posture)
+
+    def _posture(self, above: Array) -> Array:
+        """A clear posture of the arm with the hand over a point, and nearest to the present."""
+        base, angles = self.chain.now(self.robot)
+        found, solved = self._solve(base, above, 96, angles)
+        found = found[solved]
+        space = self._arm_space(base, self._around(self._others()))
+        found = found[space.clear(found)]
+        if not len(found):
+            raise Failed("the arm does not reach it from here")
+        self._choices = found[np.argsort(space.distances(self._now(), found))]
+        return self._choices[0]
+
+    def _line(
+        self, posture: Array, start: Array, end: Array, base: Array | None = None
+    ) -> Array:
+        """Postures on a straight way of the grip, from a posture at its start."""
+        here, angles = self.chain.now(self.robot)
+        base = here if base is None else base
+        count = int(np.linalg.norm(end - start) / STEP) + 2
+        full = angles.copy()
+        full[self.arm] = posture
+        path = [posture]
+        for share in np.linspace(0.0, 1.0, count)[1:]:
+            goal = np.array([[*(start + share * (end - start)), 0.0, 0.0, -1.0]])
+            found, solved = self.chain.reach(
+                base[None], full[None], self.arm, self.hand, GRIP, goal
+            )
+            if not solved[0] or np.abs(found[0, self.arm] - path[-1]).max() > 0.3:
+                raise Failed("the arm does not reach all the way")
+            full = found[0]
+            path.append(full[self.arm])
+        return np.array(path)
+
+    # -- how ------------------------------------------------------------------------------
+
+    def _bring(self, posture: Array) -> None:
+        """Move the arm to a posture along a planned path."""
+        base, _ = self.chain.now(self.robot)
+        space = self._arm_space(base, self._around(self._others()))
+        path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
+        if path is None:
+            raise Failed("no clear path of the arm was found")
+        self.mover.follow(shortened(space, path, self.rng, 60))
+
+    def _check(self, path: Array, but: Entity | None = None) -> None:
+        base, _ = self.chain.now(self.robot)
+        if not self._arm_space(base, self._around(self._others(but))).clear(path).all():
+            raise Failed("something is in the arm's way")
+
+    def _now(self) -> Array:
+        now: Array = self.chain.now(self.robot)[1][self.arm]
+        return now
+
+    def _hand(self) -> Array:
+        base, angles = self.chain.now(self.robot)
+        found: Array = self.chain.frames(base[None], angles[None])[0, self.hand]
+        return found
+
+    def _lost(self) -> str | None:
+        """What to say if the hand no longer has what it held."""
+        if self.held is None or self._touches(self.held.entity):
+            return None
+        self.held = None
+        return "it was lost on the way"
+
+    def _touches(self, cup: Entity) -> bool:
+        """Whether robot and cup are in contact, as the narrow phase has it."""
+        with self.world.held(["shapes"]):
+            shapes = self.world.snapshot.shapes()
+            gap = shapes.clearance(self.robot.id, cup.id)
+        return gap is not None and gap < TOUCHES
+
+    # -- what is around -------------------------------------------------------------------
+
+    def _others(self, but: Entity | None = None) -> list[Entity]:
+        held = None if self.held is None else self.held.entity
+        return [
+            e for e in self.world if e.kind != "sensor" and e not in (self.robot, held, but)
+        ]
+
+    def _around(self, others: list[Entity] | tuple[()], floor: float = -np.inf) -> Surroundings:
+        return Surroundings(
+            self.chain, self.robot, others, self.held, self.chain.beyond("arm7"), floor
+        )
+
+    def _arm_space(self, base: Array, around: Surroundings) -> ArmSpace:
+        _, angles = self.chain.now(self.robot)
+        tilt = None if self.held is None else TILT
+        return ArmSpace(self.chain, around, base, angles, self.arm, LEVERS, self.hand, tilt)
+
+    def _base_space(self) -> BaseSpace:
+        base, angles = self.chain.now(self.robot)
+        around = self._around(self._others(), FLOOR)
+        low, high = self.world["kitchen"].aabb
+        return BaseSpace(
+            self.chain, around, angles, float(base[2, 3]), AXLE, LEVER,
+            (low[0], low[1]), (high[0], high[1]),
+        )

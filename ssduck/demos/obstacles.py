@@ -1,0 +1,239 @@
+"""Whether a robot is clear of what is around it, and of itself, for many postures at once.
+
+The shapes are those of the world's tick, compared by the batched narrow phase of relations
+(`ssduck.gjk`); what it leaves undecided counts as too near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssduck.demos.chain import Chain, poses
+from ssduck.entities import Entity
+from ssduck.geometry import Array, Geometry, Indices, PlacedGeometry
+from ssduck.gjk import ABOVE, Bodies, Cores, compare
+from ssduck.broad import Flags, Pairs
+from ssduck.solids import Solid, solid_of
+
+# Postures that are looked at together.
+TOGETHER = 64
+# Boxes around what is round are of points on it, which are that much too near, m.
+PAD = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A convex shape: its solid, and its pose (4, 4) in its link's frame, or in the world."""
+
+    solid: Solid
+    pose: Array
+    link: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What the hand holds: the link that holds it, and its shapes in that link's frame."""
+
+    link: int
+    entity: Entity
+    shape: Shape
+
+
+def shapes_of(entity: Entity) -> list[Shape]:
+    """The shapes of an entity in its links' frames, at its world's tick."""
+    snapshot = entity.world.snapshot
+    body = entity.body_of(snapshot.members[snapshot.rows[entity.id]], "look at")
+    return [_shape(placed) for placed in body.shapes]
+
+
+def _shape(placed: PlacedGeometry) -> Shape:
+    pose = poses(placed.position[None], placed.orientation[None])[0]
+    return Shape(solid_of(placed.geometry), pose, placed.frame)
+
+
+def placed_in_world(entity: Entity) -> list[Shape]:
+    """The shapes of an entity where they are at its world's tick."""
+    links = entity.links
+    frames = poses(
+        np.array([link.position for link in links]),
+        np.array([link.orientation for link in links]),
+    )
+    return [Shape(s.solid, frames[s.link] @ s.pose) for s in shapes_of(entity)]
+
+
+def hull_in(frame: Array, entity: Entity) -> Shape:
+    """The convex hull of an entity's shapes, in the frame of a pose (4, 4)."""
+    points = np.concatenate([_points(shape) for shape in placed_in_world(entity)])
+    local = (points - frame[:3, 3]) @ frame[:3, :3]
+    return Shape(solid_of(Geometry.hull(local)), np.eye(4))
+
+
+def _points(shape: Shape) -> Array:
+    points: Array = shape.solid.points @ shape.pose[:3, :3].T + shape.pose[:3, 3]
+    return points
+
+
+class Surroundings:
+    """What a robot has to keep clear of, at a tick.
+
+    Args:
+        chain: the robot.
+        robot: its handle.
+        others: the entities that are in its way.
+        held: what its hand holds.
+        hand: the links of the hand, which may touch each other and what it holds.
+        floor: what is not higher than this, m, is rolled over.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        robot: Entity,
+        others: Iterable[Entity],
+        held: Held | None = None,
+        hand: Sequence[int] = (),
+        floor: float = -np.inf,
+    ) -> None:
+        self.chain = chain
+        self.shapes = shapes_of(robot)
+        self.hand = list(hand)
+        if held is not None:
+            self.shapes.append(Shape(held.shape.solid, held.shape.pose, held.link))
+        walls = [shape for other in others for shape in placed_in_world(other)]
+        points = [_points(wall) for wall in walls]
+        high = [float(p[:, 2].max()) > floor for p in points]
+        self.walls = [wall for wall, is_high in zip(walls, high, strict=True) if is_high]
+        some = [p for p, is_high in zip(points, high, strict=True) if is_high]
+        self._low = np.array([p.min(axis=0) for p in some]).reshape(-1, 3) - PAD
+        self._high = np.array([p.max(axis=0) for p in some]).reshape(-1, 3) + PAD
+        self._prepare()
+
+    def _prepare(self) -> None:
+        solids = [shape.solid for shape in (*self.walls, *self.shapes)]
+        count, walls = len(self.shapes), len(self.walls)
+        numbers = np.concatenate(
+            (np.arange(walls), walls + np.tile(np.arange(count), TOGETHER))
+        ).astype(np.intp)
+        self._cores = Cores(solids, numbers)
+        self._links = np.array([shape.link for shape in self.shapes], dtype=np.intp)
+        self._local = np.array([shape.pose for shape in self.shapes])
+        self._centre = _homogeneous([shape.solid.centre for shape in self.shapes])
+        self._inner = _homogeneous([shape.solid.inner_centre for shape in self.shapes])
+        self._reach = np.array([shape.solid.reach for shape in self.shapes])
+        placed = np.array([wall.pose for wall in self.walls]).reshape(-1, 4, 4)
+        self._wall_turns = placed[:, :3, :3].reshape(-1, 9).T
+        centres = _homogeneous([wall.solid.centre for wall in self.walls])
+        inner = _homogeneous([wall.solid.inner_centre for wall in self.walls])
+        self._wall_centres = np.einsum("nab,nb->na", placed, centres)[:, :3].T
+        self._wall_inner = np.einsum("nab,nb->na", placed, inner)[:, :3].T
+
+    def clear(
+        self,
+        bases: Array,
+        positions: Array,
+        apart: float,
+        *,
+        moving: Collection[int] | None = None,
+        itself: float | None = None,
+    ) -> Flags:
+        """Whether the robot keeps its distance in each of these postures, (n,).
+
+        Args:
+            bases: (n, 4, 4), of its base link.
+            positions: (n, joints), rad.
+            apart: metres, from everything else.
+            moving: the links that are looked at; None for all.
+            itself: metres, between links that are not neighbours, one of them `moving`; None
+                not to look.
+        """
+        found = np.ones(len(positions), dtype=bool)
+        for start in range(0, len(positions), TOGETHER):
+            some = slice(start, start + TOGETHER)
+            found[some] = self._clear(bases[some], positions[some], apart, moving, itself)
+        return found
+
+    def _clear(
+        self,
+        bases: Array,
+        positions: Array,
+        apart: float,
+        moving: Collection[int] | None,
+        itself: float | None,
+    ) -> Flags:
+        count = len(positions)
+        placed = self.chain.frames(bases, positions)[:, self._links] @ self._local
+        centres = (placed @ self._centre[:, :, None])[..., :3, 0]
+        bodies = self._bodies(placed, centres)
+        is_free = np.ones(count, dtype=bool)
+        looked_at = np.flatnonzero(
+            np.ones(len(self._links), bool)
+            if moving is None
+            else np.isin(self._links, list(moving))
+        )
+        for (first, second), bound in (
+            (self._near_walls(centres, looked_at, apart), apart),
+            (self._near_itself(centres, looked_at, itself), itself or 0.0),
+        ):
+            verdicts = compare(bodies, first, second, bound)
+            posture = (first - len(self.walls)) // len(self._links)
+            is_free[posture[verdicts != ABOVE]] = False
+        return is_free
+
+    def _bodies(self, placed: Array, centres: Array) -> Bodies:
+        inner = (placed @ self._inner[:, :, None])[..., :3, 0]
+        turns = placed[..., :3, :3].reshape(-1, 9).T
+        return Bodies(
+            self._cores,
+            np.ascontiguousarray(np.concatenate((self._wall_turns, turns), axis=1)),
+            np.concatenate((self._wall_centres, centres.reshape(-1, 3).T), axis=1),
+            np.concatenate((self._wall_inner, inner.reshape(-1, 3).T), axis=1),
+        )
+
+    def _near_walls(self, centres: Array, looked_at: Indices, apart: float) -> Pairs:
+        """Shapes of the robot and of what is around whose spheres and boxes are near."""
+        some = centres[:, looked_at]
+        reach = self._reach[looked_at] + apart
+        low = (some - reach[:, None]).min(axis=(0, 1))
+        high = (some + reach[:, None]).max(axis=(0, 1))
+        walls = np.flatnonzero(((self._low <= high) & (self._high >= low)).all(axis=1))
+        far = np.zeros((*some.shape[:2], len(walls)))
+        for axis in range(3):
+            along = some[:, :, axis, None]
+            gap = np.maximum(self._low[walls, axis] - along, along - self._high[walls, axis])
+            np.maximum(gap, 0.0, out=gap)
+            far += gap * gap
+        near = far <= (reach * reach)[:, None]
+        posture, shape, wall = np.nonzero(near)
+        first = len(self.walls) + posture * len(self._links) + looked_at[shape]
+        return first, walls[wall]
+
+    def _near_itself(self, centres: Array, looked_at: Indices, apart: float | None) -> Pairs:
+        if apart is None:
+            return np.zeros(0, np.intp), np.zeros(0, np.intp)
+        s, t = self._own_pairs(looked_at)
+        way = centres[:, s] - centres[:, t]
+        reach = self._reach[s] + self._reach[t] + apart
+        posture, pair = np.nonzero(np.einsum("npa,npa->np", way, way) <= reach * reach)
+        base = len(self.walls) + posture * len(self._links)
+        return base + s[pair], base + t[pair]
+
+    def _own_pairs(self, looked_at: Indices) -> Pairs:
+        """Pairs of the robot's shapes that may meet: not of neighbours, nor of the hand's."""
+        parents = np.array([link.parent for link in self.chain.body.links])
+        links, looks = self._links, np.zeros(len(self._links), bool)
+        looks[looked_at] = True
+        s, t = np.triu_indices(len(links), 1)
+        i, j = links[s], links[t]
+        in_hand = np.isin(links, self.hand)
+        apart = (i != j) & (parents[i] != j) & (parents[j] != i) & ~(in_hand[s] & in_hand[t])
+        apart &= looks[s] | looks[t]
+        return s[apart], t[apart]
+
+
+def _homogeneous(points: Sequence[tuple[float, float, float]]) -> Array:
+    array = np.ones((len(points), 4))
+    array[:, :3] = np.array(points).reshape(-1, 3)
+    return array
