@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ssduck.demos.chain import Chain
 from ssduck.demos.motion import Mover
 from ssduck.demos.obstacles import Held, Surroundings, hull_in
 from ssduck.demos.planning import plan, shortened
-from ssduck.demos.spaces import ArmSpace, BaseSpace
+from ssduck.demos.spaces import ARM_APART, BASE_APART, ArmSpace, BaseSpace
 from ssduck.entities import Entity
 from ssduck.geometry import Array
 from ssduck.narrow import TOUCHES
@@ -28,17 +28,22 @@ GRIP = np.array([0.0, 0.0, 0.125])
 # Fingers that fit into a cup, rad; spread against its walls they hold it by friction, N m.
 NARROW = {"f1": 0.3, "f2": 0.25, "f3": 0.25, "spread": 0.0}
 SPREAD = {"f1": 0.0, "f2": 0.0, "f3": 0.0}
-FORCE = 3.0
+FORCE = 5.0
 # How far above a cup the hand begins to go straight down, m, and in what steps.
 ABOVE = 0.09
 STEP = 0.01
-# Where the arm holds a cup's rim while the robot drives, in the base's frame.
-CARRIED = np.array([0.2, 0.0, 0.16])
+# Where the arm holds a cup's rim while the robot drives, in the base's frame: a cup there is
+# higher than those on the table.
+CARRIED = np.array([0.2, 0.0, 0.36])
 # The hand with a cup is tilted no more, rad.
 TILT = 0.6
 # What is tried: places to stand at, postures of the arm at each, random postures of a plan.
 PLACES, POSTURES, TRIES = 600, 8, 400
 FLOOR = 0.16
+# If there is no other way, the arm comes as near to things, m.
+NARROWLY = 0.004
+# How much of its speed the arm has with a cup.
+CAREFUL = 0.6
 
 
 class Failed(Exception):  # noqa: N818  # it is no error: it is what is told
@@ -59,7 +64,6 @@ class Cleaner:
     Args:
         robot: the robot, its arm out of the way.
         rng: chance.
-        say: is told what it does.
         after: is called as the simulation runs.
     """
 
@@ -67,10 +71,9 @@ class Cleaner:
         self,
         robot: Entity,
         rng: np.random.Generator,
-        say: Callable[[str], None],
         after: Callable[[], object],
     ) -> None:
-        self.robot, self.rng, self.say = robot, rng, say
+        self.robot, self.rng = robot, rng
         self.world: World = robot.world
         self.chain = Chain.of(robot)
         self.arm = self.chain.columns(ARM)
@@ -84,7 +87,30 @@ class Cleaner:
     # -- what it does ---------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Bring the arm to where it is while the robot drives."""
+        """Bring the arm to where it is while the robot drives.
+
+        Raises:
+            Failed: it cannot.
+        """
+        self._bring(self.carrying)
+
+    def recover(self) -> None:
+        """Let go of whatever is held, draw the hand up and the arm back.
+
+        Raises:
+            Failed: it cannot.
+        """
+        self.mover.pose(NARROW)
+        self.mover.run(60)
+        self.held = None
+        grip = self._hand() @ np.append(GRIP, 1.0)
+        for height in (0.2, 0.1, 0.05):
+            try:
+                up = self._line(self._now(), grip[:3], grip[:3] + [0.0, 0.0, height])
+            except Failed:
+                continue
+            self.mover.follow(up)
+            break
         self._bring(self.carrying)
 
     def pick(self, cup: Entity) -> None:
@@ -96,11 +122,7 @@ class Cleaner:
         low, high = cup.aabb
         rim = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
         above = rim + [0.0, 0.0, ABOVE]
-        self._drive_to(above, rim, but=cup)
-        posture = self._posture(above)
-        self._bring(posture)
-        down = self._line(self._now(), above, rim)
-        self._check(down, but=cup)
+        down = self._reach_over(above, rim, but=cup)
         self.mover.follow(down)
         self.mover.pose(SPREAD, FORCE)
         self.mover.run(120)
@@ -128,12 +150,9 @@ class Cleaner:
         hangs = self._hand()[:3, 3] + self._hand()[:3, :3] @ GRIP - cup.aabb[0]
         goal = spot + [0.0, 0.0, float(hangs[2])]
         above = goal + [0.0, 0.0, 0.22]
-        self._drive_to(above, goal)
-        self._bring(self._posture(above))
+        down = self._reach_over(above, goal)
         if (lost := self._lost()) is not None:
             raise Failed(lost)
-        down = self._line(self._now(), above, goal)
-        self._check(down)
         self.mover.follow(down)
         self.mover.pose(NARROW)
         self.mover.run(120)
@@ -147,40 +166,68 @@ class Cleaner:
         """The posture of the arm in which the robot takes the least room."""
         base, angles = self.chain.now(self.robot)
         base = np.eye(4)
-        found, solved = self._solve(base, CARRIED, 64, angles)
+        found = self._solve(base, CARRIED, 64, angles)
         space = self._arm_space(base, self._around(()))
-        found = found[solved]
         found = found[space.clear(found)]
         frames = self.chain.frames(np.tile(base, (len(found), 1, 1)), space.full(found))
         size = np.hypot(frames[..., 0, 3], frames[..., 1, 3]).max(axis=1)
         return found[int(size.argmin())]
 
     def _solve(
-        self, base: Array, rim: Array, count: int, angles: Array
-    ) -> tuple[Array, Array]:
-        """Postures of the arm that bring the hand over a rim: (n, joints), and which do."""
+        self, base: Array, rim: Array, count: int, angles: Array, off: float | None = None
+    ) -> Array:
+        """Postures (n, arm joints) that bring the hand over a rim, found from random ones.
+
+        Args:
+            base: (4, 4).
+            rim: (3,), in the world, m.
+            count: from how many.
+            angles: (joints,), of all joints.
+            off: how far these are off `angles`, rad; None for any within the limits.
+        """
         starts = np.tile(angles, (count, 1))
-        starts[:, self.arm] = self.rng.uniform(
-            self.chain.lower[self.arm], self.chain.upper[self.arm], (count, len(self.arm))
-        )
+        low, high = self.chain.lower[self.arm], self.chain.upper[self.arm]
+        random = self.rng.uniform(low, high, (count, len(self.arm)))
+        if off is not None:
+            random = angles[self.arm] + self.rng.uniform(-off, off, random.shape)
+        starts[:, self.arm] = np.clip(random, low, high)
         goals = np.tile([*rim, 0.0, 0.0, -1.0], (count, 1))
         bases = np.tile(base, (count, 1, 1))
         found, solved = self.chain.reach(bases, starts, self.arm, self.hand, GRIP, goals)
-        return found[:, self.arm], solved
+        return found[solved][:, self.arm]
 
-    def _drive_to(self, above: Array, goal: Array, but: Entity | None = None) -> None:
-        """Drive to where the hand reaches both points."""
+    def _reach_over(self, above: Array, goal: Array, but: Entity | None = None) -> Array:
+        """Drive to where the hand reaches two points, and bring it over the first.
+
+        Returns:
+            The way of the arm down to the second, (n, arm joints).
+        """
+        posture = self._drive_to(above, goal, but)
+        self._bring(self._posture(above, goal, posture, but))
+        down = self._line(self._now(), above, goal)
+        base, _ = self.chain.now(self.robot)
+        if not self._arm_space(base, self._around(self._others(but)), NARROWLY).clear(down).all():
+            raise Failed("something is in the arm's way")
+        return down
+
+    def _drive_to(self, above: Array, goal: Array, but: Entity | None) -> Array:
+        """Drive to where the hand reaches both points; the arm's posture over the first."""
+        if np.abs(self._now() - self.carrying).max() > 0.1:
+            self._bring(self.carrying)
         space = self._base_space()
         here = space.place(self.chain.now(self.robot)[0])
         for stand in self._stands(space, here, above, goal, but):
-            path = plan(space, here, stand.place, self.rng, TRIES // 4, 1.0)
-            if path is not None:
+            for apart in (BASE_APART, NARROWLY):
+                space = replace(space, apart=apart)
+                path = plan(space, here, stand.place, self.rng, TRIES // 4, 1.0)
+                if path is None:
+                    continue
                 path = shortened(space, path, self.rng, 60)
                 if not self.mover.roll(space, path):
                     raise Failed("the robot is stuck on its way")
                 if (lost := self._lost()) is not None:
                     raise Failed(lost)
-                return
+                return stand.posture
         raise Failed("there is no place to stand from which the arm reaches it")
 
     def _stands(
@@ -226,17 +273,24 @@ class Cleaner:
                 if arm.clear(line).all():
                     yield Stand(some[row // POSTURES], posture)
 
-    def _posture(self, above: Array) -> Array:
-        """A clear posture of the arm with the hand over a point, and nearest to the present."""
+    def _posture(
+        self, above: Array, goal: Array, near: Array, but: Entity | None
+    ) -> Array:
+        """A posture with the hand over a point, near another one, from which it can go down."""
         base, angles = self.chain.now(self.robot)
-        found, solved = self._solve(base, above, 96, angles)
-        found = found[solved]
+        angles[self.arm] = near
+        close, other = (self._solve(base, above, n, angles, o) for n, o in ((16, 0.1), (96, None)))
+        close = close[np.argsort(np.abs(close - near).max(axis=1))]
+        found = np.concatenate((close, other))
         space = self._arm_space(base, self._around(self._others()))
-        found = found[space.clear(found)]
-        if not len(found):
-            raise Failed("the arm does not reach it from here")
-        self._choices = found[np.argsort(space.distances(self._now(), found))]
-        return self._choices[0]
+        down = self._arm_space(base, self._around(self._others(but)))
+        for posture in found[space.clear(found)] if len(found) else ():
+            try:
+                if down.clear(self._line(posture, above, goal)).all():
+                    return posture
+            except Failed:
+                continue
+        raise Failed("the arm does not reach it from here")
 
     def _line(
         self, posture: Array, start: Array, end: Array, base: Array | None = None
@@ -265,15 +319,16 @@ class Cleaner:
         """Move the arm to a posture along a planned path."""
         base, _ = self.chain.now(self.robot)
         space = self._arm_space(base, self._around(self._others()))
-        path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
-        if path is None:
-            raise Failed("no clear path of the arm was found")
-        self.mover.follow(shortened(space, path, self.rng, 60))
+        for apart in (ARM_APART, NARROWLY):
+            space = replace(space, apart=apart)
+            path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
+            if path is not None:
+                self.mover.follow(shortened(space, path, self.rng, 60), self._pace())
+                return
+        raise Failed("no clear path of the arm was found")
 
-    def _check(self, path: Array, but: Entity | None = None) -> None:
-        base, _ = self.chain.now(self.robot)
-        if not self._arm_space(base, self._around(self._others(but))).clear(path).all():
-            raise Failed("something is in the arm's way")
+    def _pace(self) -> float:
+        return 1.0 if self.held is None else CAREFUL
 
     def _now(self) -> Array:
         now: Array = self.chain.now(self.robot)[1][self.arm]
@@ -311,10 +366,14 @@ class Cleaner:
             self.chain, self.robot, others, self.held, self.chain.beyond("arm7"), floor
         )
 
-    def _arm_space(self, base: Array, around: Surroundings) -> ArmSpace:
+    def _arm_space(
+        self, base: Array, around: Surroundings, apart: float = ARM_APART
+    ) -> ArmSpace:
         _, angles = self.chain.now(self.robot)
         tilt = None if self.held is None else TILT
-        return ArmSpace(self.chain, around, base, angles, self.arm, LEVERS, self.hand, tilt)
+        return ArmSpace(
+            self.chain, around, base, angles, self.arm, LEVERS, self.hand, tilt, apart
+        )
 
     def _base_space(self) -> BaseSpace:
         base, angles = self.chain.now(self.robot)

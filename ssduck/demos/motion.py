@@ -16,11 +16,11 @@ from ssduck.geometry import Array, Indices
 # Steps of the simulation between two commands.
 EVERY = 8
 # Of the arm: rad/s, rad/s² of every joint.
-FASTEST = 0.9
-SWIFTEST = 1.8
+FASTEST = 1.3
+SWIFTEST = 4.0
 # Of the base: m/s and rad/s, and what these change in a second.
-ROLLING, TURNING = 0.5, 0.8
-ROLLING_MORE, TURNING_MORE = 0.7, 1.6
+ROLLING, TURNING = 0.7, 1.2
+ROLLING_MORE, TURNING_MORE = 1.0, 2.5
 # How near the base is to get to where it is to be: m, rad; and how long it may take, s.
 THERE = 0.006
 TURNED = 0.006
@@ -60,10 +60,16 @@ class Mover:
         efforts = None if effort is None else dict.fromkeys(postures, effort)
         self.robot.drive(postures, efforts=efforts)
 
-    def follow(self, path: Array) -> float:
-        """Move the arm along a path (n, arm joints); how far from its end it stopped, rad."""
+    def follow(self, path: Array, pace: float = 1.0) -> float:
+        """Move the arm along a path; how far from its end it stopped, rad.
+
+        Args:
+            path: (n, arm joints).
+            pace: as a share of how fast it can.
+        """
         names = [self.chain.names[column] for column in self.arm]
         clock, path = timed(path)
+        clock = clock / pace
         step = EVERY * self.robot.world.timestep
         for now in np.arange(step, clock[-1] + step, step):
             posture = [float(np.interp(now, clock, column)) for column in path.T]

@@ -33,6 +33,7 @@ class ArmSpace:
         levers: (arm joints,), how far from each joint anything is that it moves, m.
         hand: the link whose z axis is bounded.
         tilt: how far from straight down that may point, rad; None for anywhere.
+        apart: what is kept free around it, m.
     """
 
     chain: Chain
@@ -43,6 +44,7 @@ class ArmSpace:
     levers: Array
     hand: int
     tilt: float | None = None
+    apart: float = ARM_APART
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Any posture within the limits."""
@@ -79,7 +81,7 @@ class ArmSpace:
         some = np.flatnonzero(is_free)
         if len(some):
             is_free[some] = self.around.clear(
-                bases[some], full[some], ARM_APART, moving=links, itself=ITSELF
+                bases[some], full[some], self.apart, moving=links, itself=min(ITSELF, self.apart)
             )
         return is_free
 
@@ -99,6 +101,7 @@ class BaseSpace:
         lever: how far from the axle anything of it is, m.
         low: the least x and y.
         high: the greatest.
+        apart: what is kept free around it, m.
     """
 
     chain: Chain
@@ -109,6 +112,7 @@ class BaseSpace:
     lever: float
     low: tuple[float, float]
     high: tuple[float, float]
+    apart: float = BASE_APART
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Anywhere."""
@@ -171,7 +175,7 @@ class BaseSpace:
         some = np.flatnonzero(inside)
         if len(some):
             positions = np.tile(self.positions, (len(some), 1))
-            inside[some] = self.around.clear(self.bases(postures[some]), positions, BASE_APART)
+            inside[some] = self.around.clear(self.bases(postures[some]), positions, self.apart)
         return inside
 
 

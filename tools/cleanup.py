@@ -1,0 +1,88 @@
+"""Let the robot clean up tables with cups in random places, and count how often it does.
+
+python -m tools.cleanup 20 --seed 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+import ssduck
+from ssduck.demos.cleanup import ALLOWED, Outcome, clean
+from ssduck.world import World
+
+CUPS = ("cup_905a", "cup_58a2", "cup_b6af", "cup_d441")
+# Where cups are put: within this of the table, m from its edges and each other.
+EDGE = 0.07
+APART = 0.13
+# No farther from the robot than the job says, and no farther down the table than it reaches.
+NEAR = 1.29
+REACHED = 0.15
+
+
+def scatter(world: World, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Put the cups in random places of the part of the table that the job is about."""
+    low, high = (np.array(corner) for corner in world["table"].aabb)
+    robot = np.array(world["barrett_4918"].position)
+    plates = [np.array(e.position[:2]) for e in world if e.name.startswith("plate")]
+    places: list[np.ndarray] = []
+    while len(places) < len(CUPS):
+        place = rng.uniform((low[0] + EDGE, REACHED), (high[0] - EDGE, high[1] - EDGE))
+        z = high[2] + 0.0025
+        if np.linalg.norm([*place, z] - robot) > NEAR:
+            continue
+        if any(np.linalg.norm(place - other) < APART for other in places):
+            continue
+        if any(np.linalg.norm(place - plate) < 0.21 for plate in plates):
+            continue
+        places.append(place)
+    for name, place in zip(CUPS, places, strict=True):
+        yaw = rng.uniform(-np.pi, np.pi)
+        world[name].move([*place, z], [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+    world.step(120)
+    return [(float(x), float(y)) for x, y in places]
+
+
+def one(seed: int, folder: Path | None, loud: bool) -> Outcome:
+    with ssduck.load("kitchen") as ss:
+        places = scatter(ss.call_variable("kitchen"), np.random.default_rng(seed))
+        print(f"seed {seed}: cups at", "  ".join(f"({x:.2f}, {y:.2f})" for x, y in places))
+        began = time.perf_counter()
+        outcome = clean(ss, folder, print if loud else lambda _: None, seed=seed)
+        print(
+            f"  {'clean' if outcome.succeeded else 'NOT CLEAN'}: {len(outcome.washed)} in the sink, "
+            f"left {outcome.left}, {outcome.seconds:.0f} s simulated, "
+            f"{time.perf_counter() - began:.0f} s, {1000 * outcome.deepest:.3f} mm deep, "
+            f"trouble {outcome.trouble}",
+            flush=True,
+        )
+        return outcome
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("count", type=int)
+    parser.add_argument("--seed", type=int, default=1, help="of the first one")
+    parser.add_argument("--pictures", type=Path, help="a folder")
+    parser.add_argument("--loud", action="store_true")
+    given = parser.parse_args()
+    outcomes = [
+        one(seed, given.pictures and given.pictures / str(seed), given.loud)
+        for seed in range(given.seed, given.seed + given.count)
+    ]
+    clean_ones = sum(outcome.succeeded for outcome in outcomes)
+    deepest = max(outcome.deepest for outcome in outcomes)
+    print(
+        f"{clean_ones} of {given.count} tables clean; {sum(len(o.washed) for o in outcomes)} of "
+        f"{sum(len(o.cups) for o in outcomes)} cups in the sink; at most "
+        f"{1000 * deepest:.3f} mm deep in furniture (allowed: {1000 * ALLOWED:g} mm)"
+    )
+    raise SystemExit(clean_ones < given.count)
+
+
+if __name__ == "__main__":
+    main()
