@@ -190,6 +190,7 @@ class Link:
     mass: float
     shapes: Sequence[Shape]
     slippery: bool = False
+    grips: bool = False  # rubber: friction 1, that of all else is 0.5
 
 
 @dataclass(frozen=True)
@@ -815,7 +816,7 @@ def hand() -> Iterator[tuple[Link, Joint]]:
         bend = Joint(
             name, "revolute", parent, f"{name}_finger", origin, (1, 0, 0), limit, (0, 0, angle)
         )
-        yield Link(f"{name}_finger", 0.1, finger), bend
+        yield Link(f"{name}_finger", 0.1, finger, grips=True), bend
 
 
 # --------------------------------------------------------------------------------- outlines
@@ -1099,6 +1100,8 @@ def link_lines(model: Model, link: Link) -> Iterator[str]:
     yield f'  <link name="{link.name}">'
     if link.slippery:
         yield '    <contact><lateral_friction value="0"/></contact>'
+    if link.grips:
+        yield '    <contact><lateral_friction value="1"/></contact>'
     yield f'    <inertial>{place(centre.round(6))}<mass value="{number(link.mass)}"/>'
     yield f'      <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/>'
     yield "    </inertial>"

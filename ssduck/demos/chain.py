@@ -15,7 +15,7 @@ from ssduck.geometry import Array, Indices, rotation_matrices
 from ssduck.simulators import Body
 
 # Rounds of the inverse kinematics, its damping, and the longest step of a joint, rad.
-ROUNDS = 60
+ROUNDS = 40
 DAMPING = 0.03
 LONGEST = 0.4
 # A solution is as near: metres, and radians.
@@ -111,22 +111,34 @@ class Chain:
         angles = {state.name: state.position for state in robot.joints}
         return base, np.array([angles[name] for name in self.names])
 
-    def frames(self, bases: Array, positions: Array) -> Array:
+    def frames(self, bases: Array, positions: Array, upto: int | None = None) -> Array:
         """Poses of all links in the world, (n, links, 4, 4).
 
         Args:
             bases: (n, 4, 4), of the base link's frame.
             positions: (n, joints), rad.
+            upto: only those of this link and what it hangs on are told; others are 0.
         """
         count = len(positions)
+        wanted = range(len(self.rest)) if upto is None else self._way_to(upto)
         found = np.zeros((count, len(self.rest), 4, 4))
         found[:, 0] = bases
         turning = {int(link): column for column, link in enumerate(self.links)}
         for joint in self.body.joints:
+            if joint.link not in wanted:
+                continue
             local = self.rest[joint.link]
             if joint.link in turning:
                 local = local @ _turns(np.array(joint.axis), positions[:, turning[joint.link]])
             found[:, joint.link] = found[:, self.body.links[joint.link].parent] @ local
+        return found
+
+    def _way_to(self, link: int) -> set[int]:
+        """A link and all that it hangs on."""
+        found = set()
+        while link >= 0:
+            found.add(link)
+            link = self.body.links[link].parent
         return found
 
     def reach(
@@ -154,7 +166,7 @@ class Chain:
         links = self.links[moving]
         error = np.zeros((len(angles), 6))
         for _ in range(ROUNDS):
-            frames = self.frames(bases, angles)
+            frames = self.frames(bases, angles, link)
             here = frames[:, link, :3, 3] + frames[:, link, :3, :3] @ point
             z = frames[:, link, :3, 2]
             error[:, :3] = goals[:, :3] - here
@@ -166,7 +178,8 @@ class Chain:
             arms = here[:, None] - turned[..., :3, 3]
             jacobian = np.concatenate((np.cross(about, arms), TURN * about), axis=2)
             square = np.einsum("nja,njb->nab", jacobian, jacobian) + DAMPING**2 * np.eye(6)
-            step = np.einsum("nja,na->nj", jacobian, np.linalg.solve(square, error[..., None])[..., 0])
+            pull = np.linalg.solve(square, error[..., None])[..., 0]
+            step = np.einsum("nja,na->nj", jacobian, pull)
             step = np.clip(step, -LONGEST, LONGEST)
             angles[:, moving] = np.clip(
                 angles[:, moving] + step, self.lower[moving], self.upper[moving]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ssduck.demos.chain import Chain
 from ssduck.demos.motion import Mover
-from ssduck.demos.obstacles import Held, Surroundings, hull_in
+from ssduck.demos.obstacles import Held, Surroundings, Wall, hull_in, walls_of
 from ssduck.demos.planning import plan, shortened
 from ssduck.demos.spaces import ARM_APART, BASE_APART, ArmSpace, BaseSpace
 from ssduck.entities import Entity
@@ -23,12 +23,14 @@ RADIUS, TRACK, AXLE = 0.24, 0.49, -0.04
 # How far from each joint of the arm, and from the axle, anything is, m.
 LEVERS = np.array([1.1, 1.1, 0.85, 0.7, 0.45, 0.38, 0.15])
 LEVER = 0.4
-# Where a cup's rim is in the hand's frame when the fingers are in it, m.
-GRIP = np.array([0.0, 0.0, 0.125])
+# Where a cup's rim is in the hand's frame when the fingers are in it, m: at their tips, which
+# are upright against it then. Deeper in they slant, and their force would push the cup off.
+GRIP = np.array([0.0, 0.0, 0.135])
 # Fingers that fit into a cup, rad; spread against its walls they hold it by friction, N m.
 NARROW = {"f1": 0.3, "f2": 0.25, "f3": 0.25, "spread": 0.0}
 SPREAD = {"f1": 0.0, "f2": 0.0, "f3": 0.0}
 FORCE = 5.0
+UP = np.array([0.0, 0.0, 1.0])
 # How far above a cup the hand begins to go straight down, m, and in what steps.
 ABOVE = 0.09
 STEP = 0.01
@@ -36,10 +38,12 @@ STEP = 0.01
 # higher than those on the table.
 CARRIED = np.array([0.2, 0.0, 0.36])
 # The hand with a cup is tilted no more, rad.
-TILT = 0.6
+TILT = 0.7
 # What is tried: places to stand at, postures of the arm at each, random postures of a plan.
-PLACES, POSTURES, TRIES = 600, 8, 400
+PLACES, POSTURES, TRIES = 600, 4, 400
 FLOOR = 0.16
+# How far from its base's frame the arm reaches with a cup, m.
+REACH = 1.4
 # If there is no other way, the arm comes as near to things, m.
 NARROWLY = 0.004
 # How much of its speed the arm has with a cup.
@@ -80,6 +84,7 @@ class Cleaner:
         self.hand = self.chain.link("arm7")
         self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, after)
         self.held: Held | None = None
+        self._fixed: dict[int, list[Wall]] = {}
         self.mover.pose(NARROW)
         self.mover.run(60)
         self.carrying = self._carrying()
@@ -106,7 +111,7 @@ class Cleaner:
         grip = self._hand() @ np.append(GRIP, 1.0)
         for height in (0.2, 0.1, 0.05):
             try:
-                up = self._line(self._now(), grip[:3], grip[:3] + [0.0, 0.0, height])
+                up = self._line(self._now(), grip[:3], grip[:3] + height * UP)
             except Failed:
                 continue
             self.mover.follow(up)
@@ -121,7 +126,7 @@ class Cleaner:
         """
         low, high = cup.aabb
         rim = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
-        above = rim + [0.0, 0.0, ABOVE]
+        above = rim + ABOVE * UP
         down = self._reach_over(above, rim, but=cup)
         self.mover.follow(down)
         self.mover.pose(SPREAD, FORCE)
@@ -148,8 +153,8 @@ class Cleaner:
         assert self.held is not None
         cup = self.held.entity
         hangs = self._hand()[:3, 3] + self._hand()[:3, :3] @ GRIP - cup.aabb[0]
-        goal = spot + [0.0, 0.0, float(hangs[2])]
-        above = goal + [0.0, 0.0, 0.22]
+        goal = spot + hangs[2] * UP
+        above = goal + 0.22 * UP
         down = self._reach_over(above, goal)
         if (lost := self._lost()) is not None:
             raise Failed(lost)
@@ -206,7 +211,7 @@ class Cleaner:
         self._bring(self._posture(above, goal, posture, but))
         down = self._line(self._now(), above, goal)
         base, _ = self.chain.now(self.robot)
-        if not self._arm_space(base, self._around(self._others(but)), NARROWLY).clear(down).all():
+        if not self._arm_space(base, self._near(base, but), NARROWLY).clear(down).all():
             raise Failed("something is in the arm's way")
         return down
 
@@ -238,17 +243,20 @@ class Cleaner:
         way = self.rng.uniform(-np.pi, np.pi, PLACES)
         yaw = self.rng.uniform(-np.pi, np.pi, PLACES)
         # The arm's first joint is behind the axle.
-        places = np.stack((
-            above[0] + away * np.cos(way) + 0.06 * np.cos(yaw),
-            above[1] + away * np.sin(way) + 0.06 * np.sin(yaw),
-            yaw,
-        ), axis=1)
+        places = np.stack(
+            (
+                above[0] + away * np.cos(way) + 0.06 * np.cos(yaw),
+                above[1] + away * np.sin(way) + 0.06 * np.sin(yaw),
+                yaw,
+            ),
+            axis=1,
+        )
         places = np.concatenate((here[None], places))
         places = places[np.argsort(space.distances(here, places))]
-        around = self._around(self._others(but))
+        around = self._around(self._walls(but))
         _, angles = self.chain.now(self.robot)
-        for start in range(0, len(places), 64):
-            some = places[start : start + 64]
+        for start in range(0, len(places), 32):
+            some = places[start : start + 32]
             some = some[space.clear(some)]
             if not len(some):
                 continue
@@ -273,17 +281,15 @@ class Cleaner:
                 if arm.clear(line).all():
                     yield Stand(some[row // POSTURES], posture)
 
-    def _posture(
-        self, above: Array, goal: Array, near: Array, but: Entity | None
-    ) -> Array:
+    def _posture(self, above: Array, goal: Array, near: Array, but: Entity | None) -> Array:
         """A posture with the hand over a point, near another one, from which it can go down."""
         base, angles = self.chain.now(self.robot)
         angles[self.arm] = near
         close, other = (self._solve(base, above, n, angles, o) for n, o in ((16, 0.1), (96, None)))
         close = close[np.argsort(np.abs(close - near).max(axis=1))]
         found = np.concatenate((close, other))
-        space = self._arm_space(base, self._around(self._others()))
-        down = self._arm_space(base, self._around(self._others(but)))
+        space = self._arm_space(base, self._near(base))
+        down = self._arm_space(base, self._near(base, but))
         for posture in found[space.clear(found)] if len(found) else ():
             try:
                 if down.clear(self._line(posture, above, goal)).all():
@@ -292,9 +298,7 @@ class Cleaner:
                 continue
         raise Failed("the arm does not reach it from here")
 
-    def _line(
-        self, posture: Array, start: Array, end: Array, base: Array | None = None
-    ) -> Array:
+    def _line(self, posture: Array, start: Array, end: Array, base: Array | None = None) -> Array:
         """Postures on a straight way of the grip, from a posture at its start."""
         here, angles = self.chain.now(self.robot)
         base = here if base is None else base
@@ -318,7 +322,7 @@ class Cleaner:
     def _bring(self, posture: Array) -> None:
         """Move the arm to a posture along a planned path."""
         base, _ = self.chain.now(self.robot)
-        space = self._arm_space(base, self._around(self._others()))
+        space = self._arm_space(base, self._near(base))
         for apart in (ARM_APART, NARROWLY):
             space = replace(space, apart=apart)
             path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
@@ -355,31 +359,47 @@ class Cleaner:
 
     # -- what is around -------------------------------------------------------------------
 
-    def _others(self, but: Entity | None = None) -> list[Entity]:
+    def _walls(self, but: Entity | None = None) -> list[Wall]:
+        """The shapes of all else; what is fixed is looked at once."""
         held = None if self.held is None else self.held.entity
-        return [
-            e for e in self.world if e.kind != "sensor" and e not in (self.robot, held, but)
-        ]
+        found = []
+        for entity in self.world:
+            if entity.kind == "sensor" or entity in (self.robot, held, but):
+                continue
+            if entity.mass > 0.0:
+                found += walls_of(entity)
+                continue
+            if entity.id not in self._fixed:
+                self._fixed[entity.id] = walls_of(entity)
+            found += self._fixed[entity.id]
+        return found
 
-    def _around(self, others: list[Entity] | tuple[()], floor: float = -np.inf) -> Surroundings:
-        return Surroundings(
-            self.chain, self.robot, others, self.held, self.chain.beyond("arm7"), floor
+    def _around(self, walls: Sequence[Wall]) -> Surroundings:
+        return Surroundings(self.chain, self.robot, walls, self.held, self.chain.beyond("arm7"))
+
+    def _near(self, base: Array, but: Entity | None = None) -> Surroundings:
+        """What the arm may reach on a base that stands there."""
+        low, high = base[:3, 3] - REACH, base[:3, 3] + REACH
+        return self._around(
+            [w for w in self._walls(but) if (w.low <= high).all() and (w.high >= low).all()]
         )
 
-    def _arm_space(
-        self, base: Array, around: Surroundings, apart: float = ARM_APART
-    ) -> ArmSpace:
+    def _arm_space(self, base: Array, around: Surroundings, apart: float = ARM_APART) -> ArmSpace:
         _, angles = self.chain.now(self.robot)
         tilt = None if self.held is None else TILT
-        return ArmSpace(
-            self.chain, around, base, angles, self.arm, LEVERS, self.hand, tilt, apart
-        )
+        return ArmSpace(self.chain, around, base, angles, self.arm, LEVERS, self.hand, tilt, apart)
 
     def _base_space(self) -> BaseSpace:
         base, angles = self.chain.now(self.robot)
-        around = self._around(self._others(), FLOOR)
+        around = self._around([wall for wall in self._walls() if wall.high[2] > FLOOR])
         low, high = self.world["kitchen"].aabb
         return BaseSpace(
-            self.chain, around, angles, float(base[2, 3]), AXLE, LEVER,
-            (low[0], low[1]), (high[0], high[1]),
+            self.chain,
+            around,
+            angles,
+            float(base[2, 3]),
+            AXLE,
+            LEVER,
+            (low[0], low[1]),
+            (high[0], high[1]),
         )

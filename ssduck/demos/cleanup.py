@@ -44,7 +44,7 @@ ALLOWED = 1e-3
 CHANCES = 3
 VIEW = Camera(eye=(2.6, -0.6, 2.7), target=(0.6, 1.1, 0.8), fov=50.0)
 # Ticks that are recorded: one of so many.
-RECORDED = 4
+RECORDED = 8
 # Where in the sink cups go, m from its middle; how far from each other; how far they fall.
 SPOTS = [(x, y) for y in (-0.13, 0.0) for x in (-0.13, 0.13, 0.0)]
 FREE = 0.11
@@ -74,9 +74,7 @@ class Outcome:
     @property
     def succeeded(self) -> bool:
         """Whether all are in the sink, and nothing was run into."""
-        return (
-            not self.left and set(self.cups) <= set(self.washed) and self.deepest <= ALLOWED
-        )
+        return not self.left and set(self.cups) <= set(self.washed) and self.deepest <= ALLOWED
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:
@@ -142,9 +140,7 @@ def _take_away(story: _Story, cleaner: Cleaner, cups: list[Entity], outcome: Out
 class _Story:
     """What is asked, said and shown."""
 
-    def __init__(
-        self, ss: Interpreter, folder: Path | None, say: Callable[[str], None]
-    ) -> None:
+    def __init__(self, ss: Interpreter, folder: Path | None, say: Callable[[str], None]) -> None:
         self.ss, self.folder, self.say = ss, folder, say
         world = ss.call_variable("kitchen")
         assert isinstance(world, World)
@@ -195,7 +191,7 @@ class _Story:
         low, high = (np.array(corner) for corner in self.world["sink"].aabb)
         middle = np.array([*((low + high) / 2)[:2], high[2] + FALL])
         there = [np.array(cup.position[:2]) for cup in self.asks(WASHED)]
-        spots = [middle + [x, y, 0.0] for x, y in SPOTS]
+        spots = [middle + np.array([x, y, 0.0]) for x, y in SPOTS]
         return [s for s in spots if all(np.linalg.norm(s[:2] - t) > FREE for t in there)]
 
     def picture(self, name: str) -> None:

@@ -6,16 +6,16 @@ The shapes are those of the world's tick, compared by the batched narrow phase o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ssduck.broad import Flags, Pairs
 from ssduck.demos.chain import Chain, poses
 from ssduck.entities import Entity
 from ssduck.geometry import Array, Geometry, Indices, PlacedGeometry
 from ssduck.gjk import ABOVE, Bodies, Cores, compare
-from ssduck.broad import Flags, Pairs
 from ssduck.solids import Solid, solid_of
 
 # Postures that are looked at together.
@@ -54,19 +54,37 @@ def _shape(placed: PlacedGeometry) -> Shape:
     return Shape(solid_of(placed.geometry), pose, placed.frame)
 
 
-def placed_in_world(entity: Entity) -> list[Shape]:
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A shape in the world, and its box."""
+
+    shape: Shape
+    low: Array
+    high: Array
+
+
+def walls_of(entity: Entity) -> list[Wall]:
     """The shapes of an entity where they are at its world's tick."""
-    links = entity.links
-    frames = poses(
-        np.array([link.position for link in links]),
-        np.array([link.orientation for link in links]),
-    )
-    return [Shape(s.solid, frames[s.link] @ s.pose) for s in shapes_of(entity)]
+    shapes = shapes_of(entity)
+    if all(shape.link == 0 for shape in shapes):
+        frames = poses(np.array([entity.position]), np.array([entity.orientation]))
+    else:
+        links = entity.links
+        frames = poses(
+            np.array([link.position for link in links]),
+            np.array([link.orientation for link in links]),
+        )
+    return [_wall(Shape(shape.solid, frames[shape.link] @ shape.pose)) for shape in shapes]
+
+
+def _wall(shape: Shape) -> Wall:
+    points = _points(shape)
+    return Wall(shape, points.min(axis=0) - PAD, points.max(axis=0) + PAD)
 
 
 def hull_in(frame: Array, entity: Entity) -> Shape:
     """The convex hull of an entity's shapes, in the frame of a pose (4, 4)."""
-    points = np.concatenate([_points(shape) for shape in placed_in_world(entity)])
+    points = np.concatenate([_points(wall.shape) for wall in walls_of(entity)])
     local = (points - frame[:3, 3]) @ frame[:3, :3]
     return Shape(solid_of(Geometry.hull(local)), np.eye(4))
 
@@ -82,33 +100,27 @@ class Surroundings:
     Args:
         chain: the robot.
         robot: its handle.
-        others: the entities that are in its way.
+        walls: what is in its way.
         held: what its hand holds.
         hand: the links of the hand, which may touch each other and what it holds.
-        floor: what is not higher than this, m, is rolled over.
     """
 
     def __init__(
         self,
         chain: Chain,
         robot: Entity,
-        others: Iterable[Entity],
+        walls: Sequence[Wall],
         held: Held | None = None,
         hand: Sequence[int] = (),
-        floor: float = -np.inf,
     ) -> None:
         self.chain = chain
         self.shapes = shapes_of(robot)
         self.hand = list(hand)
         if held is not None:
             self.shapes.append(Shape(held.shape.solid, held.shape.pose, held.link))
-        walls = [shape for other in others for shape in placed_in_world(other)]
-        points = [_points(wall) for wall in walls]
-        high = [float(p[:, 2].max()) > floor for p in points]
-        self.walls = [wall for wall, is_high in zip(walls, high, strict=True) if is_high]
-        some = [p for p, is_high in zip(points, high, strict=True) if is_high]
-        self._low = np.array([p.min(axis=0) for p in some]).reshape(-1, 3) - PAD
-        self._high = np.array([p.max(axis=0) for p in some]).reshape(-1, 3) + PAD
+        self.walls = [wall.shape for wall in walls]
+        self._low = np.array([wall.low for wall in walls]).reshape(-1, 3)
+        self._high = np.array([wall.high for wall in walls]).reshape(-1, 3)
         self._prepare()
 
     def _prepare(self) -> None:

@@ -132,9 +132,7 @@ class BaseSpace:
         if np.hypot(dx, dy) > 1e-6:
             heading = np.arctan2(dy, dx)
             headings = heading, heading + np.pi
-            turned = [
-                abs(wrapped(h - here[2])) + abs(wrapped(there[2] - h)) for h in headings
-            ]
+            turned = [abs(wrapped(h - here[2])) + abs(wrapped(there[2] - h)) for h in headings]
             heading = headings[int(np.argmin(turned))]
             parts.append(self._turned(here, heading))
             corner = np.concatenate(parts)[-1]
@@ -171,7 +169,8 @@ class BaseSpace:
 
     def clear(self, postures: Array) -> Flags:
         """Whether it is clear of all else there."""
-        inside = (postures[:, :2] >= self.low).all(axis=1) & (postures[:, :2] <= self.high).all(axis=1)
+        places = postures[:, :2]
+        inside: Flags = ((places >= self.low) & (places <= self.high)).all(axis=1)
         some = np.flatnonzero(inside)
         if len(some):
             positions = np.tile(self.positions, (len(some), 1))
