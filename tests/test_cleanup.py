@@ -107,13 +107,16 @@ def test_clear_is_what_clearances_say(few, barrett, chain, apart):
     ss, world = few
     others = [world[name] for name in ("table", "sink", "chair_12d0", "cup_58a2")]
     near_the_table = np.eye(4)
-    near_the_table[:3, 3] = 0.72, 0.85, barrett.position[2]
+    near_the_table[:3, 3] = 0.8, 1.12, barrett.position[2]
     all_of = postures(chain, 20, 4)
+    rng = np.random.default_rng(5)  # bent over the table
+    all_of[:, chain.columns(["j1"])] = rng.uniform(-2.2, -0.8, (20, 1))
+    all_of[:, chain.columns(["j2"])] = rng.uniform(0.6, 1.5, (20, 1))
     around = Surroundings(chain, barrett, [wall for other in others for wall in walls_of(other)])
     found = around.clear(np.tile(near_the_table, (20, 1, 1)), all_of, apart)
     expected = []
     for posture in all_of:
-        joints = {n: p for n, p in zip(chain.names, posture, strict=True) if n in ARM}
+        joints = dict(zip(chain.names, posture, strict=True))
         pose = [1, 0, 0, 0, *near_the_table[:3, 3]]
         maybe = world.what_if({barrett.name: pose}, {barrett.name: joints})
         ss.add_variable("maybe", maybe)

@@ -53,11 +53,11 @@ def one(seed: int, folder: Path | None, loud: bool) -> Outcome:
         print(f"seed {seed}: cups at", "  ".join(f"({x:.2f}, {y:.2f})" for x, y in places))
         began = time.perf_counter()
         outcome = clean(ss, folder, print if loud else lambda _: None, seed=seed)
+        verdict = "clean" if outcome.succeeded else "NOT CLEAN"
         print(
-            f"  {'clean' if outcome.succeeded else 'NOT CLEAN'}: {len(outcome.washed)} in the sink, "
-            f"left {outcome.left}, {outcome.seconds:.0f} s simulated, "
-            f"{time.perf_counter() - began:.0f} s, {1000 * outcome.deepest:.3f} mm deep, "
-            f"trouble {outcome.trouble}",
+            f"  {verdict}: {len(outcome.washed)} in the sink, left {outcome.left}, "
+            f"{outcome.seconds:.0f} s simulated, {time.perf_counter() - began:.0f} s, "
+            f"{1000 * outcome.deepest:.3f} mm deep, trouble {outcome.trouble}",
             flush=True,
         )
         return outcome

@@ -11,7 +11,7 @@ from ssduck.demos.chain import Chain
 from ssduck.demos.motion import Mover
 from ssduck.demos.obstacles import Held, Surroundings, Wall, hull_in, walls_of
 from ssduck.demos.planning import plan, shortened
-from ssduck.demos.spaces import ARM_APART, BASE_APART, ArmSpace, BaseSpace
+from ssduck.demos.spaces import ARM_APART, ARM_SPACING, BASE_APART, ArmSpace, BaseSpace
 from ssduck.entities import Entity
 from ssduck.geometry import Array
 from ssduck.narrow import TOUCHES
@@ -42,6 +42,8 @@ TILT = 0.7
 # What is tried: places to stand at, postures of the arm at each, random postures of a plan.
 PLACES, POSTURES, TRIES = 600, 4, 400
 FLOOR = 0.16
+# How often it tries to draw the arm back.
+CHANCES = 3
 # How far from its base's frame the arm reaches with a cup, m.
 REACH = 1.4
 # If there is no other way, the arm comes as near to things, m.
@@ -85,6 +87,7 @@ class Cleaner:
         self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, after)
         self.held: Held | None = None
         self._fixed: dict[int, list[Wall]] = {}
+        self._last = np.zeros((0, len(ARM)))  # the arm's last planned path
         self.mover.pose(NARROW)
         self.mover.run(60)
         self.carrying = self._carrying()
@@ -116,7 +119,14 @@ class Cleaner:
                 continue
             self.mover.follow(up)
             break
-        self._bring(self.carrying)
+        for _ in range(CHANCES):
+            try:
+                self._bring(self.carrying)
+            except Failed as failure:
+                failed = failure
+            else:
+                return
+        raise failed
 
     def pick(self, cup: Entity) -> None:
         """Take a cup that stands upright.
@@ -169,14 +179,14 @@ class Cleaner:
 
     def _carrying(self) -> Array:
         """The posture of the arm in which the robot takes the least room."""
-        base, angles = self.chain.now(self.robot)
-        base = np.eye(4)
+        base, (_, angles) = np.eye(4), self.chain.now(self.robot)
         found = self._solve(base, CARRIED, 64, angles)
         space = self._arm_space(base, self._around(()))
         found = found[space.clear(found)]
         frames = self.chain.frames(np.tile(base, (len(found), 1, 1)), space.full(found))
         size = np.hypot(frames[..., 0, 3], frames[..., 1, 3]).max(axis=1)
-        return found[int(size.argmin())]
+        least: Array = found[int(size.argmin())]
+        return least
 
     def _solve(
         self, base: Array, rim: Array, count: int, angles: Array, off: float | None = None
@@ -199,7 +209,8 @@ class Cleaner:
         goals = np.tile([*rim, 0.0, 0.0, -1.0], (count, 1))
         bases = np.tile(base, (count, 1, 1))
         found, solved = self.chain.reach(bases, starts, self.arm, self.hand, GRIP, goals)
-        return found[solved][:, self.arm]
+        postures: Array = found[solved][:, self.arm]
+        return postures
 
     def _reach_over(self, above: Array, goal: Array, but: Entity | None = None) -> Array:
         """Drive to where the hand reaches two points, and bring it over the first.
@@ -290,7 +301,8 @@ class Cleaner:
         found = np.concatenate((close, other))
         space = self._arm_space(base, self._near(base))
         down = self._arm_space(base, self._near(base, but))
-        for posture in found[space.clear(found)] if len(found) else ():
+        clear: Sequence[Array] = list(found[space.clear(found)]) if len(found) else []
+        for posture in clear:
             try:
                 if down.clear(self._line(posture, above, goal)).all():
                     return posture
@@ -323,13 +335,25 @@ class Cleaner:
         """Move the arm to a posture along a planned path."""
         base, _ = self.chain.now(self.robot)
         space = self._arm_space(base, self._near(base))
+        path = self._back(space, posture)
         for apart in (ARM_APART, NARROWLY):
-            space = replace(space, apart=apart)
-            path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
-            if path is not None:
-                self.mover.follow(shortened(space, path, self.rng, 60), self._pace())
-                return
-        raise Failed("no clear path of the arm was found")
+            if path is None:
+                space = replace(space, apart=apart)
+                path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
+                path = None if path is None else shortened(space, path, self.rng, 60)
+        if path is None:
+            raise Failed("no clear path of the arm was found")
+        self._last = path
+        self.mover.follow(path, self._pace())
+
+    def _back(self, space: ArmSpace, posture: Array) -> Array | None:
+        """The way that the arm came, if it leads to a posture and is still clear."""
+        if not len(self._last) or np.abs(self._last[0] - posture).max() > 0.02:
+            return None
+        path = np.concatenate((self._now()[None], self._last[::-1], posture[None]))
+        joined = float(space.distances(path[0], path[1:2])[0]) <= ARM_SPACING
+        is_clear = joined and replace(space, apart=NARROWLY).clear(path).all()
+        return path if is_clear else None
 
     def _pace(self) -> float:
         return 1.0 if self.held is None else CAREFUL

@@ -170,7 +170,7 @@ class BaseSpace:
     def clear(self, postures: Array) -> Flags:
         """Whether it is clear of all else there."""
         places = postures[:, :2]
-        inside: Flags = ((places >= self.low) & (places <= self.high)).all(axis=1)
+        inside = np.asarray(((places >= self.low) & (places <= self.high)).all(axis=1))
         some = np.flatnonzero(inside)
         if len(some):
             positions = np.tile(self.positions, (len(some), 1))
