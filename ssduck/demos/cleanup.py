@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.demo import on
 from ssduck.demos.cleaner import Cleaner, Failed
+from ssduck.demos.kitchen import on
 from ssduck.entities import Entity
 from ssduck.geometry import Array
-from ssduck.interpreter import Interpreter, load
+from ssduck.interpreter import Interpreter
+from ssduck.opening import load
 from ssduck.recording import Recording
 from ssduck.scenes import Camera
 from ssduck.world import World
