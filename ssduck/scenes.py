@@ -43,6 +43,73 @@ class BodySpec:
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     fixed: bool = False
     joints: dict[str, float] = field(default_factory=dict)
+    # Of its base link's frame, m/s, then rad/s; and of joints.
+    velocity: tuple[float, ...] = (0.0,) * 6
+    joint_velocities: dict[str, float] = field(default_factory=dict)
+    # Whether motors hold its joints, and where, if not where they are.
+    hold: bool = True
+    held: dict[str, float] = field(default_factory=dict)
+    enabled: bool = True
+    visible: bool = True
+    # Whether moments of inertia are the model's; else those of its shapes.
+    own_inertia: bool = False
+
+
+CONSTRAINT_TYPES = ("fixed", "point", "prismatic", "gear")
+
+
+@dataclass(frozen=True)
+class ConstraintSpec:
+    """What ties a link of a body to one of another, or to the world.
+
+    Attributes:
+        type: one of `CONSTRAINT_TYPES`.
+        on: the body.
+        to: the other one; None for the world.
+        link: of the body; None for its base.
+        to_link: of the other one.
+        axis: of a prismatic one.
+        position: in the frame of the link's centre of mass, metres.
+        orientation: in that frame, w, x, y, z.
+        to_position: in that of the other link's, or in the world.
+        to_orientation: the same.
+        max_force: newtons.
+        gear_ratio: of a gear.
+        gear_link: of a gear, the number of a third link.
+        gear_target: of a gear, how far apart they are to be.
+        erp: how much of an error is made up for in a step; 0 for PyBullet's own.
+    """
+
+    type: str
+    on: str
+    to: str | None = None
+    link: str | None = None
+    to_link: str | None = None
+    axis: Vector = (0.0, 0.0, 0.0)
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    to_position: Vector = (0.0, 0.0, 0.0)
+    to_orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    max_force: float = 500.0
+    gear_ratio: float = 0.0
+    gear_link: int = 0
+    gear_target: float = 0.0
+    erp: float = 0.0
+
+
+@dataclass(frozen=True)
+class Engine:
+    """How the solver works; None for PyBullet's own.
+
+    Attributes:
+        substeps: into so many parts a step is cut; 0 for none.
+        iterations: of the solver, at most, in a step.
+        joint_iterations: of joints and constraints in each of these.
+    """
+
+    substeps: int | None = None
+    iterations: int | None = None
+    joint_iterations: int | None = None
 
 
 @dataclass(frozen=True)
@@ -74,9 +141,12 @@ class Scene:
     description: str = ""
     gravity: Vector = (0.0, 0.0, -9.81)
     timestep: float = 1.0 / 240.0
+    time: float = 0.0
     camera: Camera = Camera()
     bodies: tuple[BodySpec, ...] = ()
     sensors: tuple[SensorSpec, ...] = ()
+    constraints: tuple[ConstraintSpec, ...] = ()
+    engine: Engine = Engine()
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -152,13 +222,19 @@ def _scene(table: _Table, path: Path) -> Scene:
         _sensor(entry, {str(body.name) for body in bodies}) for entry in table.tables("sensor")
     )
     _check_unique(path, "sensor", [sensor.name for sensor in sensors], bodies)
+    constraints = tuple(
+        _constraint(entry, {str(body.name) for body in bodies})
+        for entry in table.tables("constraint")
+    )
     camera = table.table("camera")
+    engine = table.table("engine")
     scene = Scene(
         name=table.text("name", _default_name(path)),
         path=path,
         description=table.text("description", "", empty=True),
         gravity=_three(table.numbers("gravity", 3, Scene.gravity)),
         timestep=table.number("timestep", Scene.timestep, above=0.0),
+        time=table.number("time", Scene.time, at_least=0.0),
         camera=Camera(
             _three(camera.numbers("eye", 3, Camera.eye)),
             _three(camera.numbers("target", 3, Camera.target)),
@@ -166,12 +242,19 @@ def _scene(table: _Table, path: Path) -> Scene:
         ),
         bodies=bodies,
         sensors=sensors,
+        constraints=constraints,
+        engine=Engine(
+            engine.whole("substeps", at_least=0),
+            engine.whole("iterations", at_least=1),
+            engine.whole("joint_iterations", at_least=1),
+        ),
     )
     if scene.camera.eye == scene.camera.target:
         camera.fail("target", "the camera looks at where it is")
     if not scene.name.isidentifier():
         table.fail("name", f"{scene.name!r} is no name: letters, digits and _ only")
     camera.end()
+    engine.end()
     table.end()
     return scene
 
@@ -189,7 +272,7 @@ def _body(table: _Table, path: Path) -> BodySpec:
         table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
     if model.suffix.lower() != ".urdf":
         table.fail("urdf", f"{model.name!r} does not end in .urdf")
-    joints = table.table("joints")
+    joints, speeds, held = map(table.table, ("joints", "joint_velocities", "held"))
     spec = BodySpec(
         name=table.text("name"),
         kind=kind,  # type: ignore[arg-type]  # checked above
@@ -197,7 +280,43 @@ def _body(table: _Table, path: Path) -> BodySpec:
         position=_three(table.numbers("position", 3, BodySpec.position)),
         orientation=_unit(table, "orientation"),
         fixed=table.flag("fixed", False),
-        joints={name: joints.number(name) for name in list(joints.values)},
+        joints=joints.all_numbers(),
+        velocity=table.numbers("velocity", 6, BodySpec.velocity),
+        joint_velocities=speeds.all_numbers(),
+        hold=table.flag("hold", True),
+        held=held.all_numbers(),
+        enabled=table.flag("enabled", True),
+        visible=table.flag("visible", True),
+        own_inertia=table.flag("own_inertia", False),
+    )
+    table.end()
+    return spec
+
+
+def _constraint(table: _Table, bodies: Collection[str]) -> ConstraintSpec:
+    type = table.text("type")
+    if type not in CONSTRAINT_TYPES:
+        table.fail("type", f"there is no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
+    ends = table.text("on"), table.text("to", "") or None
+    for key, body in zip(("on", "to"), ends, strict=True):
+        if body is not None and body not in bodies:
+            table.fail(key, f"the scene has no body {body!r}", nearest(body, bodies))
+    plain = ConstraintSpec
+    spec = ConstraintSpec(
+        type,
+        *ends,
+        link=table.text("link", "") or None,
+        to_link=table.text("to_link", "") or None,
+        axis=_three(table.numbers("axis", 3, plain.axis)),
+        position=_three(table.numbers("position", 3, plain.position)),
+        orientation=_unit(table, "orientation"),
+        to_position=_three(table.numbers("to_position", 3, plain.to_position)),
+        to_orientation=_unit(table, "to_orientation"),
+        max_force=table.number("max_force", plain.max_force, at_least=0.0),
+        gear_ratio=table.number("gear_ratio", plain.gear_ratio),
+        gear_link=table.whole("gear_link") or plain.gear_link,
+        gear_target=table.number("gear_target", plain.gear_target),
+        erp=table.number("erp", plain.erp, at_least=0.0),
     )
     table.end()
     return spec
@@ -355,6 +474,18 @@ class _Table:
             )
 
         return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
+
+    def all_numbers(self) -> dict[str, float]:
+        return {key: self.number(key) for key in list(self.values)}
+
+    def whole(self, key: str, at_least: float = -math.inf) -> int | None:
+        if key not in self.values:
+            self.asked.add(key)
+            return None
+        value = self.number(key, at_least=at_least)
+        if not value.is_integer():
+            self.fail(key, f"{value:g} is no whole number")
+        return int(value)
 
     def table(self, key: str) -> _Table:
         values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
