@@ -29,7 +29,7 @@ def excerpt(world: World, entities: Iterable[str | Entity]) -> World:
             if member.sensor is not None and member.id in chosen
         ]
         tick = Tick(world.time, world.timestep, snapshot.disabled, snapshot.hidden)
-        simulator = copied(world.origin.simulator, list(_originals(world, chosen)), tick)
+        simulator = copied(world.origin.simulator, list(originals_of(world, chosen)), tick)
     return World.owning(simulator, world.name, sensors, world.camera)
 
 
@@ -50,7 +50,7 @@ def _id(world: World, entity: str | Entity) -> int:
     return entity.id
 
 
-def _originals(world: World, chosen: Container[int]) -> Iterator[Original]:
+def originals_of(world: World, chosen: Container[int]) -> Iterator[Original]:
     """What the tick tells of some bodies, in load order."""
     snapshot = world.snapshot
     where = {body: (part, told) for part, told in snapshot.parts for body in part.bodies}

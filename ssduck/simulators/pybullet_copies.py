@@ -68,6 +68,14 @@ _DYNAMICS = {
     "collisionMargin": 11,
 }
 _CONTACT = {"contactDamping": 8, "contactStiffness": 9}
+# What a model's file calls them.
+_ELEMENTS = {
+    "rolling_friction": 6,
+    "spinning_friction": 7,
+    "restitution": 5,
+    "damping": 8,
+    "stiffness": 9,
+}
 # The same of getJointInfo.
 _JOINT = {"jointDamping": 6, "jointLowerLimit": 8, "jointUpperLimit": 9, "maxJointVelocity": 11}
 
@@ -464,8 +472,17 @@ def model_of(simulator: PyBulletSimulator, body: Body, frames: Frames, joints: A
         known.com,
         np.array([dynamic[2] for dynamic in dynamics]),
         [info[6] for info in infos],
+        [_contact(dynamic) for dynamic in dynamics],
         list(_drawn(simulator, body)),
     )
+
+
+def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
+    """What contacts with a link are like; 0 and -1 are what PyBullet begins with."""
+    told = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
+    return {element: value for element, value in told.items() if value not in (0.0, -1.0)} | {
+        "lateral_friction": float(dynamic[1])
+    }
 
 
 def _guessed_model(original: Original) -> Model:
@@ -480,6 +497,7 @@ def _guessed_model(original: Original) -> Model:
         (com, turns),
         None,
         [0.0] * len(body.joints),
+        [{}] * len(body.links),
         None,
     )
 

@@ -10,6 +10,7 @@ import math
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -24,7 +25,7 @@ from ssduck.geometry import (
     rotation_matrices,
 )
 from ssduck.kinematics import moved
-from ssduck.simulators import Body, Frames, Joint
+from ssduck.simulators import Body, Frames
 
 Numbers = Sequence[float]
 
@@ -66,6 +67,7 @@ class Model:
         com: poses of the centres of mass in the link frames, (links, 3) and (links, 4).
         inertias: about the axes of these, (links, 3), kg m²; None for what the shapes give.
         damping: of the joints.
+        contacts: of the links, what contacts with them are like, by PyBullet's elements.
         drawn: what is drawn; None for the shapes.
     """
 
@@ -74,6 +76,7 @@ class Model:
     com: tuple[Array, Array]
     inertias: Array | None
     damping: Numbers
+    contacts: Sequence[Mapping[str, float]]
     drawn: Sequence[Drawn] | None
 
 
@@ -97,8 +100,12 @@ def write_model(model: Model, folder: Path, stem: str) -> Path:
     """Write a model and the meshes that it needs into a folder; the URDF file is `stem.urdf`."""
     robot = Xml.Element("robot", name=model.body.name)
     meshes = _Meshes(folder, stem)
-    for index, link in enumerate(model.body.links):
-        element = Xml.SubElement(robot, "link", name=link.name)
+    names = unique_names(link.name for link in model.body.links)
+    for index, name in enumerate(names):
+        element = Xml.SubElement(robot, "link", name=name)
+        contact = Xml.SubElement(element, "contact")
+        for kind, value in model.contacts[index].items():
+            Xml.SubElement(contact, kind, value=_told(value))
         _add_inertial(element, model, index)
         shapes = [shape for shape in model.body.shapes if shape.frame == index]
         for shape in shapes:
@@ -106,8 +113,8 @@ def write_model(model: Model, folder: Path, stem: str) -> Path:
             if shape.geometry.type == "mesh":
                 part.set("concave", "yes")
         _add_drawn(element, index, shapes, model.drawn, meshes)
-    for number, joint in enumerate(model.body.joints):
-        _add_joint(robot, model, number, joint)
+    for number in range(len(model.body.joints)):
+        _add_joint(robot, model, number, names)
     path = folder / f"{stem}.urdf"
     Xml.indent(robot)
     Xml.ElementTree(robot).write(path, encoding="utf-8", xml_declaration=True)
@@ -178,18 +185,28 @@ def _add_geometry(
     return part
 
 
-def _add_joint(robot: Xml.Element, model: Model, number: int, joint: Joint) -> None:
-    links = model.body.links
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Names that a model can have: each but once, and none is empty."""
+    found: dict[str, None] = {}
+    for name in names:
+        told = name or "_"
+        others = (f"{told}_{number}" for number in count(2))
+        found[told if told not in found else next(o for o in others if o not in found)] = None
+    return list(found)
+
+
+def _add_joint(robot: Xml.Element, model: Model, number: int, names: Sequence[str]) -> None:
+    joint = model.body.joints[number]
     limited = joint.lower is not None and joint.upper is not None
     kind = joint.type
     element = Xml.SubElement(
         robot,
         "joint",
-        name=joint.name,
+        name=unique_names(joint.name for joint in model.body.joints)[number],
         type="continuous" if kind == "revolute" and not limited else kind,
     )
-    Xml.SubElement(element, "parent", link=links[links[joint.link].parent].name)
-    Xml.SubElement(element, "child", link=links[joint.link].name)
+    Xml.SubElement(element, "parent", link=names[model.body.links[joint.link].parent])
+    Xml.SubElement(element, "child", link=names[joint.link])
     _add_origin(element, model.zero[0][number], model.zero[1][number])
     if kind in ("revolute", "prismatic"):
         Xml.SubElement(element, "axis", xyz=" ".join(map(_told, joint.axis)))
@@ -275,6 +292,3 @@ def _obj(geometry: Geometry) -> str:
 
 def _told(number: float) -> str:
     return repr(float(number))
-
-
-__all__ = ["Drawn", "Model", "angles", "write_model", "zero_poses"]
