@@ -57,7 +57,8 @@ from ssduck.simulators.pybullet_scenes import (
 End: TypeAlias = tuple[int, int]
 
 _SOFT_BODY = 3
-# Where getDynamicsInfo tells what changeDynamics calls so.
+# Where getDynamicsInfo tells what changeDynamics calls so. Margins are those of the shapes; of
+# whatever link one is set, PyBullet sets the base's.
 _DYNAMICS = {
     "mass": 0,
     "lateralFriction": 1,
@@ -65,7 +66,6 @@ _DYNAMICS = {
     "restitution": 5,
     "rollingFriction": 6,
     "spinningFriction": 7,
-    "collisionMargin": 11,
 }
 _CONTACT = {"contactDamping": 8, "contactStiffness": 9}
 # What a model's file calls them.
@@ -77,7 +77,8 @@ _ELEMENTS = {
     "stiffness": 9,
 }
 # The same of getJointInfo.
-_JOINT = {"jointDamping": 6, "jointLowerLimit": 8, "jointUpperLimit": 9, "maxJointVelocity": 11}
+_JOINT = {"jointDamping": 6, "maxJointVelocity": 11}
+_LIMITS = {"jointLowerLimit": 8, "jointUpperLimit": 9}
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,9 +432,10 @@ def _copy_dynamics(source: int, original: int, client: int, handle: int) -> None
             own = pybullet.getJointInfo(handle, link, client)
             wanted = pybullet.getJointInfo(original, link, source)
             changes |= {k: wanted[at] for k, at in _JOINT.items() if wanted[at] != own[at]}
-            limits = ("jointLowerLimit", "jointUpperLimit")
-            if any(key in changes for key in limits):
-                changes |= {key: wanted[_JOINT[key]] for key in limits}
+            limits = {key: wanted[at] for key, at in _LIMITS.items()}
+            is_limited = limits["jointLowerLimit"] <= limits["jointUpperLimit"]
+            if is_limited and any(wanted[at] != own[at] for at in _LIMITS.values()):
+                changes |= limits
         if changes:
             pybullet.changeDynamics(handle, link, physicsClientId=client, **changes)
 

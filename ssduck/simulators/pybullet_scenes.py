@@ -273,7 +273,10 @@ def make_constraint(
         _as_pybullet(spec.to_orientation),
         physicsClientId=client,
     )
-    settings: dict[str, Any] = {"maxForce": spec.max_force}
+    settings: dict[str, Any] = {}
+    # What PyBullet calls 500 N to begin with is an impulse of 500 N s; set, it would be 500 N.
+    if spec.max_force != ConstraintSpec.max_force:
+        settings["maxForce"] = spec.max_force
     if spec.type == "gear":
         settings |= {
             "gearRatio": spec.gear_ratio,
@@ -282,7 +285,8 @@ def make_constraint(
         }
     if spec.erp:
         settings["erp"] = spec.erp
-    pybullet.changeConstraint(number, physicsClientId=client, **settings)
+    if settings:
+        pybullet.changeConstraint(number, physicsClientId=client, **settings)
 
 
 def _as_pybullet(orientation: Sequence[float]) -> list[float]:
