@@ -166,6 +166,10 @@ class PyBulletSimulator:
                 return None
         return known
 
+    def count(self) -> int:
+        """How many bodies the client has now."""
+        return self._call(lambda: int(pybullet.getNumBodies(self.client)))
+
     def colours_of(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
         """What a body is drawn in, or would be: link, number among its visual shapes, colour."""
         return self._colours.get(body) or self._call(lambda: colours_of(self.client, body.handle))

@@ -6,13 +6,12 @@ what differs is set: dynamics, colours, poses and velocities, joints, motors, co
 
 What PyBullet does, as measured with 3.2.7:
 
-- `saveBullet` and `restoreState` of a file do not carry over contacts from client to client. The
-  importer restores one manifold of each pair of bodies, and into it the last one that the file
-  has of that pair; bodies of several shapes have many. What is restored goes on worse than what
-  finds its contacts anew, even in the same client, so they are not used here.
 - A copy at load is the same to the last bit, and stays so: nothing is set that is so already.
-  Later, contacts and their impulses are found anew, which shifts the kitchen by less than
-  0.1 mm in 2 s, as does a velocity that is 1e-15 m/s off.
+- `saveBullet` and `restoreState` of a file carry over contacts from client to client if links
+  have one shape each. Of a pair of bodies the importer restores one manifold, and into it the
+  last one that the file has of that pair; bodies of several shapes have many. Such copies find
+  their contacts anew, which shifts the kitchen by less than 0.1 mm in 2 s, as does a velocity
+  that is 1e-15 m/s off.
 - PyBullet does not tell the targets of motors (those of ssduck's own are remembered), damping of
   bodies, filters of collisions, and textures.
 """
@@ -21,7 +20,9 @@ from __future__ import annotations
 
 import tempfile
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -40,7 +41,7 @@ from ssduck.simulators.pybullet import (
     new_client,
 )
 from ssduck.simulators.pybullet_bodies import Description, com_of, primitive_of, wxyz, xyzw
-from ssduck.simulators.pybullet_console import pybullet
+from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_models import Drawn, Model, write_model, zero_poses
 from ssduck.simulators.pybullet_scenes import (
     CONSTRAINTS,
@@ -132,8 +133,25 @@ def excerpt(
         SceneError: a model's file cannot be loaded any more.
     """
     live = source if isinstance(source, PyBulletSimulator) else None
+    if live is not None and _may_carry_contacts(live, originals, tick):
+        with suppress(_NotCarriedError), new_client() as client:
+            return _Copier(live, client, tick).copied(originals, carry=True)
     with new_client() as client:
         return _Copier(live, client, tick).copied(originals)
+
+
+class _NotCarriedError(Exception):
+    """Contacts were carried over to others than those that they are of."""
+
+
+def _may_carry_contacts(
+    source: PyBulletSimulator, originals: Sequence[Original], tick: Tick
+) -> bool:
+    """Whether the contacts of a client could be restored in a copy of all of it."""
+    if len(originals) < source.count() or tick.disabled:
+        return False
+    shapes = [Counter(shape.frame for shape in o.body.shapes) for o in originals]
+    return all(max(counts.values(), default=0) <= 1 for counts in shapes)
 
 
 @dataclass(eq=False)
@@ -156,15 +174,23 @@ class _Copier:
     handles: dict[Body, int] = field(default_factory=dict)
     guessed: dict[str, list[str]] = field(default_factory=dict)
 
-    def copied(self, originals: Sequence[Original]) -> PyBulletSimulator:
+    def copied(
+        self, originals: Sequence[Original], *, carry: bool = False
+    ) -> PyBulletSimulator:
+        """Copy them; with the contacts that the solver knows of, if they are all there are.
+
+        Raises:
+            _NotCarriedError: other contacts are there then.
+        """
         self.filled.time = self.tick.time
         self._set_up()
         with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
             self._load(originals, Path(folder))
-        for original in originals:
-            self._finish(original)
-        self._tie()
-        pybullet.performCollisionDetection(self.client)
+            as_now = [self._finish(original) for original in originals]
+            self._tie()
+            pybullet.performCollisionDetection(self.client)
+            if carry and all(as_now):
+                self._carry_contacts(Path(folder) / "state.bullet")
         self._warn()
         return PyBulletSimulator(self.client, owned=True, filled=self.filled)
 
@@ -239,8 +265,8 @@ class _Copier:
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)
         return handle
 
-    def _finish(self, original: Original) -> None:
-        """Let a loaded body be as the original is at the tick."""
+    def _finish(self, original: Original) -> bool:
+        """Let a loaded body be as the original is at the tick; tells whether it is so still."""
         body, handle = original.body, self.handles[original.body]
         known = self._known(body)
         com = com_of(self.client, handle)
@@ -248,7 +274,8 @@ class _Copier:
             assert self.source is not None
             _copy_dynamics(self.source.client, body.handle, self.client, handle)
             _copy_colours(self.source.colours_of(body), self.client, handle)
-        if self._is_as_now(original):
+        as_now = self._is_as_now(original)
+        if as_now:
             assert self.source is not None
             state = state_of(self.source.client, body.handle)
         else:
@@ -261,6 +288,7 @@ class _Copier:
             self.filled.hidden.add(handle)
         own = replace(body, handle=handle, name=original.name)
         self.filled.described[handle] = Description(own, com, exact=True)
+        return as_now
 
     def _is_as_now(self, original: Original) -> bool:
         """Whether a body is in the source as it was at the tick, to the last digit."""
@@ -342,6 +370,25 @@ class _Copier:
                 hold_joint(handle, body.joints[link - 1], targets[link], self.client)
         self.filled.held[handle] = targets
 
+    def _carry_contacts(self, file: Path) -> None:
+        """Restore the contacts that the solver knows of, and the impulses that it begins with.
+
+        They are found by numbers that count the colliders ever made in a client, which are the
+        same here if none was removed there.
+
+        Raises:
+            _NotCarriedError: they are not those of the same bodies.
+        """
+        assert self.source is not None
+        source, client = self.source.client, self.client
+        with captured():  # it tells of each that it does not find
+            pybullet.saveBullet(str(file), source)
+            pybullet.restoreState(fileName=str(file), physicsClientId=client)
+        handles = {body.handle: handle for body, handle in self.handles.items()}
+        there = _contacts(source, handles)
+        if there != _contacts(client, {handle: handle for handle in handles.values()}):
+            raise _NotCarriedError
+
     # -- constraints ----------------------------------------------------------------------
 
     def _tie(self) -> None:
@@ -415,6 +462,17 @@ def set_state(client: int, handle: int, body: Body, state: State) -> None:
             pybullet.resetJointState(handle, joint.link - 1, position, velocity, client)
         elif joint.type == "spherical":
             pybullet.resetJointStateMultiDof(handle, joint.link - 1, *there, client)
+
+
+def _contacts(client: int, handles: Mapping[int, int]) -> list[tuple[Any, ...]]:
+    """What contacts there are: the bodies by other numbers, the links, places to 1e-9 m."""
+    found = [
+        (handles[a], link_a, handles[b], link_b, *(round(x, 9) for x in (*at_a, *at_b)))
+        for _, a, b, link_a, link_b, at_a, at_b, *_ in pybullet.getContactPoints(
+            physicsClientId=client
+        )
+    ]
+    return sorted(found)
 
 
 def _copy_dynamics(source: int, original: int, client: int, handle: int) -> None:
