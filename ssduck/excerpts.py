@@ -28,7 +28,7 @@ def excerpt(world: World, entities: Iterable[str | Entity]) -> World:
             for member in members.values()
             if member.sensor is not None and member.id in chosen
         ]
-        tick = Tick(world.time, world.timestep, snapshot.disabled, snapshot.hidden)
+        tick = Tick(world.time, snapshot.disabled, snapshot.hidden)
         simulator = copied(world.origin.simulator, list(originals_of(world, chosen)), tick)
     return World.owning(simulator, world.name, sensors, world.camera)
 

@@ -190,7 +190,6 @@ class WorldSpellings:
         """The sensor of that name."""
         return _named(self, name, "sensor")
 
-
     def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
         """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
         world: World = self.excerpt(self if options & CLONE_BODIES else ())

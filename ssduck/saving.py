@@ -47,7 +47,7 @@ def _scene(world: World, folder: Path) -> Scene:
         snapshot = world.snapshot
         simulator = world.simulator
         assert isinstance(simulator, PyBulletSimulator)
-        tick = Tick(world.time, world.timestep, snapshot.disabled, snapshot.hidden)
+        tick = Tick(world.time, snapshot.disabled, snapshot.hidden)
         everyone = {member.id for member in snapshot.listed}
         scene = scene_of(simulator, list(originals_of(world, everyone)), tick, folder)
         sensors = [
@@ -74,9 +74,7 @@ def _lines(scene: Scene, folder: Path) -> Iterator[str]:
         yield from _table("[[constraint]]", constraint, ConstraintSpec("", ""))
 
 
-def _table(
-    header: str, part: Any, plain: Any, folder: Path | None = None
-) -> Iterator[str]:
+def _table(header: str, part: Any, plain: Any, folder: Path | None = None) -> Iterator[str]:
     values = {f.name: getattr(part, f.name) for f in fields(part)}
     told = {name: value for name, value in values.items() if value != getattr(plain, name)}
     if not told and not header.startswith("[["):

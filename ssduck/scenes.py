@@ -296,7 +296,7 @@ def _body(table: _Table, path: Path) -> BodySpec:
 def _constraint(table: _Table, bodies: Collection[str]) -> ConstraintSpec:
     type = table.text("type")
     if type not in CONSTRAINT_TYPES:
-        table.fail("type", f"there is no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
+        table.fail("type", f"no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
     ends = table.text("on"), table.text("to", "") or None
     for key, body in zip(("on", "to"), ends, strict=True):
         if body is not None and body not in bodies:

@@ -264,9 +264,7 @@ class PyBulletSimulator:
 
     def parameters(self) -> dict[str, Any]:
         """What PyBullet tells of gravity, time step and solver."""
-        told: dict[str, Any] = self._call(
-            lambda: pybullet.getPhysicsEngineParameters(self.client)
-        )
+        told: dict[str, Any] = self._call(lambda: pybullet.getPhysicsEngineParameters(self.client))
         return told
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:

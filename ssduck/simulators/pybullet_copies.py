@@ -18,6 +18,7 @@ What PyBullet does, as measured with 3.2.7:
 
 from __future__ import annotations
 
+import math
 import tempfile
 import warnings
 from collections import Counter
@@ -30,7 +31,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck.errors import SimulatorError, UnsupportedError
-from ssduck.geometry import Array, Boxer, PlacedGeometry, compose, invert
+from ssduck.geometry import Array, Boxer, compose, invert
 from ssduck.scenes import BodySpec, ConstraintSpec, Scene
 from ssduck.simulators import SETTABLE, Body, Frames, Simulator
 from ssduck.simulators.pybullet import (
@@ -51,6 +52,7 @@ from ssduck.simulators.pybullet_scenes import (
     load_body,
     load_model,
     make_constraint,
+    next_to_zero,
     set_engine,
 )
 
@@ -105,13 +107,11 @@ class Tick:
 
     Attributes:
         time: simulated seconds.
-        timestep: seconds of a step; 0 if there are none.
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
     """
 
     time: float
-    timestep: float
     disabled: frozenset[Body]
     hidden: frozenset[Body]
 
@@ -174,9 +174,7 @@ class _Copier:
     handles: dict[Body, int] = field(default_factory=dict)
     guessed: dict[str, list[str]] = field(default_factory=dict)
 
-    def copied(
-        self, originals: Sequence[Original], *, carry: bool = False
-    ) -> PyBulletSimulator:
+    def copied(self, originals: Sequence[Original], *, carry: bool = False) -> PyBulletSimulator:
         """Copy them; with the contacts that the solver knows of, if they are all there are.
 
         Raises:
@@ -196,7 +194,7 @@ class _Copier:
 
     def _set_up(self) -> None:
         """Gravity, time step and solver are as in the source."""
-        timestep, gravity = self.tick.timestep or Scene.timestep, Scene.gravity
+        timestep, gravity = Scene.timestep, Scene.gravity
         if self.source is not None:
             told = self.source.parameters()
             timestep = told["fixedTimeStep"]
@@ -218,7 +216,9 @@ class _Copier:
                     loaded[id(spec)] = load_body(spec, "", self.filled, self.client)
                 handle = loaded[id(spec)][number]
             if pybullet.getNumJoints(handle, self.client) != len(original.body.joints):
-                raise SimulatorError(f"the model of {original.name!r} has changed since it was loaded")
+                raise SimulatorError(
+                    f"the model of {original.name!r} has changed since it was loaded"
+                )
             self.handles[original.body] = handle
         for handle in {h for handles in loaded.values() for h in handles}.difference(
             self.handles.values()
@@ -248,15 +248,16 @@ class _Copier:
         if known is None:
             model = _guessed_model(original)
             self._guess(
-                "inertia, centre of mass, friction, damping and colours are not recorded; those of "
-                "its shapes and PyBullet's own are used",
+                "only shapes, links, joints and masses are known; inertia and centre of mass are "
+                "those of the shapes, friction, damping and colours PyBullet's own, and joints "
+                "are held",
                 original,
             )
         else:
             assert self.source is not None
             model = model_of(self.source, original.body, original.frames, original.joints)
             if not known.exact:
-                self._guess("PyBullet does not give back all shapes; it collides as boxes", original)
+                self._guess("not all shapes are given back; it collides as its box", original)
         path = write_model(model, folder, f"body_{number}")
         spec = BodySpec(None, None, path, own_inertia=known is not None)
         # Meshes of another copy may have been in a file of that name, and would be kept for ever.
@@ -295,12 +296,12 @@ class _Copier:
         body = original.body
         if self.source is None or self._known(body) is None:
             return False
-        now = self.source.read_frames((body,), links_move=True)
+        now, then = self.source.read_frames((body,), links_move=True), original.frames
         base = np.array([0])
         told = (
-            (now.positions, original.frames.positions),
-            (now.states[:, 3:7], original.frames.states[:, 3:7]),
-            (now.at(now.positions[:1], base), original.frames.at(original.frames.positions[:1], base)),
+            (now.positions, then.positions),
+            (now.states[:, 3:7], then.states[:, 3:7]),
+            (now.at(now.positions[:1], base), then.at(then.positions[:1], base)),
             (self.source.read_joints([body] if body.joints else [])[:, :2], original.joints),
         )
         return all(np.array_equal(here, there) for here, there in told)
@@ -330,10 +331,12 @@ class _Copier:
     def _joints_by_frames(self, original: Original, handle: int) -> Array:
         """Positions of joints that nobody has noted, from where the links are; at rest."""
         body = original.body
-        self._guess("velocities of joints are not recorded; they are at rest", original)
+        what = "velocities" if self._known(body) is not None else "positions and velocities"
+        self._guess(f"{what} of joints are not recorded; they rest where links are", original)
         here = frames_of(self.client, replace(body, handle=handle), com_of(self.client, handle))
-        at = [s[0][0] if len(s[0]) == 1 else 0.0 for s in state_of(self.client, handle).joints if s]
-        zero = zero_poses(body, here, _positions(body, np.array(at)[:, None]))
+        states = state_of(self.client, handle).joints
+        at = np.array([[state[0][0] if state and state[0] else 0.0] for state in states])
+        zero = zero_poses(body, here, _positions(body, at))
         parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
         places, turns = original.frames.positions, original.frames.states[:, 3:7]
         within = compose(*invert(places[parents], turns[parents]), places[1:], turns[1:])
@@ -354,7 +357,7 @@ class _Copier:
         now: State | None = None
         if self.source is not None and self._known(body) is not None:
             if self.source.watched and any(joint.type in SETTABLE for joint in body.joints):
-                self._guess("PyBullet does not tell what motors do; they are as it begins", original)
+                self._guess("what motors do is not told; they are as PyBullet begins", original)
             held = self.source.filled.held.get(body.handle, {})
             now = state_of(self.source.client, body.handle) if held else None
         elif self.source is None or self._known(body) is None:
@@ -395,12 +398,13 @@ class _Copier:
         """Make the constraints between the bodies, and to the world."""
         if self.source is None:
             return
-        handles = {body.handle: handle for body, handle in self.handles.items() if self._known(body)}
+        known = [body for body in self.handles if self._known(body) is not None]
+        handles = {body.handle: self.handles[body] for body in known}
         handles[-1] = -1
         for spec, on, to in constraints_of(self.source.client):
             if on[0] in handles and to[0] in handles:
-                ends = ((handles[body], link) for body, link in (on, to))
-                make_constraint(spec, *ends, self.client)
+                ends = [(handles[body], link) for body, link in (on, to)]
+                make_constraint(spec, ends[0], ends[1], self.client)
 
     # -- what is not as it was ------------------------------------------------------------
 
@@ -408,11 +412,13 @@ class _Copier:
         self.guessed.setdefault(what, []).append(original.name)
 
     def _warn(self) -> None:
+        if self.source is None:
+            self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
         for what, names in self.guessed.items():
             told = ", ".join(names[:MOST_NAMED])
             if len(names) > MOST_NAMED:
                 told += f" and {len(names) - MOST_NAMED} more"
-            warnings.warn(f"{told}: {what}", stacklevel=6)
+            warnings.warn(f"{told}: {what}" if told else what, stacklevel=6)
 
 
 # -- states -----------------------------------------------------------------------------------
@@ -563,17 +569,18 @@ def _guessed_model(original: Original) -> Model:
 
 
 def _positions(body: Body, joints: Array) -> dict[int, float]:
-    """Where joints are, by link; 0 for what nobody knows."""
-    return {
-        joint.link: float(np.nan_to_num(states[0]))
-        for joint, states in zip(body.joints, joints, strict=True)
-        if joint.type in SETTABLE
-    }
+    """Where joints are, by link; of what nobody knows, 0 or the limit next to it."""
+    found = {}
+    for joint, states in zip(body.joints, joints, strict=True):
+        if joint.type in SETTABLE:
+            position = float(states[0])
+            found[joint.link] = next_to_zero(joint) if math.isnan(position) else position
+    return found
 
 
 def _middle(body: Body, link: int) -> Array:
     """The middle of a link's shapes in its frame, by the volumes of their boxes."""
-    shapes = [replace_frame(shape) for shape in body.shapes if shape.frame == link]
+    shapes = [replace(shape, frame=0) for shape in body.shapes if shape.frame == link]
     if not shapes or any(shape.geometry.type == "plane" for shape in shapes):
         return np.zeros(3)
     boxer = Boxer(shapes, range(len(shapes)), len(shapes))
@@ -582,10 +589,6 @@ def _middle(body: Body, link: int) -> Array:
     volumes = np.prod(high - low, axis=1)
     middle: Array = np.average((low + high) / 2, axis=0, weights=volumes + 1e-12)
     return middle
-
-
-def replace_frame(shape: PlacedGeometry) -> PlacedGeometry:
-    return replace(shape, frame=0)
 
 
 def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Drawn]:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from xml.etree import ElementTree as Xml
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -98,14 +98,14 @@ def zero_poses(body: Body, frames: Frames, positions: Mapping[int, float]) -> tu
 
 def write_model(model: Model, folder: Path, stem: str) -> Path:
     """Write a model and the meshes that it needs into a folder; the URDF file is `stem.urdf`."""
-    robot = Xml.Element("robot", name=model.body.name)
+    robot = ET.Element("robot", name=model.body.name)
     meshes = _Meshes(folder, stem)
     names = unique_names(link.name for link in model.body.links)
     for index, name in enumerate(names):
-        element = Xml.SubElement(robot, "link", name=name)
-        contact = Xml.SubElement(element, "contact")
+        element = ET.SubElement(robot, "link", name=name)
+        contact = ET.SubElement(element, "contact")
         for kind, value in model.contacts[index].items():
-            Xml.SubElement(contact, kind, value=_told(value))
+            ET.SubElement(contact, kind, value=_told(value))
         _add_inertial(element, model, index)
         shapes = [shape for shape in model.body.shapes if shape.frame == index]
         for shape in shapes:
@@ -116,22 +116,22 @@ def write_model(model: Model, folder: Path, stem: str) -> Path:
     for number in range(len(model.body.joints)):
         _add_joint(robot, model, number, names)
     path = folder / f"{stem}.urdf"
-    Xml.indent(robot)
-    Xml.ElementTree(robot).write(path, encoding="utf-8", xml_declaration=True)
+    ET.indent(robot)
+    ET.ElementTree(robot).write(path, encoding="utf-8", xml_declaration=True)
     return path
 
 
-def _add_inertial(element: Xml.Element, model: Model, index: int) -> None:
-    inertial = Xml.SubElement(element, "inertial")
+def _add_inertial(element: ET.Element, model: Model, index: int) -> None:
+    inertial = ET.SubElement(element, "inertial")
     _add_origin(inertial, model.com[0][index], model.com[1][index])
-    Xml.SubElement(inertial, "mass", value=_told(model.body.links[index].mass))
+    ET.SubElement(inertial, "mass", value=_told(model.body.links[index].mass))
     moments = np.zeros(3) if model.inertias is None else model.inertias[index]
     told = dict(zip(("ixx", "iyy", "izz"), map(_told, moments), strict=True))
-    Xml.SubElement(inertial, "inertia", told, ixy="0", ixz="0", iyz="0")
+    ET.SubElement(inertial, "inertia", told, ixy="0", ixz="0", iyz="0")
 
 
 def _add_drawn(
-    element: Xml.Element,
+    element: ET.Element,
     index: int,
     shapes: Sequence[PlacedGeometry],
     drawn: Sequence[Drawn] | None,
@@ -147,11 +147,11 @@ def _add_drawn(
             placed = PlacedGeometry(index, one.geometry, one.position, one.orientation)
             visuals = [_add_geometry(element, "visual", placed, meshes)]
         elif Path(one.file).is_file():
-            visual = Xml.SubElement(element, "visual")
+            visual = ET.SubElement(element, "visual")
             _add_origin(visual, one.position, one.orientation)
             scale = " ".join(map(_told, one.scale))
-            Xml.SubElement(
-                Xml.SubElement(visual, "geometry"),
+            ET.SubElement(
+                ET.SubElement(visual, "geometry"),
                 "mesh",
                 filename=meshes.copied(Path(one.file)),
                 scale=scale,
@@ -160,28 +160,28 @@ def _add_drawn(
         else:  # its corners are not told; the shapes are the nearest
             visuals = [_add_geometry(element, "visual", shape, meshes) for shape in shapes]
         for visual in visuals:
-            material = Xml.SubElement(visual, "material", name=colour)
-            Xml.SubElement(material, "color", rgba=" ".join(map(_told, one.colour)))
+            material = ET.SubElement(visual, "material", name=colour)
+            ET.SubElement(material, "color", rgba=" ".join(map(_told, one.colour)))
 
 
 def _add_geometry(
-    element: Xml.Element, kind: str, shape: PlacedGeometry, meshes: _Meshes
-) -> Xml.Element:
-    part = Xml.SubElement(element, kind)
+    element: ET.Element, kind: str, shape: PlacedGeometry, meshes: _Meshes
+) -> ET.Element:
+    part = ET.SubElement(element, kind)
     _add_origin(part, shape.position, shape.orientation)
-    geometry = Xml.SubElement(part, "geometry")
+    geometry = ET.SubElement(part, "geometry")
     a, b, c = map(_told, shape.geometry.size)
     match shape.geometry.type:
         case "box":
-            Xml.SubElement(geometry, "box", size=f"{a} {b} {c}")
+            ET.SubElement(geometry, "box", size=f"{a} {b} {c}")
         case "sphere":
-            Xml.SubElement(geometry, "sphere", radius=a)
+            ET.SubElement(geometry, "sphere", radius=a)
         case "cylinder" | "capsule" as round:
-            Xml.SubElement(geometry, round, radius=a, length=b)
+            ET.SubElement(geometry, round, radius=a, length=b)
         case "plane":
-            Xml.SubElement(geometry, "plane", normal=f"{a} {b} {c}")
+            ET.SubElement(geometry, "plane", normal=f"{a} {b} {c}")
         case "hull" | "mesh":
-            Xml.SubElement(geometry, "mesh", filename=meshes.written(shape.geometry))
+            ET.SubElement(geometry, "mesh", filename=meshes.written(shape.geometry))
     return part
 
 
@@ -195,25 +195,25 @@ def unique_names(names: Iterable[str]) -> list[str]:
     return list(found)
 
 
-def _add_joint(robot: Xml.Element, model: Model, number: int, names: Sequence[str]) -> None:
+def _add_joint(robot: ET.Element, model: Model, number: int, names: Sequence[str]) -> None:
     joint = model.body.joints[number]
     limited = joint.lower is not None and joint.upper is not None
     kind = joint.type
-    element = Xml.SubElement(
+    element = ET.SubElement(
         robot,
         "joint",
         name=unique_names(joint.name for joint in model.body.joints)[number],
         type="continuous" if kind == "revolute" and not limited else kind,
     )
-    Xml.SubElement(element, "parent", link=names[model.body.links[joint.link].parent])
-    Xml.SubElement(element, "child", link=names[joint.link])
+    ET.SubElement(element, "parent", link=names[model.body.links[joint.link].parent])
+    ET.SubElement(element, "child", link=names[joint.link])
     _add_origin(element, model.zero[0][number], model.zero[1][number])
     if kind in ("revolute", "prismatic"):
-        Xml.SubElement(element, "axis", xyz=" ".join(map(_told, joint.axis)))
-    Xml.SubElement(element, "dynamics", damping=_told(model.damping[number]))
+        ET.SubElement(element, "axis", xyz=" ".join(map(_told, joint.axis)))
+    ET.SubElement(element, "dynamics", damping=_told(model.damping[number]))
     # To PyBullet a range of nothing is no limit.
     low, high = (joint.lower, joint.upper) if limited else (0.0, -1.0)
-    Xml.SubElement(
+    ET.SubElement(
         element,
         "limit",
         lower=_told(low or 0.0),
@@ -223,8 +223,8 @@ def _add_joint(robot: Xml.Element, model: Model, number: int, names: Sequence[st
     )
 
 
-def _add_origin(element: Xml.Element, position: Array, orientation: Array) -> None:
-    Xml.SubElement(
+def _add_origin(element: ET.Element, position: Array, orientation: Array) -> None:
+    ET.SubElement(
         element,
         "origin",
         xyz=" ".join(map(_told, position)),

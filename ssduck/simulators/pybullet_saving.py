@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from xml.etree import ElementTree as Xml
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def scene_of(
         name="world",
         path=folder,
         gravity=gravity,
-        timestep=tick.timestep,
+        timestep=told["fixedTimeStep"],
         time=tick.time,
         bodies=tuple(models.spec_of(original, tick) for original in originals),
         constraints=tuple(_constraints(simulator.client, names)),
@@ -145,8 +145,8 @@ class _Models:
 def _needed(file: Path) -> list[Path] | None:
     """The files that a URDF file names, from its folder; None if some lie elsewhere."""
     try:
-        root = Xml.parse(file).getroot()  # noqa: S314  # PyBullet has read it
-    except Xml.ParseError:  # which PyBullet does not mind
+        root = ET.parse(file).getroot()  # noqa: S314  # PyBullet has read it
+    except ET.ParseError:  # which PyBullet does not mind
         return None
     waiting = [Path(str(part.get("filename"))) for part in root.iter() if part.get("filename")]
     found: dict[Path, None] = {}

@@ -190,7 +190,7 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
     for joint in joints:
         if joint.type not in SETTABLE:
             continue
-        value = spec.joints.get(joint.name, _next_to_zero(joint))
+        value = spec.joints.get(joint.name, next_to_zero(joint))
         velocity = spec.joint_velocities.get(joint.name, 0.0)
         pybullet.resetJointState(handle, joint.link - 1, value, velocity, client)
         if spec.hold:
@@ -300,6 +300,7 @@ def _range(joint: Joint) -> tuple[float, float]:
     return joint.lower, joint.upper
 
 
-def _next_to_zero(joint: Joint) -> float:
+def next_to_zero(joint: Joint) -> float:
+    """0, or a joint's limit next to it."""
     low, high = _range(joint)
     return min(max(0.0, low), high)
