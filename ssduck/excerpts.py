@@ -18,7 +18,9 @@ from ssduck.world import World
 def excerpt(world: World, entities: Iterable[str | Entity]) -> World:
     """A new world of some entities; see `World.excerpt`."""
     # Nothing is to move while it is read: neither here nor where the simulation is.
-    with world.held(("joints",)), world.origin.lock:
+    # The tick of a client that others step cannot be taken anew for its joints.
+    tables = () if world.simulator.watched else ("joints",)
+    with world.held(tables), world.origin.lock:
         snapshot = world.snapshot
         members = {member.id: member for member in snapshot.listed}
         chosen = {_id(world, entity) for entity in entities}
@@ -54,7 +56,7 @@ def originals_of(world: World, chosen: Container[int]) -> Iterator[Original]:
     """What the tick tells of some bodies, in load order."""
     snapshot = world.snapshot
     where = {body: (part, told) for part, told in snapshot.parts for body in part.bodies}
-    joints = {} if "joints" in snapshot.untold else snapshot.joints()
+    joints = snapshot.joints() if snapshot.has("joints") else {}
     for member in snapshot.listed:
         body = member.body
         if body is None or member.id not in chosen:

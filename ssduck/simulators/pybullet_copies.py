@@ -255,7 +255,7 @@ class _Copier:
             )
         else:
             assert self.source is not None
-            model = model_of(self.source, original.body, original.frames, original.joints)
+            model = model_of(self.source, original.body)
             if not known.exact:
                 self._guess("not all shapes are given back; it collides as its box", original)
         path = write_model(model, folder, f"body_{number}")
@@ -302,9 +302,12 @@ class _Copier:
             (now.positions, then.positions),
             (now.states[:, 3:7], then.states[:, 3:7]),
             (now.at(now.positions[:1], base), then.at(then.positions[:1], base)),
-            (self.source.read_joints([body] if body.joints else [])[:, :2], original.joints),
         )
-        return all(np.array_equal(here, there) for here, there in told)
+        if not all(np.array_equal(here, there) for here, there in told):
+            return False
+        joints = self.source.read_joints([body] if body.joints else [])[:, :2]
+        # Those that the tick does not tell are as the links are.
+        return bool((np.isnan(original.joints) | (joints == original.joints)).all())
 
     def _told_state(self, original: Original, com: tuple[Array, Array], handle: int) -> State:
         """A body's state as the tick tells of it."""
@@ -519,7 +522,7 @@ def _copy_colours(
 # -- what models say --------------------------------------------------------------------------
 
 
-def model_of(simulator: PyBulletSimulator, body: Body, frames: Frames, joints: Array) -> Model:
+def model_of(simulator: PyBulletSimulator, body: Body) -> Model:
     """What a model's file would say of a body.
 
     Raises:
@@ -532,6 +535,8 @@ def model_of(simulator: PyBulletSimulator, body: Body, frames: Frames, joints: A
     known = simulator.description_of(body)
     assert known is not None
     infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
+    frames = simulator.read_frames((body,), links_move=True)
+    joints = simulator.read_joints([body] if body.joints else [])
     return Model(
         body,
         zero_poses(body, frames, _positions(body, joints)),

@@ -84,7 +84,7 @@ class _Models:
         if origin is not None and copy is not None:
             model, fixed, own_inertia = copy, origin.spec.fixed, origin.spec.own_inertia
         else:
-            told = model_of(self.simulator, body, original.frames, states)
+            told = model_of(self.simulator, body)
             stem = original.name
             model = write_model(told, self._new_folder(stem), _file_name(stem))
             fixed, own_inertia = False, True
