@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, NoReturn, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from ssduck.errors import SceneError, UnknownNameError, nearest
 from ssduck.sensors import SENSOR_TYPES, SensorType, Setting
+from ssduck.toml_tables import REQUIRED, Table
 
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
@@ -212,10 +213,10 @@ def read_scene(path: Path) -> Scene:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"{path}: {reason}") from error
-    return _scene(_Table(path, "", table), path)
+    return _scene(Table(path, "", table), path)
 
 
-def _scene(table: _Table, path: Path) -> Scene:
+def _scene(table: Table, path: Path) -> Scene:
     bodies = tuple(_body(entry, path) for entry in table.tables("body"))
     _check_unique(path, "body", [body.name for body in bodies])
     sensors = tuple(
@@ -259,7 +260,7 @@ def _scene(table: _Table, path: Path) -> Scene:
     return scene
 
 
-def _body(table: _Table, path: Path) -> BodySpec:
+def _body(table: Table, path: Path) -> BodySpec:
     kind = table.text("kind", "") or None
     if kind not in (None, "robot", "kinbody"):
         table.fail(
@@ -293,7 +294,7 @@ def _body(table: _Table, path: Path) -> BodySpec:
     return spec
 
 
-def _constraint(table: _Table, bodies: Collection[str]) -> ConstraintSpec:
+def _constraint(table: Table, bodies: Collection[str]) -> ConstraintSpec:
     type = table.text("type")
     if type not in CONSTRAINT_TYPES:
         table.fail("type", f"no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
@@ -328,10 +329,10 @@ def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpe
     Raises:
         SceneError: key and reason.
     """
-    return _sensor(_Table(None, "", dict(values)), bodies)
+    return _sensor(Table(None, "", dict(values)), bodies)
 
 
-def _sensor(table: _Table, bodies: Collection[str]) -> SensorSpec:
+def _sensor(table: Table, bodies: Collection[str]) -> SensorSpec:
     name = table.text("type")
     if name not in SENSOR_TYPES:
         table.fail("type", f"there is no sensor type {name!r}", nearest(name, SENSOR_TYPES))
@@ -355,7 +356,7 @@ def _sensor(table: _Table, bodies: Collection[str]) -> SensorSpec:
     return spec
 
 
-def _settings(table: _Table, kind: SensorType) -> dict[str, float]:
+def _settings(table: Table, kind: SensorType) -> dict[str, float]:
     """What a sensor of that type is set by."""
     settings = {setting.name: _setting(table, setting) for setting in kind.settings}
     fault = kind.fault(settings)
@@ -364,10 +365,10 @@ def _settings(table: _Table, kind: SensorType) -> dict[str, float]:
     return settings
 
 
-def _setting(table: _Table, setting: Setting) -> float:
+def _setting(table: Table, setting: Setting) -> float:
     value = table.number(
         setting.name,
-        _REQUIRED if setting.default is None else setting.default,
+        REQUIRED if setting.default is None else setting.default,
         above=setting.above,
         at_least=setting.at_least,
         below=setting.below,
@@ -378,7 +379,7 @@ def _setting(table: _Table, setting: Setting) -> float:
     return value
 
 
-def _unit(table: _Table, key: str) -> Quaternion:
+def _unit(table: Table, key: str) -> Quaternion:
     """A rotation w, x, y, z, made exactly of unit length; far from it is a mistake."""
     w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
     length = math.sqrt(w * w + x * x + y * y + z * z)
@@ -411,105 +412,3 @@ def _identifier(text: str) -> str:
     """A name for a scene made from a file's."""
     name = "".join(letter if letter.isalnum() or letter == "_" else "_" for letter in text)
     return name if name.isidentifier() else f"world_{name}".rstrip("_")
-
-
-_REQUIRED: Any = object()
-
-
-class _Table:
-    """A TOML table that is read key by key, so that what is left over is a mistake."""
-
-    def __init__(self, path: Path | None, where: str, values: dict[str, Any]) -> None:
-        self.path = path
-        self.where = where
-        self.values = values
-        self.asked: set[str] = set()
-
-    def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
-        place = f"{self.where}.{key}" if self.where else key
-        file = f"{self.path}: " if self.path else ""
-        raise SceneError(f"{file}{place}: {reason}", suggestions=suggestions)
-
-    def end(self) -> None:
-        """Complain of keys that nothing asked for."""
-        for key in self.values:
-            if key not in self.asked:
-                self.fail(key, "there is no such key", nearest(key, self.asked))
-
-    def text(self, key: str, default: str = _REQUIRED, *, empty: bool = False) -> str:
-        def fits(value: object) -> bool:
-            return isinstance(value, str) and (empty or value.strip() != "")
-
-        return self._get(key, default, fits, "a text")  # type: ignore[no-any-return]
-
-    def flag(self, key: str, default: bool) -> bool:
-        return self._get(key, default, lambda value: isinstance(value, bool), "true or false")  # type: ignore[no-any-return]
-
-    def number(
-        self,
-        key: str,
-        default: float = _REQUIRED,
-        above: float = -math.inf,
-        at_least: float = -math.inf,
-        below: float = math.inf,
-        at_most: float = math.inf,
-    ) -> float:
-        value = float(self._get(key, default, _is_number, "a finite number"))
-        if value <= above:
-            self.fail(key, f"{value:g} is not above {above:g}")
-        if value >= below:
-            self.fail(key, f"{value:g} is not below {below:g}")
-        if value < at_least:
-            self.fail(key, f"{value:g} is less than {at_least:g}")
-        if value > at_most:
-            self.fail(key, f"{value:g} is more than {at_most:g}")
-        return value
-
-    def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
-        def fits(value: object) -> bool:
-            return (
-                isinstance(value, list | tuple)
-                and len(value) == count
-                and all(map(_is_number, value))
-            )
-
-        return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
-
-    def all_numbers(self) -> dict[str, float]:
-        return {key: self.number(key) for key in list(self.values)}
-
-    def whole(self, key: str, at_least: float = -math.inf) -> int | None:
-        if key not in self.values:
-            self.asked.add(key)
-            return None
-        value = self.number(key, at_least=at_least)
-        if not value.is_integer():
-            self.fail(key, f"{value:g} is no whole number")
-        return int(value)
-
-    def table(self, key: str) -> _Table:
-        values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
-        return _Table(self.path, f"{self.where}.{key}" if self.where else key, values)
-
-    def tables(self, key: str) -> Iterator[_Table]:
-        def fits(value: object) -> bool:
-            return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
-
-        for index, values in enumerate(self._get(key, [], fits, f"tables, written [[{key}]]")):
-            yield _Table(self.path, f"{key}[{index}]", values)
-
-    def _get(self, key: str, default: Any, fits: Callable[[Any], bool], what: str) -> Any:
-        self.asked.add(key)
-        if key not in self.values:
-            if default is _REQUIRED:
-                self.fail(key, "missing", nearest(key, set(self.values) - self.asked))
-            return default
-        value = self.values[key]
-        if not fits(value):
-            self.fail(key, f"expected {what}, found {value!r}")
-        return value
-
-
-def _is_number(value: object) -> bool:
-    # By comparison: math.isfinite cannot take an integer of 400 digits.
-    return isinstance(value, int | float) and not isinstance(value, bool) and -1e300 < value < 1e300

@@ -18,70 +18,52 @@ What PyBullet does, as measured with 3.2.7:
 
 from __future__ import annotations
 
-import math
 import tempfile
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.errors import SimulatorError, UnsupportedError
-from ssduck.geometry import Array, Boxer, compose, invert
-from ssduck.scenes import BodySpec, ConstraintSpec, Scene
+from ssduck.errors import SimulatorError
+from ssduck.geometry import Array, compose, invert
+from ssduck.scenes import BodySpec, Scene
 from ssduck.simulators import SETTABLE, Body, Frames, Simulator
 from ssduck.simulators.pybullet import (
     MOST_NAMED,
     PyBulletSimulator,
-    colours_of,
     frames_of,
     new_client,
 )
-from ssduck.simulators.pybullet_bodies import Description, com_of, primitive_of, wxyz, xyzw
+from ssduck.simulators.pybullet_bodies import Description, com_of, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
-from ssduck.simulators.pybullet_models import Drawn, Model, write_model, zero_poses
+from ssduck.simulators.pybullet_models import write_model, zero_poses
 from ssduck.simulators.pybullet_scenes import (
-    CONSTRAINTS,
     Filled,
     engine_of,
     hold_joint,
     load_body,
     load_model,
     make_constraint,
-    next_to_zero,
     set_engine,
 )
-
-# A link of a client: the body's number, and PyBullet's of the link; -1, -1 is the world.
-End: TypeAlias = tuple[int, int]
-
-_SOFT_BODY = 3
-# Where getDynamicsInfo tells what changeDynamics calls so. Margins are those of the shapes; of
-# whatever link one is set, PyBullet sets the base's.
-_DYNAMICS = {
-    "mass": 0,
-    "lateralFriction": 1,
-    "localInertiaDiagonal": 2,
-    "restitution": 5,
-    "rollingFriction": 6,
-    "spinningFriction": 7,
-}
-_CONTACT = {"contactDamping": 8, "contactStiffness": 9}
-# What a model's file calls them.
-_ELEMENTS = {
-    "rolling_friction": 6,
-    "spinning_friction": 7,
-    "restitution": 5,
-    "damping": 8,
-    "stiffness": 9,
-}
-# The same of getJointInfo.
-_JOINT = {"jointDamping": 6, "maxJointVelocity": 11}
-_LIMITS = {"jointLowerLimit": 8, "jointUpperLimit": 9}
+from ssduck.simulators.pybullet_states import (
+    State,
+    contacts_of,
+    copy_colours,
+    copy_dynamics,
+    set_state,
+    state_of,
+)
+from ssduck.simulators.pybullet_told import (
+    constraints_of,
+    guessed_model,
+    model_of,
+    positions_by_link,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +228,7 @@ class _Copier:
         """Load a body by a model that is written of what is known of it."""
         known = self._known(original.body)
         if known is None:
-            model = _guessed_model(original)
+            model = guessed_model(original.body, original.frames, original.joints)
             self._guess(
                 "only shapes, links, joints and masses are known; inertia and centre of mass are "
                 "those of the shapes, friction, damping and colours PyBullet's own, and joints "
@@ -273,8 +255,8 @@ class _Copier:
         com = com_of(self.client, handle)
         if known is not None:
             assert self.source is not None
-            _copy_dynamics(self.source.client, body.handle, self.client, handle)
-            _copy_colours(self.source.colours_of(body), self.client, handle)
+            copy_dynamics(self.source.client, body.handle, self.client, handle)
+            copy_colours(self.source.colours_of(body), self.client, handle)
         as_now = self._is_as_now(original)
         if as_now:
             assert self.source is not None
@@ -339,7 +321,7 @@ class _Copier:
         here = frames_of(self.client, replace(body, handle=handle), com_of(self.client, handle))
         states = state_of(self.client, handle).joints
         at = np.array([[state[0][0] if state and state[0] else 0.0] for state in states])
-        zero = zero_poses(body, here, _positions(body, at))
+        zero = zero_poses(body, here, positions_by_link(body, at))
         parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
         places, turns = original.frames.positions, original.frames.states[:, 3:7]
         within = compose(*invert(places[parents], turns[parents]), places[1:], turns[1:])
@@ -391,8 +373,8 @@ class _Copier:
             pybullet.saveBullet(str(file), source)
             pybullet.restoreState(fileName=str(file), physicsClientId=client)
         handles = {body.handle: handle for body, handle in self.handles.items()}
-        there = _contacts(source, handles)
-        if there != _contacts(client, {handle: handle for handle in handles.values()}):
+        there = contacts_of(source, handles)
+        if there != contacts_of(client, {handle: handle for handle in handles.values()}):
             raise _NotCarriedError
 
     # -- constraints ----------------------------------------------------------------------
@@ -422,215 +404,3 @@ class _Copier:
             if len(names) > MOST_NAMED:
                 told += f" and {len(names) - MOST_NAMED} more"
             warnings.warn(f"{told}: {what}" if told else what, stacklevel=6)
-
-
-# -- states -----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class State:
-    """Where a body is in a client, as PyBullet tells and takes it.
-
-    Attributes:
-        base: position and orientation (x, y, z, w) of the base's centre of mass.
-        twist: its velocity and angular velocity.
-        joints: positions and velocities of each joint, as many numbers as it has; None for what
-            is left as it is.
-    """
-
-    base: tuple[tuple[float, ...], tuple[float, ...]]
-    twist: tuple[tuple[float, ...], tuple[float, ...]]
-    joints: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]
-
-
-def state_of(client: int, handle: int) -> State:
-    """The state of a body."""
-    joints = [
-        pybullet.getJointStateMultiDof(handle, joint, client)[:2]
-        for joint in range(pybullet.getNumJoints(handle, client))
-    ]
-    return State(
-        pybullet.getBasePositionAndOrientation(handle, client),
-        pybullet.getBaseVelocity(handle, client),
-        tuple(joints),
-    )
-
-
-def set_state(client: int, handle: int, body: Body, state: State) -> None:
-    """Put a body into a state; what is so already is left to the last bit."""
-    if state_of(client, handle).base != state.base:
-        pybullet.resetBasePositionAndOrientation(handle, *state.base, client)
-    if state_of(client, handle).twist != state.twist:
-        pybullet.resetBaseVelocity(handle, *state.twist, client)
-    now = state_of(client, handle)
-    for joint, here, there in zip(body.joints, now.joints, state.joints, strict=True):
-        if there is None or here == there:
-            continue
-        if joint.type in SETTABLE:
-            (position,), (velocity,) = there
-            pybullet.resetJointState(handle, joint.link - 1, position, velocity, client)
-        elif joint.type == "spherical":
-            pybullet.resetJointStateMultiDof(handle, joint.link - 1, *there, client)
-
-
-def _contacts(client: int, handles: Mapping[int, int]) -> list[tuple[Any, ...]]:
-    """What contacts there are: the bodies by other numbers, the links, places to 1e-9 m."""
-    found = [
-        (handles[a], link_a, handles[b], link_b, *(round(x, 9) for x in (*at_a, *at_b)))
-        for _, a, b, link_a, link_b, at_a, at_b, *_ in pybullet.getContactPoints(
-            physicsClientId=client
-        )
-    ]
-    return sorted(found)
-
-
-def _copy_dynamics(source: int, original: int, client: int, handle: int) -> None:
-    """Set of masses, inertias, friction and the like what differs."""
-    count = pybullet.getNumJoints(handle, client)
-    for link in range(-1, count):
-        own = pybullet.getDynamicsInfo(handle, link, client)
-        wanted = pybullet.getDynamicsInfo(original, link, source)
-        if wanted[10] != own[10]:
-            continue  # of a rigid body PyBullet tells what happened to be in memory
-        changes = {k: wanted[at] for k, at in _DYNAMICS.items() if wanted[at] != own[at]}
-        if any(wanted[at] != own[at] for at in _CONTACT.values()):
-            changes |= {key: wanted[at] for key, at in _CONTACT.items()}
-        if link >= 0:
-            own = pybullet.getJointInfo(handle, link, client)
-            wanted = pybullet.getJointInfo(original, link, source)
-            changes |= {k: wanted[at] for k, at in _JOINT.items() if wanted[at] != own[at]}
-            limits = {key: wanted[at] for key, at in _LIMITS.items()}
-            is_limited = limits["jointLowerLimit"] <= limits["jointUpperLimit"]
-            if is_limited and any(wanted[at] != own[at] for at in _LIMITS.values()):
-                changes |= limits
-        if changes:
-            pybullet.changeDynamics(handle, link, physicsClientId=client, **changes)
-
-
-def _copy_colours(
-    wanted: Sequence[tuple[int, int, Sequence[float]]], client: int, handle: int
-) -> None:
-    own_colours = {(link, shape): colour for link, shape, colour in colours_of(client, handle)}
-    for link, shape, colour in wanted:
-        own = own_colours.get((link, shape))
-        if own is not None and tuple(own) != tuple(colour):
-            pybullet.changeVisualShape(
-                handle, link, shape, rgbaColor=colour, physicsClientId=client
-            )
-
-
-# -- what models say --------------------------------------------------------------------------
-
-
-def model_of(simulator: PyBulletSimulator, body: Body) -> Model:
-    """What a model's file would say of a body.
-
-    Raises:
-        UnsupportedError: it is soft.
-    """
-    client, handle = simulator.client, body.handle
-    dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, len(body.joints))]
-    if dynamics[0][10] == _SOFT_BODY:
-        raise UnsupportedError(f"{body.name!r} is soft: PyBullet does not tell what it is made of")
-    known = simulator.description_of(body)
-    assert known is not None
-    infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
-    frames = simulator.read_frames((body,), links_move=True)
-    joints = simulator.read_joints([body] if body.joints else [])
-    return Model(
-        body,
-        zero_poses(body, frames, _positions(body, joints)),
-        known.com,
-        np.array([dynamic[2] for dynamic in dynamics]),
-        [info[6] for info in infos],
-        [_contact(dynamic) for dynamic in dynamics],
-        list(_drawn(simulator, body)),
-    )
-
-
-def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
-    """What contacts with a link are like; 0 and -1 are what PyBullet begins with."""
-    told = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
-    return {element: value for element, value in told.items() if value not in (0.0, -1.0)} | {
-        "lateral_friction": float(dynamic[1])
-    }
-
-
-def _guessed_model(original: Original) -> Model:
-    """What a record tells of a body; its masses are in the middles of its shapes."""
-    body, joints = original.body, original.joints
-    positions = _positions(body, joints)
-    com = np.array([_middle(body, link) for link in range(len(body.links))])
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
-    return Model(
-        body,
-        zero_poses(body, original.frames, positions),
-        (com, turns),
-        None,
-        [0.0] * len(body.joints),
-        [{}] * len(body.links),
-        None,
-    )
-
-
-def _positions(body: Body, joints: Array) -> dict[int, float]:
-    """Where joints are, by link; of what nobody knows, 0 or the limit next to it."""
-    found = {}
-    for joint, states in zip(body.joints, joints, strict=True):
-        if joint.type in SETTABLE:
-            position = float(states[0])
-            found[joint.link] = next_to_zero(joint) if math.isnan(position) else position
-    return found
-
-
-def _middle(body: Body, link: int) -> Array:
-    """The middle of a link's shapes in its frame, by the volumes of their boxes."""
-    shapes = [replace(shape, frame=0) for shape in body.shapes if shape.frame == link]
-    if not shapes or any(shape.geometry.type == "plane" for shape in shapes):
-        return np.zeros(3)
-    boxer = Boxer(shapes, range(len(shapes)), len(shapes))
-    boxes = boxer.boxes(np.zeros((1, 3)), np.eye(3)[None])
-    low, high = boxes[:3].T, boxes[3:].T
-    volumes = np.prod(high - low, axis=1)
-    middle: Array = np.average((low + high) / 2, axis=0, weights=volumes + 1e-12)
-    return middle
-
-
-def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Drawn]:
-    entries = pybullet.getVisualShapeData(body.handle, physicsClientId=simulator.client)
-    colours = simulator.colours_of(body)
-    for entry, (link, _, colour) in zip(entries, colours, strict=True):
-        geometry = primitive_of(entry[2], entry[3])
-        yield Drawn(
-            link + 1,
-            geometry,
-            entry[4].decode(errors="replace"),
-            entry[3],
-            np.array(entry[5]),
-            wxyz(np.array([entry[6]]))[0],
-            colour,
-        )
-
-
-def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, End, End]]:
-    """The constraints of a client, with the links that each is between; -1, -1 is the world."""
-    names = {number: name for name, number in CONSTRAINTS.items()}
-    for index in range(pybullet.getNumConstraints(client)):
-        number = pybullet.getConstraintUniqueId(index, physicsClientId=client)
-        info = pybullet.getConstraintInfo(number, client)
-        (turn,), (to_turn,) = (wxyz(np.array([info[at]])).tolist() for at in (8, 9))
-        spec = ConstraintSpec(
-            type=names[info[4]],
-            on="",
-            axis=info[5],
-            position=info[6],
-            orientation=tuple(turn),
-            to_position=info[7],
-            to_orientation=tuple(to_turn),
-            max_force=info[10],
-            gear_ratio=info[11],
-            gear_link=info[12],
-            gear_target=info[13],
-            erp=info[14],
-        )
-        yield spec, (info[0], info[1]), (info[2], info[3])
