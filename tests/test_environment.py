@@ -782,6 +782,21 @@ def test_saved_names_are_made_fit(client, write, tmp_path):
     assert loaded['odd "name" \\ \t/..'].joints[0].upper == 1.0
 
 
+def test_a_joint_beyond_its_limit_is_saved_where_it_is(client, write, tmp_path):
+    """Solvers leave joints there."""
+    text = robot(
+        link("a", mass=0, shapes=collision('<sphere radius="0.1"/>')),
+        link("b"),
+        joint("j", "revolute", "a", "b", limit='<limit lower="-1" upper="1" effort="5"/>'),
+    )
+    number = pybullet.loadURDF(str(write("r.urdf", text)), physicsClientId=client)
+    pybullet.resetJointState(number, 0, 1.0009, physicsClientId=client)
+    world = ssduck.World.attach(client)
+    with pytest.warns(UserWarning, match="what motors do"):
+        world.save(tmp_path / "saved")
+    assert ssduck.load(tmp_path / "saved").worlds[0]["model"].joints[0].position == 1.0009
+
+
 def test_nothing_is_saved_over(kitchen, tmp_path):
     (tmp_path / "mine").write_text("mine", encoding="utf-8")
     with pytest.raises(SceneError, match="not empty"):

@@ -224,8 +224,8 @@ def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place:
     if joint.type not in SETTABLE:
         raise SceneError(f"{place}: a {joint.type} joint has no position")
     low, high = _range(joint)
-    # Solvers, and whoever moves it, leave a joint a little beyond its limits.
-    if value is not None and not low - SLACK <= value <= high + SLACK:
+    # Solvers leave a joint a little beyond its limits, and worlds are saved so.
+    if value is not None and not low - SLACK < value < high + SLACK:
         raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
 
 
