@@ -412,6 +412,20 @@ def test_hulls_and_meshes_of_others(client, tmp_path):
     assert dynamics(copy) == dynamics(world)
 
 
+def test_models_of_others(kitchen):
+    """The kitchen, of which nothing is known but what its client tells."""
+    kitchen.step(60)
+    bodies = [member for member in kitchen.snapshot.listed if member.body is not None]
+    names = {member.body.handle: member.name for member in bodies}
+    world = ssduck.World.attach(kitchen.simulator.client, names=names)
+    with pytest.warns(UserWarning, match="barrett_4918, roomba_625x: what motors do"):
+        copy = world.excerpt(world)
+    assert farthest(world, copy) < 1e-12
+    assert dynamics(copy) == dynamics(world)
+    pictures = [one.render(160, 120, kitchen.camera).astype(int) for one in (world, copy)]
+    assert np.abs(pictures[0] - pictures[1]).mean() < 0.01
+
+
 def test_constraints_come_with_both_of_their_bodies(menagerie):
     assert len(constraints(menagerie.excerpt(["first", "second"]))) == 2
     assert [told[0] for told in constraints(menagerie.excerpt(["first"]))] == [
