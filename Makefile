@@ -2,7 +2,7 @@
 PYTHON ?= .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test lint bench docs scene
+.PHONY: help setup test lint bench docs scenes
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -18,7 +18,9 @@ lint: ## check style and types, and that what is generated is up to date
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
-	$(PYTHON) tools/build_kitchen.py --check
+	$(PYTHON) -m tools.build_kitchen --check
+	$(PYTHON) -m tools.build_hall --check
+	$(PYTHON) -m tools.build_chaos --check
 	$(PYTHON) tools/write_reference.py --check
 
 bench: ## print the tables of the benchmarks
@@ -27,5 +29,7 @@ bench: ## print the tables of the benchmarks
 docs: ## write the manual's generated pages
 	$(PYTHON) tools/write_reference.py
 
-scene: ## write the files of the kitchen
-	$(PYTHON) tools/build_kitchen.py
+scenes: ## write the files of the scenes that are shipped
+	$(PYTHON) -m tools.build_kitchen
+	$(PYTHON) -m tools.build_hall
+	$(PYTHON) -m tools.build_chaos

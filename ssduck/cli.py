@@ -8,14 +8,12 @@ need it, so that help is there at once.
 from __future__ import annotations
 
 import contextlib
-import inspect
 import io
 import math
 import os
 import re
 import signal
 import sys
-import time
 import warnings
 from collections.abc import Iterator
 from enum import StrEnum
@@ -28,28 +26,14 @@ from typer.core import TyperGroup
 from ssduck.answers import (
     WRITERS,
     Answer,
-    answer_of,
-    console_of_answers,
     print_line,
     print_table,
-    readable,
-    table_of,
 )
 from ssduck.cli_records import episodes, export, is_record, opened_or_loaded, record
-from ssduck.errors import SelectScriptError
+from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.text import Text
-
-    from ssduck.demo import Question
-    from ssduck.interpreter import Interpreter
-    from ssduck.world import World
-
-# Of both languages, and of Python's as far as the demonstration uses them.
-_KEYWORDS = (
-    r"(?i)\b(SELECT|FROM|WHERE|ORDER BY|LIMIT|DESC|AS|AND|OR|NOT|TRUE|FALSE|def|if|return)\b"
-)
+    pass
 
 
 class Format(StrEnum):
@@ -178,45 +162,95 @@ def _ssduck(
 
 @app.command()
 def demo(
-    scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="The scene that is asked: a name or a path.")
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="The demonstration (see --list), or a scene: a name or a path."
+        ),
     ] = "kitchen",
+    listed: Annotated[
+        bool, typer.Option("--list", help="List the demonstrations, and show none.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="The folder that pictures go to.", show_default="this folder"),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Decides what is drawn by chance.")
+    ] = 0,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
-            help="Where the picture of the scene goes.",
-            show_default="SCENE.png here",
+            help="Of a scene, the file of its picture.",
+            show_default="SCENE.png in that folder",
         ),
     ] = None,
     picture: Annotated[
-        bool, typer.Option("--picture/--no-picture", help="Whether to draw the scene.")
+        bool, typer.Option("--picture/--no-picture", help="Whether to draw a scene.")
     ] = True,
     sql: Annotated[
-        bool, typer.Option("--sql/--no-sql", help="Whether to show the SQL that programs become.")
+        bool,
+        typer.Option("--sql/--no-sql", help="Whether to show the SQL of a scene's questions."),
     ] = True,
 ) -> None:
-    """Walk through the tutorial's questions: the program, its SQL, the answer; draw the scene."""
-    from ssduck.demo import questions
-    from ssduck.opening import load
+    """Show what ssduck does: the tutorial's questions, or another demonstration.
+
+    A scene is asked general questions: each program, its SQL and its answer. The kitchen is
+    asked those of SelectScript's tutorial.
+    """
+    from ssduck.demos import NAMES, description_of, run_of
+
+    if listed:
+        told = [(each, description_of(each)) for each in NAMES]
+        print_table(Answer(["demo", "what it shows"], told))
+        return
+    if output is not None and (out is not None or not picture):
+        other = "--no-picture" if out is None else "--out"
+        raise typer.BadParameter(f"--output and {other} exclude each other")
+    folder = _made(out or Path())
+    if name not in NAMES or name == "kitchen":
+        _ask_scene(name, folder, output, picture=picture, with_sql=sql)
+    elif output is not None or not picture or not sql:
+        raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
+    elif not run_of(name)(folder, print_line, seed=seed):
+        raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
+
+
+def _ask_scene(
+    name: str, folder: Path, output: Path | None, *, picture: bool, with_sql: bool
+) -> None:
+    """Show a scene by questions.
+
+    Raises:
+        UnknownNameError: it is neither a scene nor, as it seems, meant to be one.
+    """
+    from ssduck.demos import NAMES
+    from ssduck.demos.kitchen import ask
     from ssduck.scenes import find_scene
 
-    if output is not None and not picture:
-        raise typer.BadParameter("--output and --no-picture exclude each other")
-    description = find_scene(scene)
-    console = console_of_answers()
-    with load(scene) as ss:
-        asked = questions(description)
-        taken = 0.0
-        for number, question in enumerate(asked, 1):
-            console.print(f"{number}. {question.asks}", style="bold")
-            taken += _demonstrate(ss, question, console, sql)
-        console.print(f"{len(asked)} questions in {taken:.2f} s")
-        if picture:
-            target = output or Path(f"{description.name}.png")
-            _draw(ss.call_variable(description.name), target)
-            console.print(f"The scene is drawn in {target}", soft_wrap=True)
+    try:
+        scene = find_scene(name)
+    except UnknownNameError as error:
+        message = f"there is no demonstration {name!r}: {', '.join(NAMES)}; and {error.message}"
+        names = dict.fromkeys((*nearest(name, NAMES), *error.suggestions))
+        raise UnknownNameError(message, suggestions=tuple(names)) from error
+    target = (output or folder / f"{scene.name}.png") if picture else None
+    ask(scene, print_line, picture=target, with_sql=with_sql)
+
+
+def _made(folder: Path) -> Path:
+    """The folder, made if it is not there.
+
+    Raises:
+        SelectScriptError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SelectScriptError(f"{folder} cannot be made: {error.strerror}") from error
+    return folder
 
 
 @app.command()
@@ -323,22 +357,6 @@ def _usage_and_gist(text: str) -> tuple[str, str]:
     return usage.removeprefix("Usage: "), re.split(r"(?<=\.) ", about, maxsplit=1)[0]
 
 
-def _draw(world: World, target: Path) -> None:
-    """Write a picture of a scene.
-
-    Raises:
-        SelectScriptError: the file cannot be written.
-    """
-    from PIL import Image
-
-    picture = Image.fromarray(world.render())
-    try:
-        picture.save(target)
-    except (OSError, ValueError) as error:  # a ValueError: no format has such an ending
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise SelectScriptError(f"{target} cannot be written: {reason}") from error
-
-
 # -- the program --------------------------------------------------------------------------
 
 
@@ -378,50 +396,3 @@ def _decoded(content: bytes, source: str) -> str:
         raise SelectScriptError(
             f"{source} is not UTF-8: byte {error.start} is 0x{content[error.start]:02x}"
         ) from error
-
-
-# -- the demonstration --------------------------------------------------------------------
-
-
-def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql: bool) -> float:
-    """Ask a question and show all of it; how long the answer took, in seconds."""
-    from rich.table import Table
-
-    added = question.addition
-    if added is not None:
-        ss.add_function(added.name, added.function, added.help)
-    start = time.perf_counter()
-    value = ss.sql(question.program) if question.sql else ss.eval(question.program)
-    taken = time.perf_counter() - start
-    answer = answer_of(value)
-
-    grid = Table.grid(padding=(0, 2, 1, 0))
-    grid.add_column(style="dim", min_width=9)
-    grid.add_column(overflow="fold")
-    if added is not None:
-        grid.add_row("  Python", _highlighted(inspect.getsource(added.function)))
-    grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
-    if with_sql and not question.sql and (sql := ss.explain(question.program)):
-        grid.add_row("  as SQL", _compact(sql), style="dim")
-    grid.add_row("  answer", table_of(answer) if answer.named else readable(value))
-    with console.capture() as captured:
-        console.print(grid)
-        console.line()
-    # Padding at the ends of lines is in the way of those who copy or compare them.
-    sys.stdout.write(re.sub(r" +$", "", captured.get(), flags=re.MULTILINE))
-    return taken
-
-
-def _highlighted(code: str) -> Text:
-    from rich.text import Text
-
-    text = Text(code.strip())
-    text.highlight_regex(_KEYWORDS, "cyan")
-    text.highlight_regex(r"'[^']*'|\"[^\"]*\"", "green")
-    return text
-
-
-def _compact(sql: str) -> str:
-    """SQL with a line a clause; what is indented continues the clause before it."""
-    joined = re.sub(r"\n\s+(?=\S)", " ", re.sub(r"\n\s+(?=\))", "", sql))
-    return joined.replace("( ", "(")

@@ -19,7 +19,7 @@ from ssduck.world import World
 FILE = "scene.toml"
 
 # What of a scene, and of each of its parts, is told otherwise than by its own name.
-_SCENE = ("description", "gravity", "timestep", "time")
+_SCENE = ("description", "gravity", "timestep", "time", "elastic")
 
 
 def save(world: World, folder: Path) -> Path:

@@ -35,7 +35,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class BodySpec:
-    """A body of a scene: position (metres) and orientation (w, x, y, z) of its base link frame."""
+    """A body of a scene: position (metres) and orientation (w, x, y, z) of its base link frame.
+
+    `velocity` is what it begins with, of its centre of mass, m/s, and angular, rad/s, in the
+    world frame.
+    """
 
     name: str | None
     kind: Literal["robot", "kinbody"] | None
@@ -135,7 +139,10 @@ class SensorSpec:
 
 @dataclass(frozen=True)
 class Scene:
-    """A whole scene; bodies and sensors in load order."""
+    """A whole scene; bodies and sensors in load order.
+
+    In an `elastic` one there is neither friction nor damping, and collisions lose no energy.
+    """
 
     name: str
     path: Path
@@ -146,6 +153,7 @@ class Scene:
     camera: Camera = Camera()
     bodies: tuple[BodySpec, ...] = ()
     sensors: tuple[SensorSpec, ...] = ()
+    elastic: bool = False
     constraints: tuple[ConstraintSpec, ...] = ()
     engine: Engine = Engine()
 
@@ -243,6 +251,7 @@ def _scene(table: Table, path: Path) -> Scene:
         ),
         bodies=bodies,
         sensors=sensors,
+        elastic=table.flag("elastic", False),
         constraints=constraints,
         engine=Engine(
             engine.whole("substeps", at_least=0),
@@ -290,6 +299,8 @@ def _body(table: Table, path: Path) -> BodySpec:
         visible=table.flag("visible", True),
         own_inertia=table.flag("own_inertia", False),
     )
+    if spec.fixed and any(spec.velocity):
+        table.fail("velocity", "what is fixed does not move")
     table.end()
     return spec
 

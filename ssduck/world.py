@@ -22,6 +22,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
+from ssduck.geometry import Indices
 from ssduck.kinematics import JointValues, Pose, pose_of, positions_of
 from ssduck.openrave import WorldSpellings
 from ssduck.scenes import Camera, Scene, SensorSpec
@@ -189,11 +190,28 @@ class World(Ticked, WorldSpellings):
             self._simulator.close()
 
     def render(
-        self, width: int = 960, height: int = 720, camera: Camera | None = None
+        self,
+        width: int = 960,
+        height: int = 720,
+        camera: Camera | None = None,
+        *,
+        shadow: bool = True,
     ) -> npt.NDArray[np.uint8]:
         """A colour picture of the simulation as it is now, (height, width, 3)."""
         with self.lock:
-            return self._simulator.render(camera or self.camera, width, height)
+            return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
+
+    def segmentation(
+        self, width: int = 960, height: int = 720, camera: Camera | None = None
+    ) -> Indices:
+        """What each pixel of that picture shows, (height, width): an entity's id; 0 for nothing."""
+        with self.lock:
+            shown = self._simulator.segment(camera or self.camera, width, height)
+            ids = np.zeros(int(shown.max(initial=-1)) + 2, dtype=np.intp)
+            for member in self._members.listed:
+                if member.body is not None and member.body.handle < len(ids) - 1:
+                    ids[member.body.handle] = member.id
+        return ids[shown]  # nothing is -1: the last one
 
     # -- what if --------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 import ssduck
 from ssduck import opening
 from ssduck.cli import app
-from ssduck.demo import KITCHEN
+from ssduck.demos.kitchen import KITCHEN
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")

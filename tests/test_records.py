@@ -734,7 +734,7 @@ def test_a_folder_below_a_file(tmp_path, client):
 RECORDER = """
 import os, signal, sys
 import ssduck
-from ssduck.demo import KITCHEN
+from ssduck.demos.kitchen import KITCHEN
 ss = ssduck.load("kitchen", sys.argv[1])
 kitchen = ss.call_variable("kitchen")
 for _ in range(10):

@@ -173,6 +173,36 @@ def test_joints_begin_where_they_may_and_stay_there(scene):
         )
 
 
+BALL = robot(link("ball", shapes=collision('<sphere radius="0.1"/>')), name="ball")
+BALLS = """
+gravity = [0, 0, 0]
+{}
+[[body]]
+name = "left"
+urdf = "ball.urdf"
+velocity = [1, 0, 0, 0, 0, 2]
+[[body]]
+name = "right"
+urdf = "ball.urdf"
+position = [0.5, 0, 0]
+velocity = [-0.5, 0.25, 0, 0, 0, 0]
+"""
+
+
+@pytest.mark.parametrize("elastic", [True, False])
+def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
+    """Two balls of one mass that meet head-on exchange their speeds along the line of centres."""
+    write("ball.urdf", BALL)
+    text = BALLS.replace("0.25", "0") if elastic else BALLS
+    with ssduck.load(write("room.toml", text.format("elastic = true" if elastic else ""))) as ss:
+        room = ss.call_variable("room")
+        assert room["left"].velocity == pytest.approx([1, 0, 0, 0, 0, 2])
+        room.step(120)
+        after = [*room["left"].velocity, *room["right"].velocity]
+        expected = [-0.5, 0, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0]
+        assert (after == pytest.approx(expected, abs=1e-6)) == elastic
+
+
 # -- the manual -------------------------------------------------------------------------------
 
 
@@ -225,6 +255,7 @@ MISTAKES = [
     ("timestep = -0.1", "timestep", "-0.1 is not above 0", ()),
     ("timestep = inf", "timestep", "expected a finite number, found inf", ()),
     ("timestep = '1'", "timestep", "expected a finite number, found '1'", ()),
+    ("elastic = 1", "elastic", "expected true or false, found 1", ()),
     ("timestep = true", "timestep", "expected a finite number, found True", ()),
     # the camera
     ("camera = 3", "camera", "expected a table, found 3", ()),
@@ -256,6 +287,14 @@ MISTAKES = [
     (BODY + "joints = 3", "body[0].joints", "expected a table", ()),
     (BODY + "joints = { j = 'x' }", "body[0].joints.j", "expected a finite number", ()),
     (BODY + "joints = { j = nan }", "body[0].joints.j", "expected a finite number", ()),
+    (BODY + "velocity = [0, 0, 0]", "body[0].velocity", "expected 6 finite numbers", ()),
+    (BODY + "velocity = [0, 0, 0, 0, 0, nan]", "body[0].velocity", "expected 6 finite", ()),
+    (
+        BODY + "fixed = true\nvelocity = [0, 0, 0, 0, 0, 1]",
+        "body[0].velocity",
+        "what is fixed does not move",
+        (),
+    ),
     (BODY + BODY, "body[1].name", "'a' is there already", ()),
     # sensors
     (SENSOR.replace("range_finder", "range"), "sensor[0].type", "no sensor type 'range'", None),
@@ -312,6 +351,7 @@ BOUNDARIES = [
     BODY + "orientation = [1.0009, 0, 0, 0]",
     SENSOR + "period = 0",
     LASER.replace("-45", "45"),
+    BODY + "fixed = true\nvelocity = [0, 0, 0, 0, 0, 0]",
 ]
 
 
@@ -434,6 +474,32 @@ def test_the_shipped_scenes_are_all_sound():
         assert find_scene(name) == read_scene(path)
 
 
+def test_the_hall_stands_still_and_nothing_is_in_anything():
+    with ssduck.load("hall") as ss:
+        hall = ss.call_variable("hall")
+        before = {entity.name: entity.position for entity in hall}
+        collide = "SELECT id(a.this) FROM a=hall, b=hall WHERE penetration(a.this, b.this) > 0.001"
+        assert (
+            ss.eval(f"{collide} AND id(a.this) != 'goal' AND id(b.this) != 'goal' AS list;") == []
+        )
+        hall.step(240)
+        for entity in hall:
+            assert entity.position == pytest.approx(before[entity.name], abs=1e-3), entity.name
+
+
+def test_what_flies_about_begins_apart_and_stays_in_its_box():
+    with ssduck.load("chaos") as ss:
+        chaos = ss.call_variable("chaos")
+        collide = "SELECT id(a.this) FROM a=chaos, b=chaos WHERE collides(a.this, b.this) AS list;"
+        assert ss.eval(collide) == []
+        flying = "SELECT id FROM chaos WHERE mass(this) > 0 AS list;"
+        kinds = {name.rsplit("_", 1)[0] for name in ss.eval(flying)}
+        assert kinds == {"box", "sphere", "cylinder", "capsule"}
+        chaos.step(480)
+        inside = "SELECT id FROM chaos WHERE mass(this) > 0 AND inBox(this, [-2,-2,-2], [2,2,2]) AS list;"
+        assert ss.eval(inside) == ss.eval(flying)
+
+
 @pytest.mark.parametrize(
     ("name", "nearest"), [("kitchn", ("kitchen",)), ("KITCHEN", ("kitchen",)), ("moon", ())]
 )
@@ -535,12 +601,15 @@ def test_a_model_by_itself_that_cannot_be_loaded(write, capfd, name):
     assert capfd.readouterr() == ("", "")
 
 
-# -- the kitchen's tool --------------------------------------------------------------------------
+# -- the tools of the shipped scenes -------------------------------------------------------------
 
 
-def test_the_kitchens_files_are_what_its_tool_writes():
+@pytest.mark.parametrize("name", ["kitchen", "hall", "chaos"])
+def test_the_files_of_a_scene_are_what_its_tool_writes(name):
+    assert name in shipped_scenes()
     done = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "build_kitchen.py"), "--check"],
+        [sys.executable, "-m", f"tools.build_{name}", "--check"],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,

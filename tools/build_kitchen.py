@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-SCENE = Path(__file__).resolve().parent.parent / "scenes" / "kitchen"
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
 Span = tuple[float, float]
 Vec = tuple[float, float, float]
@@ -135,7 +135,7 @@ def profile(points: Sequence[Span], x0: float, x1: float) -> Piece:
 
 @dataclass(frozen=True)
 class Shape:
-    """What collides and is drawn: `kind` box, cylinder, sphere or mesh, of `size` or `pieces`."""
+    """What collides and is drawn: box, cylinder, sphere, capsule of a `size`, mesh of `pieces`."""
 
     colour: str
     kind: str
@@ -144,6 +144,7 @@ class Shape:
     rpy: Vec = (0.0, 0.0, 0.0)
     part: str = ""
     pieces: tuple[Piece, ...] = ()
+    drawn: bool = True
 
 
 @dataclass(frozen=True)
@@ -896,6 +897,7 @@ class Body:
     orientation: Quat = (1.0, 0.0, 0.0, 0.0)
     fixed: bool = False
     joints: dict[str, float] = field(default_factory=dict)
+    velocity: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -1017,8 +1019,9 @@ def solids(shape: Shape) -> Iterable[Piece]:
     """The shape as polyhedra; a ball becomes the cube of the same moment of inertia per mass."""
     if shape.kind == "mesh":
         return shape.pieces
-    if shape.kind == "cylinder":
+    if shape.kind in ("cylinder", "capsule"):  # a capsule of the length of all of it
         radius, length = shape.size
+        length += 2 * radius * (shape.kind == "capsule")
         flat, half = ngon(16, 0.0, 0.0, radius), length / 2
     else:
         size = shape.size if shape.kind == "box" else (shape.size[0] * math.sqrt(2.4),) * 3
@@ -1079,6 +1082,9 @@ def geometry(model: Model, shape: Shape) -> str:
             return f'<cylinder radius="{number(shape.size[0])}" length="{number(shape.size[1])}"/>'
         case "sphere":
             return f'<sphere radius="{number(shape.size[0])}"/>'
+        case "capsule":
+            radius, length = map(number, shape.size)
+            return f'<capsule radius="{radius}" length="{length}"/>'
     return f'<mesh filename="meshes/{model.name}_{shape.part}.obj"/>'
 
 
@@ -1099,6 +1105,8 @@ def link_lines(model: Model, link: Link) -> Iterator[str]:
     for shape in link.shapes:
         body = f"{place(shape.origin, shape.rpy)}<geometry>{geometry(model, shape)}</geometry>"
         yield f"    <collision>{body}</collision>"
+        if not shape.drawn:  # without anything to draw PyBullet draws what collides
+            body = f'{place(shape.origin)}<geometry><box size="0.0001 0.0001 0.0001"/></geometry>'
         yield f'    <visual>{body}<material name="{shape.colour}"/></visual>'
     yield "  </link>"
 
@@ -1143,6 +1151,8 @@ def body_lines(body: Body) -> Iterator[str]:
     yield f"position = {array(body.position)}\norientation = {array(body.orientation)}"
     if body.fixed:
         yield "fixed = true"
+    if body.velocity:
+        yield f"velocity = {array(body.velocity)}"
     if body.joints:
         values = ", ".join(f"{name} = {real(v)}" for name, v in body.joints.items())
         yield f"joints = {{ {values} }}"
@@ -1157,28 +1167,19 @@ def sensor_lines(sensor: Sensor) -> Iterator[str]:
         yield f"{key} = {real(value)}"
 
 
-def scene_text() -> str:
-    lines = [
-        "# Written by tools/build_kitchen.py; change it there.",
-        'name = "kitchen"',
-        'description = "A kitchen with a laid table, appliances and four robots."',
-        "gravity = [0.0, 0.0, -9.81]",
-        f"timestep = {1 / 240!r}",
-        "\n[camera]",
-        "eye = [3.55, -4.1, 3.45]",
-        "target = [0.18, 0.03, 0.7]",
-        "fov = 47.0",
-    ]
-    for body in [*ROBOTS, *KINBODIES]:
+def scene_text(heading: str, bodies: Iterable[Body], sensors: Iterable[Sensor]) -> str:
+    lines = [heading.strip()]
+    for body in bodies:
         lines += body_lines(body)
-    for sensor in SENSORS:
+    for sensor in sensors:
         lines += sensor_lines(sensor)
     return "\n".join(lines) + "\n"
 
 
-def files() -> dict[Path, str]:
-    texts = {Path("scene.toml"): scene_text()}
-    for model in MODELS:
+def files(scene: str, models: Iterable[Model]) -> dict[Path, str]:
+    """What is in a scene's folder: `scene.toml`, of that text, and models."""
+    texts = {Path("scene.toml"): scene}
+    for model in models:
         texts[Path(f"{model.name}.urdf")] = urdf_text(model)
         for shape in (shape for link in model.links for shape in link.shapes):
             if shape.kind == "mesh":
@@ -1186,23 +1187,43 @@ def files() -> dict[Path, str]:
     return texts
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description="Write the kitchen scene.")
+def write(name: str, texts: dict[Path, str]) -> int:
+    """Write the folder of a scene, or compare it with what is there; the exit status."""
+    parser = argparse.ArgumentParser(description=f"Write the scene {name}.")
     parser.add_argument("--check", action="store_true", help="only report files that differ")
     check = parser.parse_args().check
-    texts = files()
-    there = {p.relative_to(SCENE): p.read_text() for p in SCENE.rglob("*") if p.is_file()}
+    folder = SCENES / name
+    there = {p.relative_to(folder): p.read_text() for p in folder.rglob("*") if p.is_file()}
     differing = sorted(p for p in texts.keys() | there.keys() if texts.get(p) != there.get(p))
     for path in differing:
         print(path)
         if check:
             continue
-        (SCENE / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
         if path in texts:
-            (SCENE / path).write_text(texts[path])
+            (folder / path).write_text(texts[path])
         else:
-            (SCENE / path).unlink()
+            (folder / path).unlink()
     return 1 if check and differing else 0
+
+
+HEADING = f"""
+# Written by tools/build_kitchen.py; change it there.
+name = "kitchen"
+description = "A kitchen with a laid table, appliances and four robots."
+gravity = [0.0, 0.0, -9.81]
+timestep = {1 / 240!r}
+
+[camera]
+eye = [3.55, -4.1, 3.45]
+target = [0.18, 0.03, 0.7]
+fov = 47.0
+"""
+
+
+def main() -> int:
+    scene = scene_text(HEADING, [*ROBOTS, *KINBODIES], SENSORS)
+    return write("kitchen", files(scene, MODELS))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ one; so does a package that has entry points of the group `ssduck.adapters`.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from ssduck.adapters.environment import WORLDS
 from ssduck.adapters.grids import GRIDS
 from ssduck.adapters.logic import LOGIC
 from ssduck.adapters.network import NETWORK
+from ssduck.adapters.spatial import SPATIAL
 from ssduck.adapters.tabular import TABULAR
 from ssduck.adapters.values import VALUES
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
@@ -27,13 +28,15 @@ GROUP = "ssduck.adapters"
 
 _ADAPTERS: dict[str, Adapter] = {
     name: form
-    for form in (*VALUES, *TABULAR, *LOGIC, *NETWORK, *GRIDS, *WORLDS)
+    for form in (*VALUES, *TABULAR, *LOGIC, *NETWORK, *GRIDS, *SPATIAL, *WORLDS)
     for name in form.names
 }
 _BUILT_IN = frozenset(_ADAPTERS)
 
 
-def adapter(*names: str, needs: Need = "rows", help: str | None = None) -> Callable[[Maker], Maker]:
+def adapter(
+    *names: str, needs: Need = "rows", help: str | None = None, tables: Collection[str] = ()
+) -> Callable[[Maker], Maker]:
     """Make a function a form of results, that programs call by `AS name`.
 
         @ssduck.adapter("count")
@@ -45,6 +48,8 @@ def adapter(*names: str, needs: Need = "rows", help: str | None = None) -> Calla
         names: what programs call it; the function's own name by default.
         needs: what it reads; see `Adapter`. By default all rows.
         help: what `help('AS')` tells; by default the function's docstring.
+        tables: what it reads of the tick beside the entities, so that the tick has it: `"links"`,
+            `"joints"`, `"shapes"`, `"contacts"`, `"sensings"`.
 
     Returns:
         What makes a function such a form, and leaves the function as it is. The function is
@@ -65,7 +70,7 @@ def adapter(*names: str, needs: Need = "rows", help: str | None = None) -> Calla
             if name in _BUILT_IN:
                 raise ArgumentError(f"AS {name} is one of ssduck's own forms; choose another name")
         told = help or inspect.getdoc(make) or "A form of your own."
-        form = Adapter(called, told, make, needs)
+        form = Adapter(called, told, make, needs, tables=frozenset(tables))
         _ADAPTERS.update(dict.fromkeys(called, form))
         return make
 

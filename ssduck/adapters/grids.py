@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ssduck.adapters.arguments import number, numbers, positive
 from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.entities import Entity, Sensor
 from ssduck.errors import ArgumentError
 from ssduck.geometry import Array, rotation_matrices
@@ -21,7 +23,6 @@ from ssduck.sightlines import are_blocked
 from ssduck.slicing import Slicer
 from ssduck.solids import PlacedSolids
 from ssduck.tree import Bare, Call, Name, Query, This
-from ssduck.world import World
 
 MOST_CELLS = 100_000_000
 # Cells that sensors look at together.
@@ -42,19 +43,19 @@ def _occupancy(
     heights = z_pos if isinstance(z_pos, list | tuple) else [z_pos, z_pos]
     if len(heights) != 2:
         raise ArgumentError(f"z_pos is a height or [lowest, highest], not {shown(z_pos)}")
-    low, high = (_number(height, "z_pos") for height in heights)
+    low, high = (number(height, "z_pos") for height in heights)
     if low > high:
         raise ArgumentError(f"z_pos: the lowest height {low:g} is above the highest, {high:g}")
-    size = _size(grid_size)
-    placed = _shapes_of(selection)
+    size = positive(grid_size, "the size of a cell")
+    placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 2)
     counts = _counts(lower, upper, size)
     return _sliced(placed, lower, size, counts, (low, high))
 
 
 def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025) -> OccupancyGrid:
-    z, size = _number(z_pos, "z_pos"), _size(grid_size)
-    placed = _shapes_of(selection)
+    z, size = number(z_pos, "z_pos"), positive(grid_size, "the size of a cell")
+    placed = shapes_of(selection)
     lower, upper = _bounds(None, placed, 2)
     # The tutorial's module is asked for one cell more than the bounds have.
     nx, ny = (count + 1 for count in _counts(lower, upper, size))
@@ -75,8 +76,8 @@ def _sliced(
 
 
 def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGrid:
-    size = _size(grid_size)
-    placed = _shapes_of(selection)
+    size = positive(grid_size, "the size of a cell")
+    placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 3)
     nx, ny, nz = _counts(lower, upper, size)
     raster, slicer = Raster((lower[0], lower[1]), size, (nx, ny)), Slicer(placed)
@@ -93,12 +94,12 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
 def _sensor_grid(
     selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
 ) -> SensorGrid:
-    z, size = _number(z_pos, "z_pos"), _size(grid_size)
+    z, size = number(z_pos, "z_pos"), positive(grid_size, "the size of a cell")
     sensors = [entity for entity in selection.entities if isinstance(entity, Sensor)]
     if not sensors and selection.entities:
         raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
     world = selection.world
-    placed = _placed(world, [e for e in world if not isinstance(e, Sensor)])
+    placed = placed_shapes(world, [e for e in world if not isinstance(e, Sensor)])
     has_end = placed.of(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
     lower, upper = _bounds(bounds, has_end, 2)
     nx, ny = _counts(lower, upper, size)
@@ -137,9 +138,9 @@ def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 
     plane = axes.upper() if isinstance(axes, str) else ""
     if plane not in _PLANES:
         raise ArgumentError(f"axes are 'XY', 'XZ' or 'YZ', not {shown(axes)}")
-    lower = np.array(_numbers(origin, 2, "origin", "[first, second]"))
-    *counts, side = _numbers(size, 3, "size", "[cells along first, along second, m a cell]")
-    side = _size(side)
+    lower = np.array(numbers(origin, 2, "origin", "[first, second]"))
+    *counts, side = numbers(size, 3, "size", "[cells along first, along second, m a cell]")
+    side = positive(side, "the size of a cell")
     if any(count < 1 or count != int(count) for count in counts):
         raise ArgumentError(f"size: there are whole numbers of cells, not {shown(size)}")
     nx, ny = map(int, counts)
@@ -206,30 +207,7 @@ def _is_entity(item: Any) -> bool:
     return isinstance(item, This) or (isinstance(item, Name | Bare | Call) and item.name == "obj")
 
 
-# -- arguments, bounds, shapes --------------------------------------------------------------------
-
-
-def _number(value: Any, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise ArgumentError(f"{what} is a number, not {shown(value)}")
-    if not math.isfinite(value):
-        raise ArgumentError(f"{what} is a finite number, not {shown(value)}")
-    return float(value)
-
-
-def _numbers(values: Any, count: int, what: str, form: str) -> list[float]:
-    if isinstance(values, np.ndarray):
-        values = values.tolist()
-    if not isinstance(values, list | tuple) or len(values) != count:
-        raise ArgumentError(f"{what} is {form}, not {shown(values)}")
-    return [_number(value, what) for value in values]
-
-
-def _size(value: Any) -> float:
-    size = _number(value, "the size of a cell")
-    if size <= 0.0:
-        raise ArgumentError(f"the size of a cell is above 0 m, not {shown(value)}")
-    return size
+# -- bounds ---------------------------------------------------------------------------------------
 
 
 def _bounds(
@@ -258,7 +236,7 @@ def _given_bounds(given: Any, count: int) -> tuple[tuple[float, ...], tuple[floa
     if not isinstance(given, list | tuple) or len(given) != 2:
         raise ArgumentError(f"bounds are {form}, not {shown(given)}")
     lower, upper = (
-        tuple(_numbers(c[:count] if isinstance(c, list | tuple) else c, count, "bounds", form))
+        tuple(numbers(c[:count] if isinstance(c, list | tuple) else c, count, "bounds", form))
         for c in given
     )
     return lower, upper
@@ -283,27 +261,6 @@ def _check_count(counts: tuple[int, ...]) -> None:
         )
 
 
-def _shapes_of(selection: Selection) -> PlacedSolids:
-    """The shapes of what is selected."""
-    entities = [entity for entity in selection.entities if not isinstance(entity, Sensor)]
-    if not entities:
-        return PlacedSolids.none()
-    return _placed(selection.world, entities)
-
-
-def _placed(world: World, entities: Sequence[Entity]) -> PlacedSolids:
-    for entity in entities:
-        if not entity.is_there:
-            raise entity.removed()
-    world.ask(("shapes",))
-    shapes = world.snapshot.shapes()
-    ids = [entity.id for entity in entities]
-    for id in shapes.unknown(ids)[:1]:
-        name = world.entity(id).name
-        raise ArgumentError(f"{name!r} is nowhere: its pose is no number; leave it out by WHERE")
-    return shapes.placed(ids)
-
-
 def _place(entity: Entity) -> list[float]:
     place = entity.position
     if not np.isfinite(place).all():
@@ -311,36 +268,34 @@ def _place(entity: Entity) -> list[float]:
     return place
 
 
-_SHAPES = frozenset(("shapes",))
-
 GRIDS = (
     Adapter(
         ("occupancygrid", "map"),
         "The cells that shapes occupy at a height, or between two, [lowest, highest].",
         _occupancy,
         needs="entities",
-        tables=_SHAPES,
+        tables=SHAPES,
     ),
     Adapter(
         ("roombaGrid",),
         "The same with the sizes of SelectScript's tutorial, and its one cell more.",
         _roomba_grid,
         needs="entities",
-        tables=_SHAPES,
+        tables=SHAPES,
     ),
     Adapter(
         ("voxelgrid",),
         "The cubes that shapes occupy.",
         _voxels,
         needs="entities",
-        tables=_SHAPES,
+        tables=SHAPES,
     ),
     Adapter(
         ("sensorgrid",),
         "How many of the selected sensors see each cell at a height.",
         _sensor_grid,
         needs="entities",
-        tables=_SHAPES,
+        tables=SHAPES,
     ),
     Adapter(
         ("plane",),

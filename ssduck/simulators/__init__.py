@@ -224,8 +224,13 @@ class Simulator(Protocol):
     def remove(self, body: Body) -> None:
         """Take a body out; `describe` tells that it went."""
 
-    def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
-        """A colour picture, (height, width, 3)."""
+    def render(
+        self, camera: Camera, width: int, height: int, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
+        """A colour picture, (height, width, 3), with shadows or without."""
+
+    def segment(self, camera: Camera, width: int, height: int) -> Indices:
+        """The handle of the body that each pixel of it shows, (height, width); -1 for none."""
 
     def close(self) -> None:
         """Give up what the simulator holds; a client that the user made stays connected."""

@@ -73,9 +73,11 @@ class Posed:
 
     cast_rays = photograph = _perceive
 
-    def render(self, *_: Any) -> NoReturn:
+    def render(self, *_: Any, **__: Any) -> NoReturn:
         """Refuse."""
         raise UnsupportedError(f"{self.called} has no picture: no simulator draws it")
+
+    segment = render
 
     def close(self) -> None:
         """It holds nothing."""

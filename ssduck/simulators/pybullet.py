@@ -335,13 +335,26 @@ class PyBulletSimulator:
         self.hidden = self.hidden - {body} if on else self.hidden | {body}
         self._colours = {kept: self._colours.get(kept, colours) for kept in self.hidden}
 
-    def render(self, camera: Camera, width: int, height: int) -> npt.NDArray[np.uint8]:
+    def render(
+        self, camera: Camera, width: int, height: int, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
         """A colour picture by PyBullet's software renderer, (height, width, 3)."""
-        view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
-        # A view much deeper than the scene leaves too little depth apart: shadows get rings.
-        depth = 3.0 * math.dist(camera.eye, camera.target)
-        lens = pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
-        return self._drawn(width, height, view, lens, shadow=True)
+        return self._drawn(width, height, *_seen(camera, width, height), shadow=shadow)
+
+    def segment(self, camera: Camera, width: int, height: int) -> Indices:
+        """The number of the body that each pixel of that picture shows, -1 for none."""
+        view, lens = _seen(camera, width, height)
+        bodies = self._call(
+            lambda: pybullet.getCameraImage(
+                width,
+                height,
+                view,
+                lens,
+                renderer=pybullet.ER_TINY_RENDERER,
+                physicsClientId=self.client,
+            )
+        )[4]
+        return np.asarray(bodies, dtype=np.intp).reshape(height, width)
 
     def photograph(self, view: View) -> npt.NDArray[np.uint8]:
         """A colour picture by PyBullet's software renderer, without shadows."""
@@ -400,6 +413,14 @@ class PyBulletSimulator:
                 self._lost = f"PyBullet client {self.client} is disconnected"
                 raise SimulatorError(f"{self._lost}; load or attach the world again") from error
             raise SimulatorError(f"PyBullet: {error}") from error
+
+
+def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
+    """PyBullet's matrices of a camera's view and lens."""
+    view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
+    # A view much deeper than the scene leaves too little depth apart: shadows get rings.
+    depth = 3.0 * math.dist(camera.eye, camera.target)
+    return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
 
 
 def _handles(client: int) -> list[int]:

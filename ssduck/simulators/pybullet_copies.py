@@ -48,6 +48,8 @@ from ssduck.simulators.pybullet_scenes import (
     load_body,
     load_model,
     make_constraint,
+    make_elastic,
+    set_elastic,
     set_engine,
 )
 from ssduck.simulators.pybullet_states import (
@@ -182,6 +184,9 @@ class _Copier:
             timestep = told["fixedTimeStep"]
             gravity = tuple(told[f"gravityAcceleration{axis}"] for axis in "XYZ")
             set_engine(engine_of(self.source.client), self.client)
+            if self.source.filled.elastic:
+                self.filled.elastic = True
+                set_elastic(self.client)
         pybullet.setTimeStep(timestep, self.client)
         pybullet.setGravity(*gravity, physicsClientId=self.client)
 
@@ -245,6 +250,8 @@ class _Copier:
         # Meshes of another copy may have been in a file of that name, and would be kept for ever.
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self.client)
         (handle,) = load_model(spec, "", self.client)
+        if self.filled.elastic:
+            make_elastic(handle, self.client)
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)
         return handle
 

@@ -43,6 +43,7 @@ def scene_of(
         bodies=tuple(models.spec_of(original, tick) for original in originals),
         constraints=tuple(_constraints(simulator.client, names)),
         engine=Engine(**engine_of(simulator.client)),
+        elastic=simulator.filled.elastic,
     )
 
 
@@ -104,7 +105,7 @@ class _Models:
             orientation=tuple(base[3:7]),
             fixed=fixed,
             joints=positions,
-            velocity=tuple(base[7:]),
+            velocity=(0.0,) * 6 if fixed else tuple(base[7:]),
             joint_velocities={names[n]: float(states[n, 1]) for n in settable if states[n, 1]},
             hold=bool(held) or not settable,
             held={name: at for name, at in targets.items() if at != positions[name]},

@@ -55,6 +55,7 @@ class Filled:
         disabled: bodies that are to take no part in collisions.
         hidden: bodies that are not to be drawn.
         time: that it is to begin with, s.
+        elastic: whether nothing is to lose energy.
     """
 
     names: dict[int, str] = field(default_factory=dict)
@@ -65,6 +66,7 @@ class Filled:
     disabled: set[int] = field(default_factory=set)
     hidden: set[int] = field(default_factory=set)
     time: float = 0.0
+    elastic: bool = False
 
 
 def load_models(scene: Scene, client: int) -> Filled:
@@ -77,7 +79,9 @@ def load_models(scene: Scene, client: int) -> Filled:
     pybullet.setGravity(*scene.gravity, physicsClientId=client)
     engine = {name: value for name, value in asdict(scene.engine).items() if value is not None}
     set_engine(engine, client)
-    filled = Filled(time=scene.time)
+    if scene.elastic:
+        set_elastic(client)
+    filled = Filled(time=scene.time, elastic=scene.elastic)
     for index, spec in enumerate(scene.bodies):
         # A model that is loaded by itself has no entry in a scene's file.
         load_body(spec, f"{scene.path}: body[{index}]." if spec.name else "", filled, client)
@@ -85,6 +89,34 @@ def load_models(scene: Scene, client: int) -> Filled:
     # Contacts and rays of the first tick are of where things are now.
     pybullet.performCollisionDetection(client)
     return filled
+
+
+def set_elastic(client: int) -> None:
+    """Let collisions lose no energy, whatever is loaded."""
+    pybullet.setPhysicsEngineParameter(
+        # Slow contacts bounce, too; none is begun before shapes meet, which would brake
+        # them, nor pushed apart afterwards, which would speed them up.
+        restitutionVelocityThreshold=0.0,
+        contactBreakingThreshold=1e-6,
+        contactERP=0.0,
+        physicsClientId=client,
+    )
+
+
+def make_elastic(handle: int, client: int) -> None:
+    """Let a body lose no energy: neither where it meets something nor in between."""
+    for link in range(-1, pybullet.getNumJoints(handle, client)):
+        pybullet.changeDynamics(
+            handle,
+            link,
+            restitution=1.0,
+            lateralFriction=0.0,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            physicsClientId=client,
+        )
 
 
 def set_engine(engine: Mapping[str, int], client: int) -> None:
@@ -126,6 +158,8 @@ def load_body(spec: BodySpec, place: str, filled: Filled, client: int) -> Sequen
         held = _set_joints(handle, spec, place, client)
         if held:
             filled.held[handle] = held
+        if filled.elastic:
+            make_elastic(handle, client)
     return handles
 
 

@@ -1,0 +1,129 @@
+"""Shapes in space: point clouds, meshes, glTF files, pictures."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ssduck.adapters.arguments import positive, whole
+from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.shapes import SHAPES, shapes_of
+from ssduck.errors import ArgumentError
+from ssduck.highlight import highlighted
+from ssduck.messages import shown
+from ssduck.point_cloud import PointCloud, sampled
+from ssduck.solids import Solid
+
+if TYPE_CHECKING:
+    import trimesh
+    from PIL import Image
+
+# glTF has y up, and looks along -z.
+_UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+_COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
+_MOST_PIXELS = 8192
+
+
+def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
+    placed = shapes_of(selection)
+    ids = {entity.id: entity.name for entity in selection.entities}
+    spread = positive(spacing, "spacing")
+    return sampled(placed, ids, spread, whole(seed, "seed", 0, sys.maxsize))
+
+
+def _mesh(selection: Selection) -> trimesh.Scene:
+    import trimesh
+
+    placed = shapes_of(selection)
+    scene = trimesh.Scene(base_frame="world")
+    entities = {entity.id: entity for entity in selection.entities}
+    counts: Counter[int] = Counter()
+    for (solid, position, matrix), owner in zip(placed, placed.owners.tolist(), strict=True):
+        entity = entities[owner]
+        surface = _triangles(solid)
+        if surface is None:
+            raise ArgumentError(f"{entity.name!r} has a plane, which has no end; leave it out")
+        surface.visual.face_colors = _COLOURS[entity.kind]
+        surface.metadata["entity"] = entity.name
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = matrix, position
+        name = f"{entity.name}/{counts[owner]}"
+        counts[owner] += 1
+        scene.add_geometry(surface, node_name=name, geom_name=name, transform=pose)
+    return scene
+
+
+def _triangles(solid: Solid) -> Any:
+    """A shape's triangles in its own frame; None of a plane."""
+    import trimesh
+    from trimesh import creation
+
+    match solid.type:
+        case "plane":
+            return None
+        case "sphere":
+            ball = creation.icosphere(subdivisions=3, radius=solid.radius)
+            ball.apply_translation(solid.core[0])
+            return ball
+        case "capsule":
+            tube = creation.capsule(height=2.0 * solid.half, radius=solid.radius)
+            # trimesh has had its middle at the one end and in between.
+            tube.apply_translation((0.0, 0.0, -tube.bounds[:, 2].mean()))
+            return tube
+        case "cylinder":
+            return creation.cylinder(radius=solid.disc, height=2.0 * solid.half, sections=64)
+    return trimesh.Trimesh(solid.core, solid.faces, process=False)
+
+
+def _glb(selection: Selection, path: Any) -> str:
+    if not isinstance(path, str) or not path:
+        raise ArgumentError(f"glb takes the path of a file, not {shown(path)}")
+    scene: Any = _mesh(selection)
+    scene.apply_transform(_UPRIGHT)
+    file = Path(path)
+    try:
+        file.write_bytes(scene.export(file_type="glb"))
+    except OSError as error:
+        raise ArgumentError(f"{path}: {error.strerror}") from error
+    return str(file)
+
+
+def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.Image:
+    size = whole(width, "width", 1, _MOST_PIXELS), whole(height, "height", 1, _MOST_PIXELS)
+    return highlighted(selection.world, selection.entities, *size)
+
+
+SPATIAL = (
+    Adapter(
+        ("points",),
+        "Points on the surfaces of shapes at random, one for each square of that spacing, m.",
+        _points,
+        needs="entities",
+        tables=SHAPES,
+    ),
+    Adapter(
+        ("mesh",),
+        "The shapes as a trimesh scene: a node a shape, in the world frame.",
+        _mesh,
+        needs="entities",
+        tables=SHAPES,
+    ),
+    Adapter(
+        ("glb",),
+        "The same written to a glTF file, with y up as viewers want it; its path.",
+        _glb,
+        needs="entities",
+        tables=SHAPES,
+        writes=True,
+    ),
+    Adapter(
+        ("image",),
+        "A picture of the scene, all but the entities faded; sensors are shown by their bodies.",
+        _image,
+        needs="entities",
+    ),
+)

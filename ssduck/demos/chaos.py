@@ -1,0 +1,204 @@
+"""Bodies fly about in a closed box, and queries over the record count how often they collide.
+
+As in SelectScript's demonstration of its dialect for ODE: boxes, spheres, cylinders and capsules
+without gravity, which lose no energy. They begin where the scene says; how fast is drawn.
+
+The solver finds a contact in the step after the tick at which two bodies overlap. So what it
+tells can be compared with what the shapes tell: the exact narrow phase has to find the same
+pairs a tick earlier. Nobody may leave the box, and the energy has to stay, which it does
+for spheres; what is long and turns fast gains or loses some, for steps are finite.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ssduck.answers import Answer, lines_of
+from ssduck.demos.drawing import save
+
+if TYPE_CHECKING:
+    from ssduck.geometry import Array
+    from ssduck.interpreter import Interpreter
+    from ssduck.scenes import Scene
+
+Second: TypeAlias = tuple[int, int, int, float]
+Overlap: TypeAlias = tuple[int, int, int]
+
+SECONDS = 10
+# Of the first velocities, along each axis: m/s and rad/s.
+FASTEST = 2.0
+# The energy may change by that part of it.
+DRIFT = 0.15
+# What overlaps by less, m, one may see and the other not: PyBullet rounds its cylinders.
+CLEAR = 1e-3
+
+SEEN = "SELECT id FROM chaos WHERE isSensing(watcher, this) AND mass(this) > 0 AS list;"
+
+COUNTED = """\
+WITH met AS (
+    SELECT DISTINCT c.tick, c.time, c.a, c.b, greatest(a.fixed, b.fixed) AS side
+    FROM contacts_history c JOIN (SELECT id, mass = 0 AS fixed FROM entities) a ON a.id = c.a
+    JOIN (SELECT id, mass = 0 AS fixed FROM entities) b ON b.id = c.b
+), begun AS (
+    SELECT *, tick - lag(tick, 1, -9) OVER (PARTITION BY a, b ORDER BY tick) > 1 AS new FROM met
+)
+SELECT floor(time)::INT AS second, count(*) FILTER (new AND NOT side) AS bodies,
+    count(*) FILTER (new AND side) AS sides
+FROM begun GROUP BY second ORDER BY second"""
+
+COLLIDING = """\
+SELECT to(tick(a.this), 'tick'), to(environmentID(a.this), 'a'), to(environmentID(b.this), 'b'),
+    to(penetration(a.this, b.this), 'depth'), to(time(a.this), 'time')
+FROM a=chaos{-1.0}, b=chaos{-1.0}
+WHERE collides(a.this, b.this);"""
+
+CONTACTS = """
+SELECT tick - 1, a, b, max(depth) FROM contacts_history
+WHERE time > $since GROUP BY tick, a, b"""
+
+MOTION = """
+SELECT floor(time)::INT, name, vx, vy, vz, wx, wy, wz, qw, qx, qy, qz FROM entities_history
+WHERE mass > 0 QUALIFY row_number() OVER (PARTITION BY name, floor(time) ORDER BY tick) = 1
+ORDER BY floor(time)"""
+
+ESCAPED = "SELECT id FROM chaos{} WHERE mass(this) > 0 AND NOT fitsBox(this, low, high) AS list;"
+
+
+def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = SECONDS) -> bool:
+    """Let the bodies fly, count, compare with the shapes, draw."""
+    from ssduck.interpreter import Interpreter
+    from ssduck.recording import Recording
+    from ssduck.scenes import find_scene
+    from ssduck.world import World
+
+    scene = find_scene("chaos")
+    draw = random.Random(seed)  # noqa: S311  # no secret
+    scene = replace(
+        scene,
+        bodies=tuple(b if b.fixed else replace(b, velocity=_drawn(draw)) for b in scene.bodies),
+    )
+    seen: list[int] = []
+    with Interpreter() as ss:
+        chaos = ss.add_variable("chaos", World.load(scene))
+        ss.record("chaos", Recording(tables=("entities", "contacts"), seconds=seconds + 1))
+        ss.add_variable("watcher", chaos["watcher"])
+        ss.add_trigger("seen", SEEN, 0.1, lambda names: seen.append(len(names)))
+        chaos.run(seconds, every=1)
+        energies = energy(ss, scene)
+        say(COUNTED)
+        rows = [
+            (second, bodies, sides, round(energies[second], 1))
+            for second, bodies, sides in ss.sql(COUNTED).fetchall()
+            if second in energies
+        ]
+        told = Answer(["second", "body and body", "body and side", "energy, J"], rows)
+        say("\n".join(lines_of(told)))
+        say(
+            f"What the camera in the western side sees changed {len(seen) - 1} times: "
+            f"{min(seen)} to {max(seen)} bodies at once"
+        )
+        same = shapes_tell_the_same(ss, say)
+        ss.add_variable("low", [-2.05] * 3)
+        ss.add_variable("high", [2.05] * 3)
+        escaped = ss.eval(ESCAPED)
+        say(f"Out of the box: {', '.join(escaped) or 'nobody'}")
+        drift = max(abs(value / energies[0] - 1) for value in energies.values())
+        say(f"The energy is never farther than {drift:.1%} from what it was")
+        save(_picture(Image.fromarray(chaos.render(720, 540)), rows), folder / "chaos.png")
+    say(f"The end, and collisions by second: {folder / 'chaos.png'}")
+    return same and not escaped and drift < DRIFT
+
+
+def _drawn(draw: random.Random) -> tuple[float, ...]:
+    return tuple(draw.uniform(-FASTEST, FASTEST) for _ in range(6))
+
+
+def shapes_tell_the_same(ss: Interpreter, say: Callable[[str], None]) -> bool:
+    """Whether the pairs that collide by their shapes are those of which the solver tells.
+
+    The last second is looked at, but for its end: the step from there is yet to come. What overlaps
+    by more than `CLEAR` for the one has to do so for the other, at that tick or the next to it.
+    """
+    chaos = ss.call_variable("chaos")
+    say(COLLIDING)
+    shapes = {
+        (row["tick"], row["a"], row["b"]): row["depth"]
+        for row in ss.eval(COLLIDING)
+        if row["a"] < row["b"] and row["time"] < chaos.time
+    }
+    since = chaos.time - 1.0 + chaos.timestep / 2
+    solver = {
+        (tick, a, b): depth for tick, a, b, depth in ss.sql(CONTACTS, {"since": since}).fetchall()
+    }
+    say(
+        f"In the last second {len(shapes)} times two overlapped by their shapes; the solver "
+        f"found {len(solver)}, {len(shapes.keys() & solver.keys())} of them the same"
+    )
+    return _are_among(shapes, solver) and _are_among(solver, shapes)
+
+
+def _are_among(some: Mapping[Overlap, float], others: Mapping[Overlap, float]) -> bool:
+    """Whether all overlaps that are deep enough are among others, give or take a tick."""
+    return all(
+        any((tick + later, a, b) in others for later in (-1, 0, 1))
+        for (tick, a, b), depth in some.items()
+        if depth > CLEAR
+    )
+
+
+def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
+    """The kinetic energy of all that flies at the beginning of each second, J."""
+    import xml.etree.ElementTree as ET  # our own files
+
+    inertias: dict[str, tuple[float, Array]] = {}
+    for body in scene.bodies:
+        root = ET.parse(body.model).getroot()  # noqa: S314
+        mass, inertia = root.find(".//mass"), root.find(".//inertia")
+        assert mass is not None
+        assert inertia is not None
+        moments = np.array([float(inertia.attrib[axis]) for axis in ("ixx", "iyy", "izz")])
+        inertias[str(body.name)] = float(mass.attrib["value"]), moments
+    found: dict[int, float] = {}
+    for second, name, *numbers in ss.sql(MOTION).fetchall():
+        weight, moments = inertias[name]
+        velocity, spin, turn = np.split(np.array(numbers), [3, 6])
+        own = _in_body(spin, turn)
+        value = (weight * velocity @ velocity + moments @ own**2) / 2
+        found[second] = found.get(second, 0.0) + float(value)
+    return found
+
+
+def _in_body(vector: Array, turn: Array) -> Array:
+    """A vector of the world in the frame of a body whose orientation is w, x, y, z."""
+    w, axis = turn[0], -turn[1:]
+    turned: Array = vector + 2 * np.cross(axis, np.cross(axis, vector) + w * vector)
+    return turned
+
+
+def _picture(scene: Image.Image, rows: Sequence[Second]) -> Image.Image:
+    """The scene, and below it a bar a second: collisions of bodies, and with sides above them."""
+    width, high = scene.width, 130
+    whole = Image.new("RGB", (width, scene.height + high), (255, 255, 255))
+    whole.paste(scene)
+    draw = ImageDraw.Draw(whole)
+    font = ImageFont.load_default(12)
+    base, most = whole.height - 20, max((a + b for _, a, b, _ in rows), default=1)
+    step = (width - 40) / max(len(rows), 1)
+    for number, (second, bodies, sides, _) in enumerate(rows):
+        left = 20 + number * step
+        right, top = left + 0.7 * step, float(base)
+        for count, colour in ((bodies, (230, 120, 30)), (sides, (130, 190, 210))):
+            draw.rectangle((left, top - 80 * count / most, right, top), fill=colour)
+            top -= 80 * count / most
+        draw.text((left, base + 3), f"{second} s", fill=(20, 22, 26), font=font)
+        draw.text((left, top - 15), f"{bodies} + {sides}", fill=(20, 22, 26), font=font)
+    words = "collisions: of two bodies + of a body with a side"
+    draw.text((20, scene.height - 6), words, fill=(20, 22, 26), font=font)
+    return whole

@@ -1,0 +1,110 @@
+"""Pictures of demonstrations: scenes from above, with paths and names drawn over them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from ssduck.errors import SelectScriptError
+from ssduck.scenes import Camera
+
+if TYPE_CHECKING:
+    from ssduck.world import World
+
+Point: TypeAlias = tuple[float, float]
+Colour: TypeAlias = tuple[int, int, int]
+
+# How many times as high above the floor as the picture is wide the camera is: the higher, the
+# less high things lean outwards.
+_HEIGHT = 4.0
+_INK: Colour = (20, 22, 26)
+
+
+def save(picture: npt.NDArray[np.uint8] | Image.Image, target: Path) -> None:
+    """Write a picture, in the format of the file's ending.
+
+    Raises:
+        SelectScriptError: the file cannot be written.
+    """
+    image = picture if isinstance(picture, Image.Image) else Image.fromarray(picture)
+    try:
+        image.save(target, optimize=True)
+    except (OSError, ValueError) as error:  # a ValueError: no format has such an ending
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise SelectScriptError(f"{target} cannot be written: {reason}") from error
+
+
+class TopView:
+    """A world seen from above, to be drawn on in metres.
+
+    x goes to the right, y up. It is a photograph from far above: what is drawn lies on a plane
+    at the height of the floor, and things that are higher lean outwards a little.
+
+    Args:
+        world: what is drawn.
+        low: the corner of what is seen with the least x and y, metres.
+        high: the opposite corner.
+        floor: the height of the plane that is drawn on, metres.
+        width: of the picture, pixels; its height follows.
+    """
+
+    def __init__(
+        self, world: World, low: Point, high: Point, *, floor: float = 0.0, width: int = 800
+    ) -> None:
+        wide, deep = high[0] - low[0], high[1] - low[1]
+        self._scale = width / wide
+        self._corner = (low[0], high[1])
+        height = round(width * deep / wide)
+        far = _HEIGHT * max(wide, deep)
+        middle = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
+        # A camera that looks straight down does not know which way is up: it stands a little
+        # to the south, less than a pixel shows.
+        camera = Camera(
+            eye=(middle[0], middle[1] - 1e-4 * far, floor + far),
+            target=(*middle, floor),
+            fov=2 * math.degrees(math.atan2(deep / 2, far)),
+        )
+        self.image = Image.fromarray(world.render(width, height, camera, shadow=False))
+        self._draw = ImageDraw.Draw(self.image)
+        self._font = ImageFont.load_default(13)
+
+    def pixel(self, point: Sequence[float]) -> Point:
+        """Where a point is in the picture, x to the right and y down."""
+        return (
+            (point[0] - self._corner[0]) * self._scale,
+            (self._corner[1] - point[1]) * self._scale,
+        )
+
+    def path(self, points: Iterable[Sequence[float]], colour: Colour, width: int = 3) -> None:
+        """Draw a line through points."""
+        pixels = [self.pixel(point) for point in points]
+        if len(pixels) > 1:
+            self._draw.line(pixels, fill=colour, width=width, joint="curve")
+
+    def dot(self, point: Sequence[float], colour: Colour, radius: float = 6.0) -> None:
+        """Draw a disc of so many pixels, with a rim."""
+        x, y = self.pixel(point)
+        box = (x - radius, y - radius, x + radius, y + radius)
+        self._draw.ellipse(box, fill=colour, outline=_INK)
+
+    def square(self, point: Sequence[float], side: float, colour: Colour) -> None:
+        """Draw the outline of an upright square of so many metres around a point."""
+        x, y = self.pixel(point)
+        half = side * self._scale / 2
+        self._draw.rectangle((x - half, y - half, x + half, y + half), outline=colour)
+
+    def text(self, point: Sequence[float], words: str, colour: Colour = _INK) -> None:
+        """Write beside a point, on a light ground; it stays within the picture."""
+        x, y = self.pixel(point)
+        left, top, right, bottom = self._draw.textbbox((0, 0), words, font=self._font)
+        wide, high = right - left + 6, bottom - top + 4
+        x = min(max(x + 8, 0), self.image.width - wide)
+        y = min(max(y - high - 4, 0), self.image.height - high)
+        self._draw.rectangle((x, y, x + wide, y + high), fill=(255, 255, 255))
+        self._draw.text((x + 3 - left, y + 2 - top), words, fill=colour, font=self._font)

@@ -1,0 +1,227 @@
+"""The tutorial's questions about the kitchen: each program, its SQL and its answer.
+
+Scenes of other names are asked general questions.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ssduck.answers import answer_of, console_of_answers, readable, table_of
+from ssduck.demos.drawing import save
+from ssduck.scenes import Scene, find_scene, shipped_scenes
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
+
+    from ssduck.interpreter import Interpreter
+
+# Of both languages, and of Python's as far as the demonstration uses them.
+_KEYWORDS = (
+    r"(?i)\b(SELECT|FROM|WHERE|ORDER BY|LIMIT|DESC|AS|AND|OR|NOT|TRUE|FALSE|def|if|return)\b"
+)
+
+
+@dataclass(frozen=True)
+class Addition:
+    """A Python function that becomes part of the language.
+
+    Attributes:
+        name: what programs call it.
+        function: what it does.
+        help: what `help('name')` tells.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    help: str
+
+
+@dataclass(frozen=True)
+class Question:
+    """One step of the demonstration; variables stay from one to the next.
+
+    Attributes:
+        asks: the question in plain words.
+        program: the same in SelectScript, or in SQL.
+        sql: whether it is SQL.
+        addition: a function that is added before it is asked.
+    """
+
+    asks: str
+    program: str
+    sql: bool = False
+    addition: Addition | None = None
+
+
+def on(o1: Any, o2: Any) -> bool:
+    """Whether the position of o2 is over the box of o1."""
+    if o1 == o2:
+        return False
+    low, high = o1.aabb
+    x, y, z = o2.position
+    return bool(low[0] <= x <= high[0] and low[1] <= y <= high[1] and z >= high[2])
+
+
+_ON = Addition(
+    "onX",
+    on,
+    "Checks if the position of an object (o2) is above object (o1).\nUsage: onX(o1, o2) -> bool",
+)
+
+_ABOVE_EACH_OTHER = """\
+SELECT a.name AS lower, b.name AS upper
+FROM entities a, entities b
+WHERE above(a, b) AND a.kind <> 'sensor' AND b.kind <> 'sensor'
+ORDER BY a.id, b.id"""
+
+KITCHEN = (
+    Question("What is 1 + 2 * 3 - 4 / 5?", "1+2*3-4/5.;"),
+    Question(
+        "Which robots are there, and where?",
+        "SELECT id, position, type FROM kitchen WHERE isRobot(this);",
+    ),
+    Question(
+        "How large are the small things above the table?",
+        """\
+table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;
+SELECT volume FROM kitchen
+WHERE above(table, this) AND volume(this) < 0.001
+AS list;""",
+    ),
+    Question(
+        "What is below the table?",
+        "SELECT obj, volume FROM kitchen WHERE below(table, this) AS dict;",
+    ),
+    Question(
+        "What is within the microwave?",
+        """\
+microwave = SELECT obj FROM kitchen WHERE id(this) == 'microwave' AS value;
+SELECT obj, position FROM kitchen WHERE within(microwave, this) AS list;""",
+    ),
+    Question(
+        "Can a Python function be a relation, too? This one is added as onX, with a help text.",
+        "help('onX');",
+        addition=_ON,
+    ),
+    Question(
+        "What is on the table, and less than 1.3 m away from the robot that is to clean up?",
+        """\
+robot   = SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS value;
+cleanUp = SELECT obj FROM kitchen
+          WHERE onX(table, this) AND distance(robot, this) < 1.3
+          AS list;""",
+    ),
+    Question(
+        "What is above what? The same database, asked in SQL.",
+        _ABOVE_EACH_OTHER + ";",
+        sql=True,
+    ),
+)
+
+
+def questions(scene: Scene) -> tuple[Question, ...]:
+    """The tutorial's questions for the kitchen that comes with ssduck, else general ones."""
+    if scene.path == shipped_scenes().get("kitchen"):
+        return KITCHEN
+    # The name of a scene is an identifier: nothing can be injected.
+    return (
+        Question(
+            "Which robots are there, and where?",
+            f"SELECT id, position, type FROM {scene.name} WHERE isRobot(this);",  # noqa: S608
+        ),
+        Question(
+            "What are the ten highest things?",
+            f"SELECT id, type, z FROM {scene.name} ORDER BY z DESC LIMIT 10;",  # noqa: S608
+        ),
+        Question(
+            "What is above what? The first ten pairs, in SQL.",
+            _ABOVE_EACH_OTHER + " LIMIT 10;",
+            sql=True,
+        ),
+    )
+
+
+def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
+    """Ask the kitchen the tutorial's questions, and draw it; nothing of it is by chance."""
+    ask(find_scene("kitchen"), say, picture=folder / "kitchen.png")
+    return True
+
+
+def ask(
+    scene: Scene, say: Callable[[str], None], *, picture: Path | None, with_sql: bool = True
+) -> None:
+    """Ask a scene the questions that there are for it, and draw it.
+
+    Args:
+        scene: what is asked.
+        say: writes lines.
+        picture: where the picture goes, in the format of its ending; None draws nothing.
+        with_sql: whether to show the SQL that programs become.
+
+    Raises:
+        SelectScriptError: the scene cannot be loaded, or the picture not be written.
+    """
+    from ssduck.opening import load
+
+    console = console_of_answers()
+    asked = questions(scene)
+    with load(scene.path) as ss:
+        taken = 0.0
+        for number, question in enumerate(asked, 1):
+            with console.capture() as captured:
+                console.print(f"{number}. {question.asks}", style="bold")
+                taken += _demonstrate(ss, question, console, with_sql)
+            # Padding at the ends of lines is in the way of those who copy or compare them.
+            say(re.sub(r" +$", "", captured.get(), flags=re.MULTILINE))
+        say(f"{len(asked)} questions in {taken:.2f} s")
+        if picture is not None:
+            save(ss.call_variable(scene.name).render(), picture)
+            say(f"The scene is drawn in {picture}")
+
+
+def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql: bool) -> float:
+    """Ask a question and show all of it; how long the answer took, in seconds."""
+    from rich.table import Table
+
+    added = question.addition
+    if added is not None:
+        ss.add_function(added.name, added.function, added.help)
+    start = time.perf_counter()
+    value = ss.sql(question.program) if question.sql else ss.eval(question.program)
+    taken = time.perf_counter() - start
+    answer = answer_of(value)
+
+    grid = Table.grid(padding=(0, 2, 1, 0))
+    grid.add_column(style="dim", min_width=9)
+    grid.add_column(overflow="fold")
+    if added is not None:
+        grid.add_row("  Python", _highlighted(inspect.getsource(added.function)))
+    grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
+    if with_sql and not question.sql and (sql := ss.explain(question.program)):
+        grid.add_row("  as SQL", _compact(sql), style="dim")
+    grid.add_row("  answer", table_of(answer) if answer.named else readable(value))
+    console.print(grid)
+    return taken
+
+
+def _highlighted(code: str) -> Text:
+    from rich.text import Text
+
+    text = Text(code.strip())
+    text.highlight_regex(_KEYWORDS, "cyan")
+    text.highlight_regex(r"'[^']*'|\"[^\"]*\"", "green")
+    return text
+
+
+def _compact(sql: str) -> str:
+    """SQL with a line a clause; what is indented continues the clause before it."""
+    joined = re.sub(r"\n\s+(?=\S)", " ", re.sub(r"\n\s+(?=\))", "", sql))
+    return joined.replace("( ", "(")

@@ -1,0 +1,73 @@
+"""Maps of the kitchen as its vacuum cleaner needs them, of all and of what is near it.
+
+As the tutorial's section 10.2 makes them: the cells of 2.5 cm that something occupies 22 cm above
+the floor. The maps are saved as ROS's map_server reads them and loaded again; and the legs that
+stand about the table are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ssduck.demos.drawing import save
+
+if TYPE_CHECKING:
+    from ssduck.grids import OccupancyGrid
+
+ALL = "SELECT obj FROM kitchen AS roombaGrid;"
+NEAR = """\
+roomba = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;
+SELECT obj FROM kitchen WHERE distance(roomba, this) <= 1.5 AS roombaGrid;"""
+# How much larger a cell is drawn, pixels.
+TIMES = 4
+# At 22 cm the legs of the table and of four chairs stand on the floor, in this region.
+LEGS = ((0.0, -1.6), (1.6, 0.95))
+
+
+def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
+    """Make the maps, save and load them, and check them."""
+    from ssduck.opening import load
+
+    found = True
+    with load("kitchen") as ss:
+        for name, program in (("kitchen", ALL), ("near_roomba", NEAR)):
+            say(program)
+            grid: OccupancyGrid = ss.eval(program)
+            say(_told(grid))
+            target = grid.save(folder / f"{name}.yaml")
+            same = type(grid).load(target) == grid
+            told = "the same" if same else "another one"
+            say(f"Saved as {target} and its picture; loaded again it is {told}")
+            picture = grid.image()
+            save(
+                picture.resize((picture.width * TIMES, picture.height * TIMES)),
+                folder / f"{name}.png",
+            )
+            found &= same and bool(np.asarray(grid).any()) and not np.asarray(grid).all()
+        found &= _legs(ss.eval(ALL), say)
+    say(f"The maps: {folder / 'kitchen.png'}, {folder / 'near_roomba.png'}")
+    return found
+
+
+def _told(grid: OccupancyGrid) -> str:
+    cells = np.asarray(grid)
+    return (
+        f"{cells.shape[0]} x {cells.shape[1]} cells of {grid.resolution:g} m from "
+        f"{', '.join(f'{c:g}' for c in grid.origin)}: {cells.sum():,} occupied"
+    )
+
+
+def _legs(grid: OccupancyGrid, say: Callable[[str], None]) -> bool:
+    """Whether as many things stand on the floor about the table as it and the chairs have legs."""
+    from scipy.ndimage import label
+
+    (left, low), (right, high) = LEGS
+    x, y = grid.centres(0), grid.centres(1)
+    inside: Any = np.asarray(grid)[np.ix_((x > left) & (x < right), (y > low) & (y < high))]
+    count = int(label(inside, structure=np.ones((3, 3)))[1])
+    say(f"About the table {count} separate things stand: four legs of its own, and of four chairs")
+    return count == 20
