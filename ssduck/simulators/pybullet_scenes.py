@@ -94,10 +94,8 @@ def load_models(scene: Scene, client: int) -> Filled:
 def set_elastic(client: int) -> None:
     """Let collisions lose no energy, whatever is loaded."""
     pybullet.setPhysicsEngineParameter(
-        # Slow contacts bounce, too; none is begun before shapes meet, which would brake
-        # them, nor pushed apart afterwards, which would speed them up.
+        # Slow contacts bounce, too, and none is pushed apart afterwards, which would speed it up.
         restitutionVelocityThreshold=0.0,
-        contactBreakingThreshold=1e-6,
         contactERP=0.0,
         physicsClientId=client,
     )
@@ -115,6 +113,9 @@ def make_elastic(handle: int, client: int) -> None:
             rollingFriction=0.0,
             linearDamping=0.0,
             angularDamping=0.0,
+            # A contact that begins before shapes meet would brake them. The world's own bound,
+            # contactBreakingThreshold, is one for all clients of a process.
+            contactProcessingThreshold=0.0,
             physicsClientId=client,
         )
 
