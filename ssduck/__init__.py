@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ssduck.adapters import Selection, adapter
     from ssduck.changes import Changed
-    from ssduck.entities import Entity, Sensor
+    from ssduck.entities import Entity, KinBody, Robot, Sensor
     from ssduck.episode import Episode
     from ssduck.errors import SelectScriptError
     from ssduck.grids import OccupancyGrid
@@ -25,10 +25,12 @@ __all__ = [
     "Entity",
     "Episode",
     "Interpreter",
+    "KinBody",
     "Limits",
     "OccupancyGrid",
     "Past",
     "Recording",
+    "Robot",
     "SelectScriptError",
     "Selection",
     "Sensor",
@@ -45,10 +47,12 @@ _HOMES = {
     "Entity": "entities",
     "Episode": "episode",
     "Interpreter": "interpreter",
+    "KinBody": "entities",
     "Limits": "limits",
     "OccupancyGrid": "grids",
     "Past": "past",
     "Recording": "recording",
+    "Robot": "entities",
     "SelectScriptError": "errors",
     "Selection": "adapters",
     "Sensor": "entities",

@@ -313,6 +313,18 @@ class Entity(EntitySpellings):
         return f"<{self.kind} {self.name!r}>"
 
 
+class KinBody(Entity):
+    """A handle of a body: of a kinbody, or of a robot, which is one too, as in OpenRAVE."""
+
+    __slots__ = ()
+
+
+class Robot(KinBody):
+    """A handle of a robot."""
+
+    __slots__ = ()
+
+
 class Sensor(SensorSpellings, Entity):
     """A handle of a sensor: what it measured last, by its world's last tick.
 
@@ -398,3 +410,7 @@ class Sensor(SensorSpellings, Entity):
         spec = self.state.snapshot.members[self._row()].sensor
         assert spec is not None
         return spec
+
+
+# What the handles of entities are, by their kind.
+HANDLES: dict[Kind, type[Entity]] = {"robot": Robot, "kinbody": KinBody, "sensor": Sensor}

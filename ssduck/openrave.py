@@ -24,6 +24,19 @@ if TYPE_CHECKING:
     from ssduck.world import World
 
 
+# What of `CloneSelf`'s options matters: there are no viewers and no controllers.
+CLONE_BODIES = 1
+
+
+def __getattr__(name: str) -> Any:
+    """The classes of handles, which are built on these spellings."""
+    if name not in ("KinBody", "Robot", "Sensor"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from ssduck import entities
+
+    return getattr(entities, name)
+
+
 @dataclass(frozen=True, eq=False)
 class AABB:
     """An axis-aligned box by its centre and its half-extents, metres."""
@@ -176,6 +189,20 @@ class WorldSpellings:
     def GetSensor(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
         """The sensor of that name."""
         return _named(self, name, "sensor")
+
+    def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
+        """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
+        world: World = self.excerpt(self if options & CLONE_BODIES else ())
+        return world
+
+    def Remove(self: Any, entity: Entity) -> bool:  # noqa: N802  # OpenRAVE's name
+        """Take an entity out."""
+        self.remove(entity)
+        return True
+
+    def Destroy(self: Any) -> None:  # noqa: N802  # OpenRAVE's name
+        """Give up the simulation."""
+        self.close()
 
 
 def _settable(entity: Entity) -> list[JointState]:

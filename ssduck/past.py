@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.entities import Entity, Moment, Sensor
+from ssduck.entities import HANDLES, Entity, Moment
 from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices, rotation_matrices
 from ssduck.history import POSE, Archive, Near, not_recorded
@@ -157,7 +157,7 @@ class Record:
     def entity(self, tick: int, id: int) -> Entity:
         """The handle of an entity at a tick."""
         member = self.members[id]
-        kind = Sensor if member.kind == "sensor" else Entity
+        kind = HANDLES[member.kind]
         return kind(self.world, id, member.name, member.kind, Moment(self, tick))
 
     def at(self, tick: int) -> PastWorld:
@@ -483,6 +483,11 @@ class PastWorld(World):
         self._begin(posed, snapshot, record.world.name, record.world.camera)
         self._record = record
         self._recorded = snapshot.tables["entities"].reals("time", "zmax").copy()
+
+    @property
+    def origin(self) -> World:
+        """The world whose past it is."""
+        return self._record.world
 
     def _take(self) -> None:
         super()._take()

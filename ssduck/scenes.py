@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, NoReturn, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from ssduck.errors import SceneError, UnknownNameError, nearest
 from ssduck.sensors import SENSOR_TYPES, SensorType, Setting
+from ssduck.toml_tables import REQUIRED, Table
 
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
@@ -47,7 +48,73 @@ class BodySpec:
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     fixed: bool = False
     joints: dict[str, float] = field(default_factory=dict)
+    # Of its base link's frame, m/s, then rad/s; and of joints.
     velocity: tuple[float, ...] = (0.0,) * 6
+    joint_velocities: dict[str, float] = field(default_factory=dict)
+    # Whether motors hold its joints, and where, if not where they are.
+    hold: bool = True
+    held: dict[str, float] = field(default_factory=dict)
+    enabled: bool = True
+    visible: bool = True
+    # Whether moments of inertia are the model's; else those of its shapes.
+    own_inertia: bool = False
+
+
+CONSTRAINT_TYPES = ("fixed", "point", "prismatic", "gear")
+
+
+@dataclass(frozen=True)
+class ConstraintSpec:
+    """What ties a link of a body to one of another, or to the world.
+
+    Attributes:
+        type: one of `CONSTRAINT_TYPES`.
+        on: the body.
+        to: the other one; None for the world.
+        link: of the body; None for its base.
+        to_link: of the other one.
+        axis: of a prismatic one.
+        position: in the frame of the link's centre of mass, metres.
+        orientation: in that frame, w, x, y, z.
+        to_position: in that of the other link's, or in the world.
+        to_orientation: the same.
+        max_force: newtons.
+        gear_ratio: of a gear.
+        gear_link: of a gear, the number of a third link.
+        gear_target: of a gear, how far apart they are to be.
+        erp: how much of an error is made up for in a step; 0 for PyBullet's own.
+    """
+
+    type: str
+    on: str
+    to: str | None = None
+    link: str | None = None
+    to_link: str | None = None
+    axis: Vector = (0.0, 0.0, 0.0)
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    to_position: Vector = (0.0, 0.0, 0.0)
+    to_orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    max_force: float = 500.0
+    gear_ratio: float = 0.0
+    gear_link: int = 0
+    gear_target: float = 0.0
+    erp: float = 0.0
+
+
+@dataclass(frozen=True)
+class Engine:
+    """How the solver works; None for PyBullet's own.
+
+    Attributes:
+        substeps: into so many parts a step is cut; 0 for none.
+        iterations: of the solver, at most, in a step.
+        joint_iterations: of joints and constraints in each of these.
+    """
+
+    substeps: int | None = None
+    iterations: int | None = None
+    joint_iterations: int | None = None
 
 
 @dataclass(frozen=True)
@@ -82,10 +149,13 @@ class Scene:
     description: str = ""
     gravity: Vector = (0.0, 0.0, -9.81)
     timestep: float = 1.0 / 240.0
+    time: float = 0.0
     camera: Camera = Camera()
     bodies: tuple[BodySpec, ...] = ()
     sensors: tuple[SensorSpec, ...] = ()
     elastic: bool = False
+    constraints: tuple[ConstraintSpec, ...] = ()
+    engine: Engine = Engine()
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -151,23 +221,29 @@ def read_scene(path: Path) -> Scene:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"{path}: {reason}") from error
-    return _scene(_Table(path, "", table), path)
+    return _scene(Table(path, "", table), path)
 
 
-def _scene(table: _Table, path: Path) -> Scene:
+def _scene(table: Table, path: Path) -> Scene:
     bodies = tuple(_body(entry, path) for entry in table.tables("body"))
     _check_unique(path, "body", [body.name for body in bodies])
     sensors = tuple(
         _sensor(entry, {str(body.name) for body in bodies}) for entry in table.tables("sensor")
     )
     _check_unique(path, "sensor", [sensor.name for sensor in sensors], bodies)
+    constraints = tuple(
+        _constraint(entry, {str(body.name) for body in bodies})
+        for entry in table.tables("constraint")
+    )
     camera = table.table("camera")
+    engine = table.table("engine")
     scene = Scene(
         name=table.text("name", _default_name(path)),
         path=path,
         description=table.text("description", "", empty=True),
         gravity=_three(table.numbers("gravity", 3, Scene.gravity)),
         timestep=table.number("timestep", Scene.timestep, above=0.0),
+        time=table.number("time", Scene.time, at_least=0.0),
         camera=Camera(
             _three(camera.numbers("eye", 3, Camera.eye)),
             _three(camera.numbers("target", 3, Camera.target)),
@@ -176,17 +252,24 @@ def _scene(table: _Table, path: Path) -> Scene:
         bodies=bodies,
         sensors=sensors,
         elastic=table.flag("elastic", False),
+        constraints=constraints,
+        engine=Engine(
+            engine.whole("substeps", at_least=0),
+            engine.whole("iterations", at_least=1),
+            engine.whole("joint_iterations", at_least=1),
+        ),
     )
     if scene.camera.eye == scene.camera.target:
         camera.fail("target", "the camera looks at where it is")
     if not scene.name.isidentifier():
         table.fail("name", f"{scene.name!r} is no name: letters, digits and _ only")
     camera.end()
+    engine.end()
     table.end()
     return scene
 
 
-def _body(table: _Table, path: Path) -> BodySpec:
+def _body(table: Table, path: Path) -> BodySpec:
     kind = table.text("kind", "") or None
     if kind not in (None, "robot", "kinbody"):
         table.fail(
@@ -199,7 +282,7 @@ def _body(table: _Table, path: Path) -> BodySpec:
         table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
     if model.suffix.lower() != ".urdf":
         table.fail("urdf", f"{model.name!r} does not end in .urdf")
-    joints = table.table("joints")
+    joints, speeds, held = map(table.table, ("joints", "joint_velocities", "held"))
     spec = BodySpec(
         name=table.text("name"),
         kind=kind,  # type: ignore[arg-type]  # checked above
@@ -207,11 +290,46 @@ def _body(table: _Table, path: Path) -> BodySpec:
         position=_three(table.numbers("position", 3, BodySpec.position)),
         orientation=_unit(table, "orientation"),
         fixed=table.flag("fixed", False),
-        joints={name: joints.number(name) for name in list(joints.values)},
+        joints=joints.all_numbers(),
         velocity=table.numbers("velocity", 6, BodySpec.velocity),
+        joint_velocities=speeds.all_numbers(),
+        hold=table.flag("hold", True),
+        held=held.all_numbers(),
+        enabled=table.flag("enabled", True),
+        visible=table.flag("visible", True),
+        own_inertia=table.flag("own_inertia", False),
     )
     if spec.fixed and any(spec.velocity):
         table.fail("velocity", "what is fixed does not move")
+    table.end()
+    return spec
+
+
+def _constraint(table: Table, bodies: Collection[str]) -> ConstraintSpec:
+    type = table.text("type")
+    if type not in CONSTRAINT_TYPES:
+        table.fail("type", f"no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
+    ends = table.text("on"), table.text("to", "") or None
+    for key, body in zip(("on", "to"), ends, strict=True):
+        if body is not None and body not in bodies:
+            table.fail(key, f"the scene has no body {body!r}", nearest(body, bodies))
+    plain = ConstraintSpec
+    spec = ConstraintSpec(
+        type,
+        *ends,
+        link=table.text("link", "") or None,
+        to_link=table.text("to_link", "") or None,
+        axis=_three(table.numbers("axis", 3, plain.axis)),
+        position=_three(table.numbers("position", 3, plain.position)),
+        orientation=_unit(table, "orientation"),
+        to_position=_three(table.numbers("to_position", 3, plain.to_position)),
+        to_orientation=_unit(table, "to_orientation"),
+        max_force=table.number("max_force", plain.max_force, at_least=0.0),
+        gear_ratio=table.number("gear_ratio", plain.gear_ratio),
+        gear_link=table.whole("gear_link") or plain.gear_link,
+        gear_target=table.number("gear_target", plain.gear_target),
+        erp=table.number("erp", plain.erp, at_least=0.0),
+    )
     table.end()
     return spec
 
@@ -222,10 +340,10 @@ def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpe
     Raises:
         SceneError: key and reason.
     """
-    return _sensor(_Table(None, "", dict(values)), bodies)
+    return _sensor(Table(None, "", dict(values)), bodies)
 
 
-def _sensor(table: _Table, bodies: Collection[str]) -> SensorSpec:
+def _sensor(table: Table, bodies: Collection[str]) -> SensorSpec:
     name = table.text("type")
     if name not in SENSOR_TYPES:
         table.fail("type", f"there is no sensor type {name!r}", nearest(name, SENSOR_TYPES))
@@ -249,7 +367,7 @@ def _sensor(table: _Table, bodies: Collection[str]) -> SensorSpec:
     return spec
 
 
-def _settings(table: _Table, kind: SensorType) -> dict[str, float]:
+def _settings(table: Table, kind: SensorType) -> dict[str, float]:
     """What a sensor of that type is set by."""
     settings = {setting.name: _setting(table, setting) for setting in kind.settings}
     fault = kind.fault(settings)
@@ -258,10 +376,10 @@ def _settings(table: _Table, kind: SensorType) -> dict[str, float]:
     return settings
 
 
-def _setting(table: _Table, setting: Setting) -> float:
+def _setting(table: Table, setting: Setting) -> float:
     value = table.number(
         setting.name,
-        _REQUIRED if setting.default is None else setting.default,
+        REQUIRED if setting.default is None else setting.default,
         above=setting.above,
         at_least=setting.at_least,
         below=setting.below,
@@ -272,7 +390,7 @@ def _setting(table: _Table, setting: Setting) -> float:
     return value
 
 
-def _unit(table: _Table, key: str) -> Quaternion:
+def _unit(table: Table, key: str) -> Quaternion:
     """A rotation w, x, y, z, made exactly of unit length; far from it is a mistake."""
     w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
     length = math.sqrt(w * w + x * x + y * y + z * z)
@@ -305,93 +423,3 @@ def _identifier(text: str) -> str:
     """A name for a scene made from a file's."""
     name = "".join(letter if letter.isalnum() or letter == "_" else "_" for letter in text)
     return name if name.isidentifier() else f"world_{name}".rstrip("_")
-
-
-_REQUIRED: Any = object()
-
-
-class _Table:
-    """A TOML table that is read key by key, so that what is left over is a mistake."""
-
-    def __init__(self, path: Path | None, where: str, values: dict[str, Any]) -> None:
-        self.path = path
-        self.where = where
-        self.values = values
-        self.asked: set[str] = set()
-
-    def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
-        place = f"{self.where}.{key}" if self.where else key
-        file = f"{self.path}: " if self.path else ""
-        raise SceneError(f"{file}{place}: {reason}", suggestions=suggestions)
-
-    def end(self) -> None:
-        """Complain of keys that nothing asked for."""
-        for key in self.values:
-            if key not in self.asked:
-                self.fail(key, "there is no such key", nearest(key, self.asked))
-
-    def text(self, key: str, default: str = _REQUIRED, *, empty: bool = False) -> str:
-        def fits(value: object) -> bool:
-            return isinstance(value, str) and (empty or value.strip() != "")
-
-        return self._get(key, default, fits, "a text")  # type: ignore[no-any-return]
-
-    def flag(self, key: str, default: bool) -> bool:
-        return self._get(key, default, lambda value: isinstance(value, bool), "true or false")  # type: ignore[no-any-return]
-
-    def number(
-        self,
-        key: str,
-        default: float = _REQUIRED,
-        above: float = -math.inf,
-        at_least: float = -math.inf,
-        below: float = math.inf,
-        at_most: float = math.inf,
-    ) -> float:
-        value = float(self._get(key, default, _is_number, "a finite number"))
-        if value <= above:
-            self.fail(key, f"{value:g} is not above {above:g}")
-        if value >= below:
-            self.fail(key, f"{value:g} is not below {below:g}")
-        if value < at_least:
-            self.fail(key, f"{value:g} is less than {at_least:g}")
-        if value > at_most:
-            self.fail(key, f"{value:g} is more than {at_most:g}")
-        return value
-
-    def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
-        def fits(value: object) -> bool:
-            return (
-                isinstance(value, list | tuple)
-                and len(value) == count
-                and all(map(_is_number, value))
-            )
-
-        return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
-
-    def table(self, key: str) -> _Table:
-        values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
-        return _Table(self.path, f"{self.where}.{key}" if self.where else key, values)
-
-    def tables(self, key: str) -> Iterator[_Table]:
-        def fits(value: object) -> bool:
-            return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
-
-        for index, values in enumerate(self._get(key, [], fits, f"tables, written [[{key}]]")):
-            yield _Table(self.path, f"{key}[{index}]", values)
-
-    def _get(self, key: str, default: Any, fits: Callable[[Any], bool], what: str) -> Any:
-        self.asked.add(key)
-        if key not in self.values:
-            if default is _REQUIRED:
-                self.fail(key, "missing", nearest(key, set(self.values) - self.asked))
-            return default
-        value = self.values[key]
-        if not fits(value):
-            self.fail(key, f"expected {what}, found {value!r}")
-        return value
-
-
-def _is_number(value: object) -> bool:
-    # By comparison: math.isfinite cannot take an integer of 400 digits.
-    return isinstance(value, int | float) and not isinstance(value, bool) and -1e300 < value < 1e300

@@ -296,6 +296,10 @@ class Snapshot:
         self._asked |= dict.fromkeys(wanted, self.number)
         return not (wanted | self.recorded) <= self._read
 
+    def has(self, table: str) -> bool:
+        """Whether this tick has a table that is read when it is asked for."""
+        return table in self._read and table not in self.untold
+
     def ask_sensor(self, sensor: int, *, picture: bool) -> bool:
         """Note that a sensor is asked for; tells whether this tick lacks it, or its colours.
 

@@ -7,17 +7,19 @@ tells of itself is of the world's last tick, never of the simulator's present.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.entities import Entity, Sensor
+from ssduck.entities import HANDLES, Entity, Sensor
 from ssduck.errors import (
     ArgumentError,
     SceneError,
     UnknownNameError,
+    UnsupportedError,
     nearest,
 )
 from ssduck.geometry import Indices
@@ -65,6 +67,7 @@ class World(Ticked, WorldSpellings):
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
         self.camera = camera
         self._begin_ticking(simulator, snapshot, name)
+        self._origin: World | None = None
 
     @classmethod
     def load(cls, scene: Scene) -> World:
@@ -77,14 +80,22 @@ class World(Ticked, WorldSpellings):
 
         simulator = pybullet.load(scene)
         try:
-            world = cls(simulator, name=scene.name, sensors=scene.sensors, camera=scene.camera)
-        except BaseException as error:
+            return cls.owning(simulator, scene.name, scene.sensors, scene.camera)
+        except SceneError as error:
+            message = f"{scene.path}: {error.message}"
+            raise SceneError(message, suggestions=error.suggestions) from error
+
+    @classmethod
+    def owning(
+        cls, simulator: Simulator, name: str, sensors: Sequence[SensorSpec], camera: Camera
+    ) -> World:
+        """A world of a simulation that nobody else has: it is closed with its last handle."""
+        try:
+            world = cls(simulator, name=name, sensors=sensors, camera=camera)
+        except BaseException:
             simulator.close()
-            if isinstance(error, SceneError):
-                message = f"{scene.path}: {error.message}"
-                raise SceneError(message, suggestions=error.suggestions) from error
             raise
-        # A simulation takes tens of megabytes: it goes with the last handle of its world.
+        # A simulation takes tens of megabytes.
         weakref.finalize(world, simulator.close)
         return world
 
@@ -243,7 +254,59 @@ class World(Ticked, WorldSpellings):
             posed, snapshot = imagined(self.snapshot, places, positions)
         world = World.__new__(World)
         world._begin(posed, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
+        world._origin = self.origin  # noqa: SLF001
         return world.tick()
+
+    # -- copies ---------------------------------------------------------------------------
+
+    @property
+    def origin(self) -> World:
+        """The world whose tick it is, if it is a what-if world or a past one; else itself."""
+        return self if self._origin is None else self._origin
+
+    @property
+    def simulator(self) -> Simulator:
+        """What runs it."""
+        return self._simulator
+
+    def excerpt(self, entities: Iterable[str | Entity]) -> World:
+        """A new, running world of some entities as they are at this tick, independent of it.
+
+        It is in a PyBullet simulation of its own, and begins at the same time; its entities have
+        the same names. What is carried over, and what PyBullet does not tell, is listed in
+        docs/adapters.md.
+
+        Args:
+            entities: entities of this world, or their names; a sensor brings the body that it
+                sits on. None for an empty world of the same settings.
+
+        Raises:
+            UnknownNameError: there is no entity of a name, with the nearest names.
+            ArgumentError: an entity is of another world.
+            RemovedEntityError: an entity is not in the world at this tick.
+            SimulatorError: the simulator does not answer, or has no room for another.
+            UnsupportedError: a body is soft.
+        """
+        from ssduck.excerpts import excerpt
+
+        return excerpt(self, entities)
+
+    def save(self, path: str | Path) -> Path:
+        """Save the world as it is at this tick as a scene, that `ssduck.load` reads.
+
+        Args:
+            path: a folder that is not there yet, or is empty: it gets a `scene.toml`, and the
+                models.
+
+        Returns:
+            The scene's file.
+
+        Raises:
+            SceneError: something is there already, or cannot be written.
+        """
+        from ssduck.saving import save
+
+        return save(self, Path(path))
 
     # -- entities -------------------------------------------------------------------------
 
@@ -277,8 +340,7 @@ class World(Ticked, WorldSpellings):
     def entity(self, id: int) -> Entity:
         """The handle of an entity that is there, by its id."""
         member = self.snapshot.members[self.snapshot.rows[id]]
-        kind = Sensor if member.kind == "sensor" else Entity
-        return kind(self, id, member.name, member.kind)
+        return HANDLES[member.kind](self, id, member.name, member.kind)
 
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
@@ -371,6 +433,26 @@ class World(Ticked, WorldSpellings):
             return self.snapshot.sensing.readings.get(sensor.id)
 
     # -- bodies ---------------------------------------------------------------------------
+
+    def remove(self, entity: str | Entity) -> None:
+        """Take an entity out of a world that ssduck made, with the sensors on it, and take a tick.
+
+        Raises:
+            UnknownNameError: there is no entity of that name, with the nearest names.
+            RemovedEntityError: it is no longer in its world.
+            UnsupportedError: the client is yours: remove the body there, and the next tick sees
+                it; or it is a what-if world.
+        """
+        chosen = entity if isinstance(entity, Entity) else self[entity]
+        if isinstance(chosen, Sensor):
+            self.remove_sensor(chosen)
+            return
+        if self._simulator.watched:
+            raise UnsupportedError(
+                f"{chosen.name!r} is in a client of yours: remove it there, and the next tick sees "
+                "it; or take an excerpt, and remove it from that"
+            )
+        self._change(chosen, "remove", self._simulator.remove)
 
     def place(self, entity: Entity, pose: Pose | None, joints: JointValues | None) -> None:
         """Put a body's link frame and its joints there and take a tick; see `Entity.move`."""

@@ -615,3 +615,17 @@ def test_the_files_of_a_scene_are_what_its_tool_writes(name):
         check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_an_elastic_scene_changes_no_other_simulation():
+    """PyBullet has settings that all simulations of a process share."""
+
+    def moved(*, beside):
+        with ssduck.load("kitchen") as ss:
+            other = ssduck.load("chaos") if beside else None
+            world = ss.call_variable("kitchen").step(240)
+            if other is not None:
+                other.close()
+            return [entity.pose + entity.velocity for entity in world]
+
+    assert moved(beside=True) == moved(beside=False)

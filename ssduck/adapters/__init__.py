@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 from ssduck.adapters.base import Adapter, Need, Selection
+from ssduck.adapters.environment import WORLDS
 from ssduck.adapters.grids import GRIDS
 from ssduck.adapters.logic import LOGIC
 from ssduck.adapters.network import NETWORK
@@ -27,7 +28,7 @@ GROUP = "ssduck.adapters"
 
 _ADAPTERS: dict[str, Adapter] = {
     name: form
-    for form in (*VALUES, *TABULAR, *LOGIC, *NETWORK, *GRIDS, *SPATIAL)
+    for form in (*VALUES, *TABULAR, *LOGIC, *NETWORK, *GRIDS, *SPATIAL, *WORLDS)
     for name in form.names
 }
 _BUILT_IN = frozenset(_ADAPTERS)

@@ -241,6 +241,9 @@ class Simulator(Protocol):
     def show(self, body: Body, on: bool) -> None:
         """Draw a body, or do not."""
 
+    def remove(self, body: Body) -> None:
+        """Take a body out; `describe` tells that it went."""
+
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:

@@ -64,7 +64,7 @@ class Posed:
             "world.what_if({name: pose}, joints={name: {joint: value}})"
         )
 
-    place = set_joints = drive = enable = show = _refuse
+    place = set_joints = drive = enable = show = remove = _refuse
 
     def _perceive(self, *_: Any) -> NoReturn:
         raise UnsupportedError(

@@ -9,10 +9,12 @@ exactly (ssduck.geometry).
 
 from __future__ import annotations
 
+import gc
 import math
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import chain, repeat
 from operator import itemgetter
 from typing import Any, TypeVar
@@ -35,7 +37,7 @@ from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
 from ssduck.simulators.pybullet_bodies import Description, Pose, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_rays import cast_rays
-from ssduck.simulators.pybullet_scenes import hold_joint, load_models, set_motor
+from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
 
 T = TypeVar("T")
 
@@ -63,6 +65,10 @@ class PyBulletSimulator:
         names: names of the bodies that are there now by PyBullet body number, instead of those
             of the models.
         kinds: kinds of these bodies, instead of robot for what has movable joints.
+        filled: what else is known of them if ssduck put them there.
+
+    Attributes:
+        filled: the same; where its motors hold joints is kept there.
     """
 
     def __init__(
@@ -72,9 +78,12 @@ class PyBulletSimulator:
         owned: bool,
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
+        filled: Filled | None = None,
     ) -> None:
         self.client = client
         self.watched = not owned
+        # Of a client that ssduck filled.
+        self.filled = filled or Filled()
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
         self.disabled: frozenset[Body] = frozenset()
@@ -86,13 +95,15 @@ class PyBulletSimulator:
         self._tag = f"ssduck.{id(self)}"
         self._listed: tuple[list[int], list[int]] = ([], [])
         self._described = False
+        # Bodies that were removed since `describe` was called.
+        self._removed: list[Body] = []
         # Why the client is not to be asked any more. PyBullet gives the number of one that is
         # gone to the next one, which is none of ours.
         self._lost: str | None = None
         self._layout: tuple[tuple[Body, ...], _Layout] = ((), _Layout([], []))
         self._timestep = self._clients_timestep()
         self._steps = 0
-        self._time_before = 0.0
+        self._time_before = self.filled.time
 
     # -- bodies ---------------------------------------------------------------------------
 
@@ -103,7 +114,8 @@ class PyBulletSimulator:
         body carries a tag (user data, which goes with it) that tells the two apart.
         """
         if self._described and not self.watched:
-            return None
+            gone, self._removed = self._removed, []
+            return ([], gone) if gone else None
         handles = self._call(lambda: _handles(self.client))
         tags = self._call(lambda: self._tags_of(handles))
         if self._listed == (handles, tags):
@@ -119,7 +131,48 @@ class PyBulletSimulator:
         self._listed = handles, self._call(lambda: self._tags_of(handles))
         # They were said of the bodies of that time, not of later ones of the same numbers.
         self._names, self._kinds, self._described = {}, {}, True
+        self._begin_absent()
         return [one.body for one in new.values()], gone
+
+    def _begin_absent(self) -> None:
+        """Let bodies be what they begin as: without collisions, or not drawn."""
+        for handle in self.filled.disabled:
+            self.enable(self._known[handle].body, on=False)
+        for handle in self.filled.hidden:
+            self.show(self._known[handle].body, on=False)
+        self.filled.disabled, self.filled.hidden = set(), set()
+
+    def remove(self, body: Body) -> None:
+        """Take a body out of a client that ssduck made."""
+        self._call(lambda: pybullet.removeBody(body.handle, self.client))
+        # What rested on it is to fall with the next step.
+        self._call(lambda: pybullet.performCollisionDetection(self.client))
+        self._forget([body])
+        del self._known[body.handle]
+        for known in (self.filled.origins, self.filled.held):
+            known.pop(body.handle, None)
+        self._removed.append(body)
+
+    def description_of(self, body: Body) -> Description | None:
+        """What was read of a body, if the client has it still."""
+        known = self._known.get(body.handle)
+        if known is None or known.body is not body or self._lost is not None:
+            return None
+        if self.watched:
+            # Its number may be another's by now.
+            handles, tags = self._listed
+            tag = dict(zip(handles, tags, strict=True)).get(body.handle)
+            if self._call(lambda: self._tags_of([body.handle])) != [tag]:
+                return None
+        return known
+
+    def count(self) -> int:
+        """How many bodies the client has now."""
+        return self._call(lambda: int(pybullet.getNumBodies(self.client)))
+
+    def colours_of(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
+        """What a body is drawn in, or would be: link, number among its visual shapes, colour."""
+        return self._colours.get(body) or self._call(lambda: colours_of(self.client, body.handle))
 
     def _forget(self, gone: Sequence[Body]) -> None:
         if not self.disabled.isdisjoint(gone):
@@ -134,7 +187,9 @@ class PyBulletSimulator:
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
     def _read(self, handle: int) -> Description:
-        read = describe(self.client, handle, self._names.get(handle), self._kinds.get(handle))
+        read = self.filled.described.pop(handle, None) or describe(
+            self.client, handle, self._names.get(handle), self._kinds.get(handle)
+        )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return read
 
@@ -205,9 +260,12 @@ class PyBulletSimulator:
 
     def _clients_timestep(self) -> float:
         """Whoever made the client may set it at any time."""
-        return self._call(
-            lambda: float(pybullet.getPhysicsEngineParameters(self.client)["fixedTimeStep"])
-        )
+        return float(self.parameters()["fixedTimeStep"])
+
+    def parameters(self) -> dict[str, Any]:
+        """What PyBullet tells of gravity, time step and solver."""
+        told: dict[str, Any] = self._call(lambda: pybullet.getPhysicsEngineParameters(self.client))
+        return told
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
         """Put a body's base link frame there, at rest."""
@@ -234,6 +292,7 @@ class PyBulletSimulator:
                 pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
                 if not self.watched:
                     hold_joint(body.handle, body.joints[link - 1], position, self.client)
+                    self.filled.held.setdefault(body.handle, {})[link] = position
             pybullet.performCollisionDetection(self.client)
 
         self._call(put)
@@ -272,7 +331,7 @@ class PyBulletSimulator:
         """Draw a body in the colours that it had, or do not."""
         if on == (body not in self.hidden):
             return
-        colours = self._colours[body] if on else self._call(lambda: self._colours_of(body))
+        colours = self.colours_of(body)
 
         def put() -> None:
             for link, shape, (*rgb, alpha) in colours:
@@ -284,14 +343,6 @@ class PyBulletSimulator:
         self._call(put)
         self.hidden = self.hidden - {body} if on else self.hidden | {body}
         self._colours = {kept: self._colours.get(kept, colours) for kept in self.hidden}
-
-    def _colours_of(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
-        shapes: Counter[int] = Counter()
-        colours = []
-        for entry in pybullet.getVisualShapeData(body.handle, physicsClientId=self.client):
-            colours.append((entry[1], shapes[entry[1]], entry[7]))
-            shapes[entry[1]] += 1
-        return colours
 
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
@@ -469,6 +520,21 @@ def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
     return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
+def frames_of(client: int, body: Body, com: Pose) -> Frames:
+    """The frames of one body as they are now."""
+    return _Layout([body], [com]).read(client, links_move=True)
+
+
+def colours_of(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
+    """What a body is drawn in: link, number among its visual shapes, colour."""
+    shapes: Counter[int] = Counter()
+    colours = []
+    for entry in pybullet.getVisualShapeData(handle, physicsClientId=client):
+        colours.append((entry[1], shapes[entry[1]], entry[7]))
+        shapes[entry[1]] += 1
+    return colours
+
+
 # -- the two ways to a simulator --------------------------------------------------------------
 
 
@@ -478,15 +544,39 @@ def load(scene: Scene) -> PyBulletSimulator:
     Raises:
         SceneError: a model cannot be loaded: file, key and reason.
     """
-    client = pybullet.connect(pybullet.DIRECT)
+    with new_client() as client:
+        filled = load_models(scene, client)
+        return PyBulletSimulator(
+            client, owned=True, names=filled.names, kinds=filled.kinds, filled=filled
+        )
+
+
+@contextmanager
+def new_client() -> Iterator[int]:
+    """A new client, that is disconnected again if what is done with it fails.
+
+    Raises:
+        SimulatorError: there are as many as PyBullet can have.
+    """
+    client = _connected()
     if client < 0:
-        raise SimulatorError("PyBullet could not make another client")
+        # Worlds that nobody has any more may wait to be collected, and hold theirs so long.
+        gc.collect()
+        client = _connected()
+    if client < 0:
+        raise SimulatorError("PyBullet could not make another client; close worlds")
     try:
-        names, kinds = load_models(scene, client)
-        return PyBulletSimulator(client, owned=True, names=names, kinds=kinds)
+        yield client
     except BaseException:
         pybullet.disconnect(client)
         raise
+
+
+def _connected() -> int:
+    try:
+        return int(pybullet.connect(pybullet.DIRECT))
+    except pybullet.error:
+        return -1
 
 
 def attach(

@@ -95,6 +95,23 @@ def xyzw(orientations: Array) -> Array:
     return orientations[:, [1, 2, 3, 0]]
 
 
+def com_of(client: int, handle: int) -> Pose:
+    """The poses of a body's centres of mass in its link frames, (links, 3) and (links, 4)."""
+    links = range(-1, pybullet.getNumJoints(handle, client))
+    return _com([pybullet.getDynamicsInfo(handle, link, client) for link in links])
+
+
+def _com(dynamics: Sequence[Any]) -> Pose:
+    if dynamics[0][10] != _MULTI_BODY:
+        # PyBullet answers with what happened to be in memory. The frame of the centre of
+        # mass is the only one that it knows of these.
+        return np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
+    return (
+        np.array([dynamic[3] for dynamic in dynamics], dtype=np.float64),
+        wxyz(np.array([dynamic[4] for dynamic in dynamics], dtype=np.float64)),
+    )
+
+
 class _Reader:
     """One body of a client, while it is read."""
 
@@ -108,18 +125,8 @@ class _Reader:
         self.infos = [pybullet.getJointInfo(handle, index, client) for index in range(count)]
         self.dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, count)]
         self.type = self.dynamics[0][10]
-        self.com = self._com()
+        self.com = _com(self.dynamics)
         self.exact = True
-
-    def _com(self) -> Pose:
-        if self.type != _MULTI_BODY:
-            # PyBullet answers with what happened to be in memory. The frame of the centre of
-            # mass is the only one that it knows of these.
-            return np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
-        return (
-            np.array([dynamic[3] for dynamic in self.dynamics], dtype=np.float64),
-            wxyz(np.array([dynamic[4] for dynamic in self.dynamics], dtype=np.float64)),
-        )
 
     def described(self, name: str | None, kind: Kind | None) -> Description:
         joints = tuple(map(self._joint, self.infos))
@@ -177,7 +184,7 @@ class _Reader:
         com = self._com_of(link)
         local = np.array([entry[5]]), wxyz(np.array([entry[6]]))
         position, orientation = compose(*com, *local)
-        primitive = _primitive(entry[2], entry[3])
+        primitive = primitive_of(entry[2], entry[3])
         if primitive is not None:
             return [PlacedGeometry(link, primitive, position[0], orientation[0])]
         if entry[2] != pybullet.GEOM_MESH:
@@ -247,7 +254,7 @@ class _Reader:
     def _drawn(self, link: int) -> list[PlacedGeometry]:
         """What is drawn of a link; nothing if part of it is a mesh."""
         entries = [entry for entry in self._visuals if entry[1] == link - 1]
-        found = [(entry, _primitive(entry[2], entry[3])) for entry in entries]
+        found = [(entry, primitive_of(entry[2], entry[3])) for entry in entries]
         shapes = [
             PlacedGeometry(link, shape, np.array(entry[5]), wxyz(np.array([entry[6]]))[0])
             for entry, shape in found
@@ -316,7 +323,7 @@ class _Reader:
         return np.array([pose[0]]), wxyz(np.array([pose[1]]))
 
 
-def _primitive(kind: int, size: Sequence[float]) -> Geometry | None:
+def primitive_of(kind: int, size: Sequence[float]) -> Geometry | None:
     """The geometry of a shape by PyBullet's numbers; None for what is no primitive."""
     a, b, c = size
     if kind == pybullet.GEOM_BOX:

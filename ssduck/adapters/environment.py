@@ -1,0 +1,21 @@
+"""The selected entities as a world of their own."""
+
+from __future__ import annotations
+
+from ssduck.adapters.base import Adapter, Selection
+from ssduck.world import World
+
+
+def environment(selection: Selection) -> World:
+    """A new, running world of the selected entities; see `World.excerpt`."""
+    return selection.world.excerpt(selection.entities)
+
+
+WORLDS = (
+    Adapter(
+        ("environment",),
+        "A new, running world of the selected entities, in a simulation of its own.",
+        environment,
+        needs="entities",
+    ),
+)
