@@ -226,6 +226,40 @@ class Entity(EntitySpellings):
         """
         self.state.drive(self, positions, velocities, efforts)
 
+    def hold(self, other: Entity, link: str | None = None, *, touching: int = 1) -> None:
+        """Tie a body that one of its links touches to that link, rigidly, as they are now.
+
+        It is a fixed constraint of the simulator, between the link and the other body's base: it
+        stands for a grip that does not slip, as planners of grasps have it, and is stronger than
+        any friction. It is made only where they touch, and takes a tick to see that; it moves
+        nothing. What was held when a world was saved or an excerpt taken is held in these, too.
+
+        Args:
+            other: the body, of the same world.
+            link: the link that holds it; None for the base.
+            touching: how many links, of this one and those that hang on it (the fingers of a
+                hand), are to be within 1 mm of it at least, as the narrow phase has it.
+
+        Raises:
+            StateError: fewer are; or it is held already.
+            UnknownNameError: there is no link of that name, with the nearest names.
+            ArgumentError: one of them is a sensor, or the other is of another world, or itself.
+            RemovedEntityError: one of them is no longer in its world.
+            UnsupportedError: it is in a what-if world.
+        """
+        self.state.hold(self, other, link, touching)
+
+    def release(self, other: Entity) -> None:
+        """Let go of a body that it holds: remove fixed constraints of its links to that's base.
+
+        Raises:
+            StateError: it does not hold it.
+            ArgumentError: one of them is a sensor, or the other is of another world, or itself.
+            RemovedEntityError: one of them is no longer in its world.
+            UnsupportedError: it is in a what-if world.
+        """
+        self.state.release(self, other)
+
     @property
     def enabled(self) -> bool:
         """Whether it takes part in collisions; setting it takes a tick.

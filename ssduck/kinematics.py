@@ -153,6 +153,27 @@ def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
     return given
 
 
+def link_of(body: Body, link: str, name: str) -> int:
+    """The number of a link by its name.
+
+    Raises:
+        UnknownNameError: there is none, with the nearest names.
+    """
+    names = [one.name for one in body.links]
+    if link not in names:
+        raise UnknownNameError(f"{name} has no link {link!r}", suggestions=nearest(link, names))
+    return names.index(link)
+
+
+def links_beyond(body: Body, link: int) -> set[int]:
+    """The numbers of a link and of all that hang on it."""
+    found = {link}
+    for number, one in enumerate(body.links):  # parents come first
+        if one.parent in found:
+            found.add(number)
+    return found
+
+
 def _named(key: str, joints: Mapping[str, Joint], name: str) -> Joint:
     if key not in joints:
         raise UnknownNameError(f"{name} has no joint {key!r}", suggestions=nearest(key, joints))

@@ -179,6 +179,13 @@ class Narrow:
         found = self._gap(s, t)
         return found is None or max(0.0, found.gap) <= apart
 
+    def touching(self, i: int, j: int, apart: float) -> list[int]:
+        """Which of an entity's shapes are at most so far from one of another's, m."""
+        with self._lock:
+            near = self._near(i, j, apart)
+            found = {s for s, t in near if self.are_within(s, t, apart)}
+        return sorted(s - self._starts[i] for s in found)
+
     def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
         """The distance of the nearest points, 0 where they meet.
 

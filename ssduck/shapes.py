@@ -168,6 +168,10 @@ class Shapes:
         gap = self._narrow.clearance(i, j, apart)
         return None if gap is None else gap <= apart
 
+    def touching(self, a: int, b: int, apart: float) -> list[int]:
+        """The numbers of a's shapes that are at most that far from a shape of b, m."""
+        return self._narrow.touching(*self._pair(a, b), apart)
+
     def points(self, a: int, b: int) -> list[list[float]] | None:
         """The nearest or the deepest points, one of each."""
         found = self._narrow.nearest_points(*self._pair(a, b))

@@ -18,12 +18,22 @@ from ssduck.entities import HANDLES, Entity, Sensor
 from ssduck.errors import (
     ArgumentError,
     SceneError,
+    StateError,
     UnknownNameError,
     UnsupportedError,
     nearest,
 )
 from ssduck.geometry import Indices
-from ssduck.kinematics import JointValues, Pose, motors_of, pose_of, positions_of
+from ssduck.kinematics import (
+    JointValues,
+    Pose,
+    link_of,
+    links_beyond,
+    motors_of,
+    pose_of,
+    positions_of,
+)
+from ssduck.narrow import TOUCHES
 from ssduck.openrave import WorldSpellings
 from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.sensing import Reading
@@ -479,6 +489,46 @@ class World(Ticked, WorldSpellings):
             body = self._present(entity, "drive")
             motors = motors_of(positions, velocities, efforts, body, entity.name)
             self._simulator.drive(body, motors)
+
+    def hold(self, entity: Entity, other: Entity, link: str | None, touching: int) -> None:
+        """Tie a body to a link that touches it, and take a tick; see `Entity.hold`."""
+        with self.lock:
+            self._check_not_held()
+            body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
+            number = 0 if link is None else link_of(body, link, entity.name)
+            if self._simulator.are_tied(body, held):
+                raise StateError(f"{entity.name} holds {other.name} already")
+            self._take_tick()
+            with self.held(("shapes",)):
+                shapes = self.snapshot.shapes().touching(entity.id, other.id, TOUCHES)
+            touch = {body.shapes[shape].frame for shape in shapes}
+            count = len(touch & links_beyond(body, number))
+            if count < touching:
+                raise StateError(
+                    f"{entity.name} cannot hold {other.name}: {count} links of "
+                    f"{body.links[number].name!r} and beyond are within {TOUCHES:g} m of it, not "
+                    f"{touching}; move them there first"
+                )
+            self._simulator.tie(body, number, held)
+
+    def release(self, entity: Entity, other: Entity) -> None:
+        """Untie what `hold` tied; see `Entity.release`."""
+        with self.lock:
+            self._check_not_held()
+            body, held = (
+                self._present(one, "release") for one in self._two(entity, other, "release")
+            )
+            if not self._simulator.are_tied(body, held):
+                raise StateError(f"{entity.name} does not hold {other.name}")
+            self._simulator.untie(body, held)
+
+    def _two(self, entity: Entity, other: Entity, verb: str) -> tuple[Entity, Entity]:
+        """Two entities of this world that are not the same."""
+        if not isinstance(other, Entity) or other.world is not self:
+            raise ArgumentError(f"{verb}: {other!r} is no entity of the world {self.name!r}")
+        if other == entity:
+            raise ArgumentError(f"{verb}: {entity.name} itself")
+        return entity, other
 
     def enable(self, entity: Entity, on: bool) -> None:
         """Let a body take part in collisions, or not, and take a tick."""

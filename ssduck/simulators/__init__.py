@@ -235,6 +235,15 @@ class Simulator(Protocol):
     def drive(self, body: Body, motors: Mapping[int, Motor]) -> None:
         """Set motors of a body's joints, by the number of the joint's link, for the next steps."""
 
+    def are_tied(self, body: Body, other: Body) -> bool:
+        """Whether the base of another body is tied to a link of a body, rigidly."""
+
+    def tie(self, body: Body, link: int, other: Body) -> None:
+        """Tie the base of another body to a link of a body, rigidly, as they are now."""
+
+    def untie(self, body: Body, other: Body) -> None:
+        """Remove what ties them so."""
+
     def enable(self, body: Body, on: bool) -> None:
         """Let a body take part in collisions, or not."""
 

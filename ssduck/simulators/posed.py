@@ -65,6 +65,7 @@ class Posed:
         )
 
     place = set_joints = drive = enable = show = remove = _refuse
+    are_tied = tie = untie = _refuse
 
     def _perceive(self, *_: Any) -> NoReturn:
         raise UnsupportedError(

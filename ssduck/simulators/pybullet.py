@@ -38,6 +38,7 @@ from ssduck.simulators.pybullet_bodies import Description, Pose, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
+from ssduck.simulators.pybullet_ties import tie, ties_of
 
 T = TypeVar("T")
 
@@ -305,6 +306,23 @@ class PyBulletSimulator:
                 set_motor(body.handle, link, motor, self.client)
 
         self._call(put)
+
+    def are_tied(self, body: Body, other: Body) -> bool:
+        """Whether a fixed constraint is between a link of a body and the base of another."""
+        return bool(self._call(lambda: ties_of(self.client, body.handle, other.handle)))
+
+    def tie(self, body: Body, link: int, other: Body) -> None:
+        """Make a fixed constraint between a link of a body and the base of another, as they are."""
+        self._call(lambda: tie(self.client, (body.handle, link - 1), other.handle))
+
+    def untie(self, body: Body, other: Body) -> None:
+        """Remove the fixed constraints between links of a body and the base of another."""
+
+        def untie() -> None:
+            for number in ties_of(self.client, body.handle, other.handle):
+                pybullet.removeConstraint(number, self.client)
+
+        self._call(untie)
 
     def enable(self, body: Body, on: bool) -> None:
         """Let a body take part in collisions, or not.
