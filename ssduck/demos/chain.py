@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssduck.broad import Flags
 from ssduck.entities import Entity
 from ssduck.geometry import Array, Indices, rotation_matrices
 from ssduck.simulators import Body
@@ -143,7 +144,7 @@ class Chain:
 
     def reach(
         self, bases: Array, starts: Array, moving: Indices, link: int, point: Array, goals: Array
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Flags]:
         """Joints that bring a point of a link somewhere, the link's z axis along a direction.
 
         Damped least squares (Wampler, Manipulator inverse kinematic solutions based on vector
@@ -187,8 +188,8 @@ class Chain:
         return angles, _are_near(error)
 
 
-def _are_near(error: Array) -> Array:
-    near: Array = (np.linalg.norm(error[:, :3], axis=1) < NEAR) & (
+def _are_near(error: Array) -> Flags:
+    near: Flags = (np.linalg.norm(error[:, :3], axis=1) < NEAR) & (
         np.linalg.norm(error[:, 3:], axis=1) < TURN * TRUE
     )
     return near

@@ -7,14 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ssduck.broad import Flags
 from ssduck.demos.chain import Chain
 from ssduck.demos.motion import Mover
 from ssduck.demos.obstacles import Held, Surroundings, Wall, hull_in, walls_of
 from ssduck.demos.planning import plan, shortened
 from ssduck.demos.spaces import ARM_APART, ARM_SPACING, BASE_APART, ArmSpace, BaseSpace
 from ssduck.entities import Entity
-from ssduck.geometry import Array
-from ssduck.narrow import TOUCHES
+from ssduck.errors import StateError
+from ssduck.geometry import Array, Indices
 from ssduck.world import World
 
 ARM = ("j1", "j2", "j3", "j4", "j5", "j6", "j7")
@@ -31,8 +32,10 @@ NARROW = {"f1": 0.3, "f2": 0.25, "f3": 0.25, "spread": 0.0}
 SPREAD = {"f1": 0.0, "f2": 0.0, "f3": 0.0}
 FORCE = 5.0
 UP = np.array([0.0, 0.0, 1.0])
-# How far above a cup the hand begins to go straight down, m, and in what steps.
-ABOVE = 0.09
+# How far above a cup the hand may begin to go straight down, m, and in what steps; and how far
+# it goes up where there is no other way.
+ABOVE = (0.06, 0.09)
+HIGHER = (0.2, 0.1, 0.05)
 STEP = 0.01
 # Where the arm holds a cup's rim while the robot drives, in the base's frame: a cup there is
 # higher than those on the table.
@@ -40,16 +43,18 @@ CARRIED = np.array([0.2, 0.0, 0.36])
 # The hand with a cup is tilted no more, rad.
 TILT = 0.7
 # What is tried: places to stand at, postures of the arm at each, random postures of a plan.
-PLACES, POSTURES, TRIES = 600, 4, 400
+PLACES, POSTURES, TRIES = 3000, 4, 1000
 FLOOR = 0.16
-# How often it tries to draw the arm back.
-CHANCES = 3
+# How often what may fail by chance is tried, and how often fingers are given time to close.
+CHANCES = 4
+PATIENCE = 10
 # How far from its base's frame the arm reaches with a cup, m.
 REACH = 1.4
 # If there is no other way, the arm comes as near to things, m.
 NARROWLY = 0.004
-# How much of its speed the arm has with a cup.
-CAREFUL = 0.6
+# From how high above a spot a cup may fall, and from how far above that the hand goes straight
+# down, m; out of a sink's basin it has to come up straight.
+FALLS = ((0.03, 0.15), (0.08, 0.1), (0.15, 0.03))
 
 
 class Failed(Exception):  # noqa: N818  # it is no error: it is what is told
@@ -57,11 +62,30 @@ class Failed(Exception):  # noqa: N818  # it is no error: it is what is told
 
 
 @dataclass(frozen=True, eq=False)
+class Way:
+    """A straight way of the hand's grip, down from one point (3,) to another."""
+
+    above: Array
+    goal: Array
+
+
+def _ways(
+    spots: Sequence[Array], hangs: float, falls: Sequence[tuple[float, float]]
+) -> list[list[Way]]:
+    """Ways to let go of what hangs so far below the grip, by how high above spots that is."""
+    return [
+        [Way(spot + (fall + hangs + lift) * UP, spot + (fall + hangs) * UP) for spot in spots]
+        for fall, lift in falls
+    ]
+
+
+@dataclass(frozen=True, eq=False)
 class Stand:
-    """Where to stand, (3,), and the arm's posture there, (arm joints,)."""
+    """Where to stand, (3,), the arm's posture there, (arm joints,), and for which way."""
 
     place: Array
     posture: Array
+    way: Way
 
 
 class Cleaner:
@@ -87,6 +111,7 @@ class Cleaner:
         self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, after)
         self.held: Held | None = None
         self._fixed: dict[int, list[Wall]] = {}
+        self._taken_from = np.zeros(3)  # where the underside of what is held was
         self._last = np.zeros((0, len(ARM)))  # the arm's last planned path
         self.mover.pose(NARROW)
         self.mover.run(60)
@@ -103,30 +128,17 @@ class Cleaner:
         self._bring(self.carrying)
 
     def recover(self) -> None:
-        """Let go of whatever is held, draw the hand up and the arm back.
+        """Put back what is held, draw the hand up and the arm back.
 
         Raises:
             Failed: it cannot.
         """
-        self.mover.pose(NARROW)
-        self.mover.run(60)
-        self.held = None
-        grip = self._hand() @ np.append(GRIP, 1.0)
-        for height in (0.2, 0.1, 0.05):
-            try:
-                up = self._line(self._now(), grip[:3], grip[:3] + height * UP)
-            except Failed:
-                continue
-            self.mover.follow(up)
-            break
-        for _ in range(CHANCES):
-            try:
-                self._bring(self.carrying)
-            except Failed as failure:
-                failed = failure
-            else:
-                return
-        raise failed
+        if self.held is not None:
+            self.drop([self._taken_from], [(0.005, max(ABOVE))])
+            return
+        self._open()
+        self.mover.follow(self._higher())
+        self._try(lambda: self._bring(self.carrying))
 
     def pick(self, cup: Entity) -> None:
         """Take a cup that stands upright.
@@ -136,44 +148,128 @@ class Cleaner:
         """
         low, high = cup.aabb
         rim = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
-        above = rim + ABOVE * UP
-        down = self._reach_over(above, rim, but=cup)
+        down = self._reach_over([Way(rim + above * UP, rim) for above in ABOVE], cup)
         self.mover.follow(down)
-        self.mover.pose(SPREAD, FORCE)
-        self.mover.run(120)
-        if not self._touches(cup):
-            raise Failed("the fingers do not touch it")
-        self.mover.follow(self._line(self._now(), rim, above))
-        if cup.position[2] < low[2] + ABOVE / 2:
-            raise Failed("it slipped out of the fingers")
-        base, angles = self.chain.now(self.robot)
-        frame = self.chain.frames(base[None], angles[None])[0, self.hand]
-        self.held = Held(self.hand, cup, hull_in(frame, cup))
-        self._bring(self.carrying)
+        self._grasp(cup)
+        self._taken_from = np.array([*rim[:2], low[2]])
+        self._lift(down[::-1])
 
-    def drop(self, spot: Array) -> None:
-        """Bring what it holds to a spot, let go of it, and draw the arm back.
+    def _lift(self, up: Array) -> None:
+        """Lift what is held and draw the arm back; or put it back, if no way is found."""
+        self.mover.follow(up)
+        try:
+            self._bring(self.carrying)
+        except Failed:
+            higher = self._higher()
+            self.mover.follow(higher)
+            up = np.concatenate((up, higher))
+            try:
+                self._try(lambda: self._bring(self.carrying))
+            except Failed as failure:
+                self.mover.follow(up[::-1])
+                self._open()
+                self.mover.follow(up)
+                raise Failed(f"{failure} with it in the hand, and it was put back") from failure
+
+    def _higher(self) -> Array:
+        """A straight and clear way up (n, arm joints) from where the hand is."""
+        grip, now = self._grip(), self._now()
+        base, _ = self.chain.now(self.robot)
+        space = self._arm_space(base, self._near(base), NARROWLY)
+        for height in HIGHER:
+            try:
+                way = self._line(now, grip, grip + height * UP)
+            except Failed:
+                continue
+            if space.clear(way).all():
+                return way
+        return now[None]
+
+    def _grasp(self, cup: Entity) -> None:
+        """Spread the fingers until two of them touch the cup, and hold it."""
+        self.mover.pose(SPREAD, FORCE)
+        for _ in range(PATIENCE):
+            self.mover.run(24)
+            try:
+                self.robot.hold(cup, "arm7", touching=2)
+            except StateError as error:
+                failed = error
+                continue
+            break
+        else:
+            raise Failed("the fingers do not touch it") from failed
+        self.held = Held(self.hand, cup, hull_in(self._hand(), cup))
+        # They have it, and need not press any more.
+        fingers = self.chain.columns(list(SPREAD))
+        now = self.chain.now(self.robot)[1][fingers]
+        self.mover.pose(dict(zip(SPREAD, map(float, now), strict=True)))
+
+    def can_drop(self, cup: Entity, spots: Sequence[Array]) -> bool:
+        """Whether there is a place to stand from which a cup can be dropped on one of some spots.
 
         Args:
-            spot: (3,), where its underside is to be, m.
+            cup: that stands upright, to be held as `pick` does.
+            spots: (3,), where its underside may come to be, m.
+        """
+        low, high = (np.array(corner) for corner in cup.aabb)
+        hand = np.diag([1.0, -1.0, -1.0, 1.0])
+        hand[:3, 3] = [*(low + high)[:2] / 2, high[2] + GRIP[2]]
+        self.held = Held(self.hand, cup, hull_in(hand, cup))
+        try:
+            space = self._base_space()
+            here = space.place(self.chain.now(self.robot)[0])
+            ways = _ways(spots, high[2] - low[2], FALLS)
+            return any(True for some in ways for _ in self._stands(space, here, some, None))
+        finally:
+            self.held = None
+
+    def drop(self, spots: Sequence[Array], falls: Sequence[tuple[float, float]] = FALLS) -> None:
+        """Bring what it holds to one of some spots, let go of it there, and draw the arm back.
+
+        Args:
+            spots: (3,), where its underside may come to be, m.
+            falls: from how high above that it may fall, and from how far above that the hand
+                goes straight down, m; the first is tried first.
 
         Raises:
-            Failed: it cannot.
+            Failed: it cannot; if `held` is not None, it holds it still.
         """
         assert self.held is not None
-        cup = self.held.entity
-        hangs = self._hand()[:3, 3] + self._hand()[:3, :3] @ GRIP - cup.aabb[0]
-        goal = spot + hangs[2] * UP
-        above = goal + 0.22 * UP
-        down = self._reach_over(above, goal)
-        if (lost := self._lost()) is not None:
-            raise Failed(lost)
-        self.mover.follow(down)
-        self.mover.pose(NARROW)
-        self.mover.run(120)
+        hangs = self._grip()[2] - self.held.entity.aabb[0][2]
+        self._try(lambda: self._lower(_ways(spots, hangs, falls)))
+        self._try(lambda: self._bring(self.carrying))
+
+    def _lower(self, ways: Sequence[Sequence[Way]]) -> None:
+        for some in ways:
+            try:
+                down = self._reach_over(some)
+            except Failed as failure:
+                failed = failure
+                continue
+            self.mover.follow(down)
+            self._open()
+            self.mover.follow(down[::-1])
+            return
+        raise failed
+
+    def _open(self) -> None:
+        """Draw the fingers together, and let go of what they hold."""
+        if self.held is not None:
+            self.robot.release(self.held.entity)
         self.held = None
-        self.mover.follow(self._line(self._now(), goal, above))
-        self._bring(self.carrying)
+        self.mover.pose(NARROW)
+        self.mover.run(60)
+
+    def _try(self, act: Callable[[], None]) -> None:
+        """Do what may fail by chance, several times if need be."""
+        for _ in range(CHANCES):
+            try:
+                act()
+            except Failed as failure:
+                failed = failure
+            else:
+                return
+        raise failed
 
     # -- where ----------------------------------------------------------------------------
 
@@ -212,85 +308,89 @@ class Cleaner:
         postures: Array = found[solved][:, self.arm]
         return postures
 
-    def _reach_over(self, above: Array, goal: Array, but: Entity | None = None) -> Array:
-        """Drive to where the hand reaches two points, and bring it over the first.
+    def _reach_over(self, ways: Sequence[Way], but: Entity | None = None) -> Array:
+        """Drive to where the hand reaches both ends of a way, and bring it to where it begins.
+
+        Args:
+            ways: any of these will do.
+            but: what the fingers may meet at the end.
 
         Returns:
-            The way of the arm down to the second, (n, arm joints).
+            The way of the arm to its end, (n, arm joints).
         """
-        posture = self._drive_to(above, goal, but)
-        self._bring(self._posture(above, goal, posture, but))
+        stand = self._drive_to(ways, but)
+        above, goal = stand.way.above, stand.way.goal
+        self._bring(self._posture(above, goal, stand.posture, but))
         down = self._line(self._now(), above, goal)
         base, _ = self.chain.now(self.robot)
         if not self._arm_space(base, self._near(base, but), NARROWLY).clear(down).all():
             raise Failed("something is in the arm's way")
         return down
 
-    def _drive_to(self, above: Array, goal: Array, but: Entity | None) -> Array:
-        """Drive to where the hand reaches both points; the arm's posture over the first."""
+    def _drive_to(self, ways: Sequence[Way], but: Entity | None) -> Stand:
+        """Drive to where the hand reaches both ends of a way."""
         if np.abs(self._now() - self.carrying).max() > 0.1:
             self._bring(self.carrying)
         space = self._base_space()
         here = space.place(self.chain.now(self.robot)[0])
-        for stand in self._stands(space, here, above, goal, but):
+        for stand in self._stands(space, here, ways, but):
             for apart in (BASE_APART, NARROWLY):
-                space = replace(space, apart=apart)
-                path = plan(space, here, stand.place, self.rng, TRIES // 4, 1.0)
+                near = replace(space, apart=apart)
+                path = plan(near, here, stand.place, self.rng, TRIES // 10, 1.0)
                 if path is None:
                     continue
-                path = shortened(space, path, self.rng, 60)
-                if not self.mover.roll(space, path):
+                if not self.mover.roll(near, shortened(near, path, self.rng, 60)):
                     raise Failed("the robot is stuck on its way")
-                if (lost := self._lost()) is not None:
-                    raise Failed(lost)
-                return stand.posture
+                return stand
         raise Failed("there is no place to stand from which the arm reaches it")
 
     def _stands(
-        self, space: BaseSpace, here: Array, above: Array, goal: Array, but: Entity | None
+        self, space: BaseSpace, here: Array, ways: Sequence[Way], but: Entity | None
     ) -> Iterator[Stand]:
-        """Where the robot may stand to reach two points, the nearest first."""
-        away = self.rng.uniform(0.3, 0.75, PLACES)
-        way = self.rng.uniform(-np.pi, np.pi, PLACES)
-        yaw = self.rng.uniform(-np.pi, np.pi, PLACES)
-        # The arm's first joint is behind the axle.
-        places = np.stack(
-            (
-                above[0] + away * np.cos(way) + 0.06 * np.cos(yaw),
-                above[1] + away * np.sin(way) + 0.06 * np.sin(yaw),
-                yaw,
-            ),
-            axis=1,
-        )
-        places = np.concatenate((here[None], places))
-        places = places[np.argsort(space.distances(here, places))]
+        """Where the robot may stand to reach both ends of a way, the nearest first."""
         around = self._around(self._walls(but))
-        _, angles = self.chain.now(self.robot)
+        places, numbers = self._places(space, here, ways)
         for start in range(0, len(places), 32):
-            some = places[start : start + 32]
-            some = some[space.clear(some)]
+            some = start + np.flatnonzero(space.clear(places[start : start + 32]))
             if not len(some):
                 continue
-            bases = np.repeat(space.bases(some), POSTURES, axis=0)
-            starts = np.tile(angles, (len(bases), 1))
-            starts[:, self.arm] = self.rng.uniform(
-                self.chain.lower[self.arm],
-                self.chain.upper[self.arm],
-                (len(bases), len(self.arm)),
-            )
-            goals = np.tile([*above, 0.0, 0.0, -1.0], (len(bases), 1))
-            found, solved = self.chain.reach(bases, starts, self.arm, self.hand, GRIP, goals)
+            rows = np.repeat(some, POSTURES)
+            bases = space.bases(places[rows])
+            above = np.array([ways[number].above for number in numbers[rows]])
+            found, solved = self._postures_over(bases, above)
             for row in np.flatnonzero(solved):
                 arm = self._arm_space(bases[row], around)
-                posture = found[row, self.arm]
+                posture, way = found[row, self.arm], ways[numbers[rows[row]]]
                 if not arm.clear(posture[None])[0]:
                     continue
                 try:
-                    line = self._line(posture, above, goal, bases[row])
+                    line = self._line(posture, way.above, way.goal, bases[row])
                 except Failed:
                     continue
                 if arm.clear(line).all():
-                    yield Stand(some[row // POSTURES], posture)
+                    yield Stand(places[rows[row]], posture, way)
+
+    def _places(self, space: BaseSpace, here: Array, ways: Sequence[Way]) -> tuple[Array, Indices]:
+        """Places (n, 3) around where ways begin, the nearest first, and which way's (n,)."""
+        numbers = self.rng.integers(len(ways), size=PLACES)
+        x, y, _ = np.array([ways[number].above for number in numbers]).T
+        away = self.rng.uniform(0.3, 0.85, PLACES)
+        way, yaw = self.rng.uniform(-np.pi, np.pi, (2, PLACES))
+        # The arm's first joint is behind the axle.
+        x += away * np.cos(way) + 0.06 * np.cos(yaw)
+        y += away * np.sin(way) + 0.06 * np.sin(yaw)
+        places = np.concatenate((np.tile(here, (len(ways), 1)), np.stack((x, y, yaw), axis=1)))
+        numbers = np.concatenate((np.arange(len(ways)), numbers))
+        order = np.argsort(space.distances(here, places))
+        return places[order], numbers[order]
+
+    def _postures_over(self, bases: Array, above: Array) -> tuple[Array, Flags]:
+        """Joints (n, joints) with the hand over points (n, 3), and whether they are solutions."""
+        starts = np.tile(self.chain.now(self.robot)[1], (len(bases), 1))
+        low, high = self.chain.lower[self.arm], self.chain.upper[self.arm]
+        starts[:, self.arm] = self.rng.uniform(low, high, (len(bases), len(self.arm)))
+        goals = np.concatenate((above, np.tile([0.0, 0.0, -1.0], (len(bases), 1))), axis=1)
+        return self.chain.reach(bases, starts, self.arm, self.hand, GRIP, goals)
 
     def _posture(self, above: Array, goal: Array, near: Array, but: Entity | None) -> Array:
         """A posture with the hand over a point, near another one, from which it can go down."""
@@ -336,15 +436,16 @@ class Cleaner:
         base, _ = self.chain.now(self.robot)
         space = self._arm_space(base, self._near(base))
         path = self._back(space, posture)
-        for apart in (ARM_APART, NARROWLY):
+        # At last, what it holds may be tilted as the arm likes.
+        for apart, tilt in ((ARM_APART, space.tilt), (NARROWLY, space.tilt), (NARROWLY, None)):
             if path is None:
-                space = replace(space, apart=apart)
+                space = replace(space, apart=apart, tilt=tilt)
                 path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
-                path = None if path is None else shortened(space, path, self.rng, 60)
+                path = None if path is None else shortened(space, path, self.rng, 120)
         if path is None:
             raise Failed("no clear path of the arm was found")
         self._last = path
-        self.mover.follow(path, self._pace())
+        self.mover.follow(path)
 
     def _back(self, space: ArmSpace, posture: Array) -> Array | None:
         """The way that the arm came, if it leads to a posture and is still clear."""
@@ -355,31 +456,19 @@ class Cleaner:
         is_clear = joined and replace(space, apart=NARROWLY).clear(path).all()
         return path if is_clear else None
 
-    def _pace(self) -> float:
-        return 1.0 if self.held is None else CAREFUL
-
     def _now(self) -> Array:
         now: Array = self.chain.now(self.robot)[1][self.arm]
         return now
+
+    def _grip(self) -> Array:
+        """Where the fingers' grip is, (3,)."""
+        found: Array = (self._hand() @ np.append(GRIP, 1.0))[:3]
+        return found
 
     def _hand(self) -> Array:
         base, angles = self.chain.now(self.robot)
         found: Array = self.chain.frames(base[None], angles[None])[0, self.hand]
         return found
-
-    def _lost(self) -> str | None:
-        """What to say if the hand no longer has what it held."""
-        if self.held is None or self._touches(self.held.entity):
-            return None
-        self.held = None
-        return "it was lost on the way"
-
-    def _touches(self, cup: Entity) -> bool:
-        """Whether robot and cup are in contact, as the narrow phase has it."""
-        with self.world.held(["shapes"]):
-            shapes = self.world.snapshot.shapes()
-            gap = shapes.clearance(self.robot.id, cup.id)
-        return gap is not None and gap < TOUCHES
 
     # -- what is around -------------------------------------------------------------------
 

@@ -18,6 +18,8 @@ EVERY = 8
 # Of the arm: rad/s, rad/s² of every joint.
 FASTEST = 1.3
 SWIFTEST = 4.0
+# How near its end the arm is to be, rad, and how often it is waited for.
+ARRIVED, RESTS = 0.002, 5
 # Of the base: m/s and rad/s, and what these change in a second.
 ROLLING, TURNING = 0.7, 1.2
 ROLLING_MORE, TURNING_MORE = 1.0, 2.5
@@ -60,24 +62,20 @@ class Mover:
         efforts = None if effort is None else dict.fromkeys(postures, effort)
         self.robot.drive(postures, efforts=efforts)
 
-    def follow(self, path: Array, pace: float = 1.0) -> float:
-        """Move the arm along a path; how far from its end it stopped, rad.
-
-        Args:
-            path: (n, arm joints).
-            pace: as a share of how fast it can.
-        """
+    def follow(self, path: Array) -> None:
+        """Move the arm along a path (n, arm joints), and let it come to rest at its end."""
         names = [self.chain.names[column] for column in self.arm]
         clock, path = timed(path)
-        clock = clock / pace
         step = EVERY * self.robot.world.timestep
         for now in np.arange(step, clock[-1] + step, step):
             posture = [float(np.interp(now, clock, column)) for column in path.T]
             self.pose(dict(zip(names, posture, strict=True)))
             self.run(EVERY)
-        self.run(10 * EVERY)
-        _, angles = self.chain.now(self.robot)
-        return float(np.abs(angles[self.arm] - path[-1]).max())
+        for _ in range(RESTS):
+            self.run(2 * EVERY)
+            off = self.chain.now(self.robot)[1][self.arm] - path[-1]
+            if np.abs(off).max() < ARRIVED:
+                break
 
     # -- the base -------------------------------------------------------------------------
 
