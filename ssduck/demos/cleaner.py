@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from ssduck.entities import Entity
 from ssduck.errors import StateError
 from ssduck.geometry import Array, Indices
 from ssduck.world import World
+
+T = TypeVar("T")
 
 ARM = ("j1", "j2", "j3", "j4", "j5", "j6", "j7")
 WHEELS = ("left_wheel", "right_wheel")
@@ -40,18 +43,17 @@ STEP = 0.01
 # Where the arm holds a cup's rim while the robot drives, in the base's frame: a cup there is
 # higher than those on the table.
 CARRIED = np.array([0.2, 0.0, 0.36])
-# The hand with a cup is tilted no more, rad.
-TILT = 0.7
 # What is tried: places to stand at, postures of the arm at each, random postures of a plan.
-PLACES, POSTURES, TRIES = 3000, 4, 1000
+PLACES, POSTURES, TRIES = 5000, 4, 1000
 FLOOR = 0.16
 # How often what may fail by chance is tried, and how often fingers are given time to close.
-CHANCES = 4
+CHANCES = 3
 PATIENCE = 10
 # How far from its base's frame the arm reaches with a cup, m.
 REACH = 1.4
 # If there is no other way, the arm comes as near to things, m.
 NARROWLY = 0.004
+BARELY = 0.001
 # From how high above a spot a cup may fall, and from how far above that the hand goes straight
 # down, m; out of a sink's basin it has to come up straight.
 FALLS = ((0.03, 0.15), (0.08, 0.1), (0.15, 0.03))
@@ -138,7 +140,7 @@ class Cleaner:
             return
         self._open()
         self.mover.follow(self._higher())
-        self._try(lambda: self._bring(self.carrying))
+        self._tried(lambda: self._bring(self.carrying))
 
     def pick(self, cup: Entity) -> None:
         """Take a cup that stands upright.
@@ -148,7 +150,8 @@ class Cleaner:
         """
         low, high = cup.aabb
         rim = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
-        down = self._reach_over([Way(rim + above * UP, rim) for above in ABOVE], cup)
+        ways = [Way(rim + above * UP, rim) for above in ABOVE]
+        down = self._tried(lambda: self._reach_over(ways, cup))
         self.mover.follow(down)
         self._grasp(cup)
         self._taken_from = np.array([*rim[:2], low[2]])
@@ -164,7 +167,7 @@ class Cleaner:
             self.mover.follow(higher)
             up = np.concatenate((up, higher))
             try:
-                self._try(lambda: self._bring(self.carrying))
+                self._tried(lambda: self._bring(self.carrying))
             except Failed as failure:
                 self.mover.follow(up[::-1])
                 self._open()
@@ -236,8 +239,8 @@ class Cleaner:
         """
         assert self.held is not None
         hangs = self._grip()[2] - self.held.entity.aabb[0][2]
-        self._try(lambda: self._lower(_ways(spots, hangs, falls)))
-        self._try(lambda: self._bring(self.carrying))
+        self._tried(lambda: self._lower(_ways(spots, hangs, falls)))
+        self._tried(lambda: self._bring(self.carrying))
 
     def _lower(self, ways: Sequence[Sequence[Way]]) -> None:
         for some in ways:
@@ -260,15 +263,13 @@ class Cleaner:
         self.mover.pose(NARROW)
         self.mover.run(60)
 
-    def _try(self, act: Callable[[], None]) -> None:
+    def _tried(self, act: Callable[[], T]) -> T:
         """Do what may fail by chance, several times if need be."""
         for _ in range(CHANCES):
             try:
-                act()
+                return act()
             except Failed as failure:
                 failed = failure
-            else:
-                return
         raise failed
 
     # -- where ----------------------------------------------------------------------------
@@ -396,7 +397,7 @@ class Cleaner:
         """A posture with the hand over a point, near another one, from which it can go down."""
         base, angles = self.chain.now(self.robot)
         angles[self.arm] = near
-        close, other = (self._solve(base, above, n, angles, o) for n, o in ((16, 0.1), (96, None)))
+        close, other = (self._solve(base, above, n, angles, o) for n, o in ((16, 0.1), (300, None)))
         close = close[np.argsort(np.abs(close - near).max(axis=1))]
         found = np.concatenate((close, other))
         space = self._arm_space(base, self._near(base))
@@ -436,10 +437,9 @@ class Cleaner:
         base, _ = self.chain.now(self.robot)
         space = self._arm_space(base, self._near(base))
         path = self._back(space, posture)
-        # At last, what it holds may be tilted as the arm likes.
-        for apart, tilt in ((ARM_APART, space.tilt), (NARROWLY, space.tilt), (NARROWLY, None)):
+        for apart in (ARM_APART, NARROWLY, BARELY):
             if path is None:
-                space = replace(space, apart=apart, tilt=tilt)
+                space = replace(space, apart=apart)
                 path = plan(space, self._now(), posture, self.rng, TRIES, 0.8)
                 path = None if path is None else shortened(space, path, self.rng, 120)
         if path is None:
@@ -499,8 +499,7 @@ class Cleaner:
 
     def _arm_space(self, base: Array, around: Surroundings, apart: float = ARM_APART) -> ArmSpace:
         _, angles = self.chain.now(self.robot)
-        tilt = None if self.held is None else TILT
-        return ArmSpace(self.chain, around, base, angles, self.arm, LEVERS, self.hand, tilt, apart)
+        return ArmSpace(self.chain, around, base, angles, self.arm, LEVERS, apart)
 
     def _base_space(self) -> BaseSpace:
         base, angles = self.chain.now(self.robot)

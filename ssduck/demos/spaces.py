@@ -31,8 +31,6 @@ class ArmSpace:
         others: (joints,), the positions of all joints; those of the arm are replaced.
         arm: which joints are the arm's.
         levers: (arm joints,), how far from each joint anything is that it moves, m.
-        hand: the link whose z axis is bounded.
-        tilt: how far from straight down that may point, rad; None for anywhere.
         apart: what is kept free around it, m.
     """
 
@@ -42,8 +40,6 @@ class ArmSpace:
     others: Array
     arm: Indices
     levers: Array
-    hand: int
-    tilt: float | None = None
     apart: float = ARM_APART
 
     def sample(self, rng: np.random.Generator) -> Array:
@@ -70,20 +66,13 @@ class ArmSpace:
         return found
 
     def clear(self, postures: Array) -> Flags:
-        """Whether the arm is clear of all else, and its hand upright enough."""
+        """Whether the arm is clear of all else."""
         bases = np.tile(self.base, (len(postures), 1, 1))
         full = self.full(postures)
         links = range(int(self.chain.links[self.arm].min()), len(self.chain.rest))
-        is_free = np.ones(len(postures), dtype=bool)
-        if self.tilt is not None:
-            down = -self.chain.frames(bases, full)[:, self.hand, 2, 2]
-            is_free = down >= np.cos(self.tilt)
-        some = np.flatnonzero(is_free)
-        if len(some):
-            is_free[some] = self.around.clear(
-                bases[some], full[some], self.apart, moving=links, itself=min(ITSELF, self.apart)
-            )
-        return is_free
+        return self.around.clear(
+            bases, full, self.apart, moving=links, itself=min(ITSELF, self.apart)
+        )
 
 
 @dataclass(frozen=True, eq=False)
