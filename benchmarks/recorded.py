@@ -31,7 +31,8 @@ from benchmarks.timing import Way, minima, printed, shown, shown_finely
 from ssduck import Recording
 from ssduck.geometry import Array
 from ssduck.memory import Memory
-from ssduck.recording import RING_TICKS, STORED, Recorder
+from ssduck.recorder import RING_TICKS, Recorder
+from ssduck.rings import STORED
 from ssduck.simulators.pybullet import PyBulletSimulator
 from ssduck.storing import Storing
 

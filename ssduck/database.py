@@ -50,15 +50,9 @@ from ssduck.limits import Limits, Meter
 from ssduck.memory import Memory
 from ssduck.models import MODELS
 from ssduck.past import PAIR, Record, RecordedWorld
-from ssduck.recording import (
-    FRAMES,
-    MEMORY_TICKS,
-    RECORDABLE,
-    RING_TICKS,
-    Recorder,
-    Recording,
-    check_names,
-)
+from ssduck.recorder import MEMORY_TICKS, RING_TICKS, Recorder
+from ssduck.recording import RECORDABLE, Recording, check_names
+from ssduck.rings import FRAMES
 from ssduck.sealed import PART_TICKS, Folder, FolderRecording
 from ssduck.shapes import ANSWERS, Shapes
 from ssduck.tables import TABLES, Column, LiveTable

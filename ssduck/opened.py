@@ -31,7 +31,8 @@ from ssduck.history import (
 )
 from ssduck.models import MODELS, geometries_of, members_of
 from ssduck.past import Record, RecordedWorld
-from ssduck.recording import FRAMES, Recording
+from ssduck.recording import Recording
+from ssduck.rings import FRAMES
 from ssduck.tables import TABLES
 
 

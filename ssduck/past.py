@@ -25,7 +25,7 @@ from ssduck.history import POSE, Archive, Near, not_recorded
 from ssduck.layout import Layout, Member, Part
 from ssduck.many_ticks import Frames as LinkFrames
 from ssduck.many_ticks import Ids, Models, Side
-from ssduck.recording import FRAMES, STORED, Ticks
+from ssduck.rings import FRAMES, STORED, Ticks
 from ssduck.scenes import Camera
 from ssduck.separation import Counter
 from ssduck.shapes import Shapes

@@ -18,7 +18,7 @@ import pytest
 import ssduck
 from ssduck import Recording, database
 from ssduck.errors import SqlError
-from ssduck.recording import Recorder
+from ssduck.recorder import Recorder
 
 ROOT = Path(__file__).resolve().parent.parent
 RING = 10
