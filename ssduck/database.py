@@ -49,7 +49,8 @@ from ssduck.history import (
 from ssduck.limits import Limits, Meter
 from ssduck.memory import Memory
 from ssduck.models import MODELS
-from ssduck.past import PAIR, Record, RecordedWorld
+from ssduck.record import PAIR, Record
+from ssduck.recorded_world import RecordedWorld
 from ssduck.recorder import MEMORY_TICKS, RING_TICKS, Recorder
 from ssduck.recording import RECORDABLE, Recording, check_names
 from ssduck.rings import FRAMES

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import EvaluationError
-from ssduck.past import Record
+from ssduck.record import Record
 from ssduck.recording import Recording, check_names, chosen_members
 from ssduck.rings import FRAMES
 from ssduck.sealed import Folder

@@ -229,7 +229,7 @@ class History:
     def _slot(self, table: str, slot: int) -> str:
         return self.place(f"{table} {slot}")
 
-    # -- writing (ssduck.recording.Store) ---------------------------------------------------
+    # -- writing (ssduck.recorder.Store) ---------------------------------------------------
 
     def add_members(
         self, members: Collection[Member], geometry_id: Callable[[Geometry], int]

@@ -30,7 +30,8 @@ from ssduck.history import (
     quoted,
 )
 from ssduck.models import MODELS, geometries_of, members_of
-from ssduck.past import Record, RecordedWorld
+from ssduck.record import Record
+from ssduck.recorded_world import RecordedWorld
 from ssduck.recording import Recording
 from ssduck.rings import FRAMES
 from ssduck.tables import TABLES
