@@ -85,7 +85,7 @@ def runs(path: Path, database: Database) -> Sequence[Run]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _stored_runs(path, database.attach(path), database.writer())
+    return _stored_runs(path, database.connection.attach(path), database.connection.writer())
 
 
 def chosen_runs(found: Sequence[Run], world: str | None, number: int | None) -> list[Run]:
@@ -120,11 +120,11 @@ def world_of(run: Run, database: Database) -> RecordedWorld:
     """
     archive: OpenedFolder | History
     if isinstance(run, FolderRun):
-        archive = OpenedFolder(run, database.writer())
+        archive = OpenedFolder(run, database.connection.writer())
         ticks, models = archive.ticks, {table: run.read(f"models/{table}") for table in MODELS}
     else:
         assert isinstance(run, StoredRun)
-        archive = run.history(database.writer())
+        archive = run.history(database.connection.writer())
         ticks, models = archive.ticks(), archive.all_models()
     record = Record(
         None,
