@@ -15,6 +15,7 @@ import pytest
 import ssduck
 from ssduck import ctrl_c
 from ssduck.database import Database
+from ssduck.database.connection import Connection
 from ssduck.errors import SqlError
 from ssduck.limits import Limits
 
@@ -261,8 +262,8 @@ def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
 OURS = {
     ctrl_c.Listening.enter.__code__,
     ctrl_c.Listening.leave.__code__,
-    Database._told.__code__,
-    Database._in_time.__code__,
+    Connection._told.__code__,
+    Connection._in_time.__code__,
 }
 
 

@@ -17,6 +17,7 @@ import pytest
 
 import ssduck
 from ssduck import Recording
+from ssduck.database import recorders, writer
 from ssduck.database.writer import Writer
 from ssduck.errors import SqlError
 from ssduck.recorder import Recorder
@@ -42,10 +43,10 @@ class Gate:
         self._held = ""
         run = Writer.run
 
-        def told(writer: Writer, sql: str) -> None:
+        def told(own: Writer, sql: str) -> None:
             if threading.current_thread().name == "ssduck stores":
                 self._pass(sql)
-            run(writer, sql)
+            run(own, sql)
 
         monkeypatch.setattr(Writer, "run", told)
 
@@ -72,8 +73,8 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 @pytest.fixture
 def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
     """A world of falling balls; a file takes its ticks ten at a time, and each time a checkpoint."""
-    monkeypatch.setattr(database, "RING_TICKS", RING)
-    monkeypatch.setattr(database, "LONG_LOG", 1)
+    monkeypatch.setattr(recorders, "RING_TICKS", RING)
+    monkeypatch.setattr(writer, "LONG_LOG", 1)
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(BALLS):
         pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
@@ -383,11 +384,11 @@ def test_garbage_is_collected_in_the_thread_that_stores(
     finish = ss._database.connection._finalizer
     run, ended = Writer.run, threading.Event()
 
-    def told(writer: Writer, sql: str) -> None:
+    def told(own: Writer, sql: str) -> None:
         if threading.current_thread().name == "ssduck stores" and sql == "BEGIN":
             finish()  # as the collector of garbage would
             ended.set()
-        run(writer, sql)
+        run(own, sql)
 
     monkeypatch.setattr(Writer, "run", told)
     _ticked(world, RING + 3)
