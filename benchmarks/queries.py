@@ -35,7 +35,7 @@ def by_hand(ss: ssduck.Interpreter, program: str) -> Callable[[], object]:
     plan = planned.plan
     table = ss.call_variable("table")
     parameters = {binding.name: table.column(binding.column or "id") for binding in plan.bindings}
-    return lambda: database.rows(plan.sql, parameters or None)
+    return lambda: database.connection.rows(plan.sql, parameters or None)
 
 
 def rows() -> Iterator[tuple[str, str, str, str]]:

@@ -31,7 +31,8 @@ from benchmarks.timing import Way, minima, printed, shown, shown_finely
 from ssduck import Recording
 from ssduck.geometry import Array
 from ssduck.memory import Memory
-from ssduck.recording import RING_TICKS, STORED, Recorder
+from ssduck.recorder import RING_TICKS, Recorder
+from ssduck.rings import STORED
 from ssduck.simulators.pybullet import PyBulletSimulator
 from ssduck.storing import Storing
 
@@ -66,7 +67,7 @@ def boxes(count: int) -> Iterator[tuple[ssduck.World, int]]:
 
 def _recorder(ss: ssduck.Interpreter) -> Recorder:
     """What keeps the ticks of an interpreter's only world."""
-    return ss._database._recorders[0]
+    return ss._database._recorders.running[0]
 
 
 # -- a tick -------------------------------------------------------------------------------------
@@ -286,7 +287,7 @@ def over(ss: ssduck.Interpreter, rounds: int) -> Iterator[tuple[str, ...]]:
     }
     for name, (program, condition) in asked.items():
         ours = partial(ss.eval, ss.compile(f"{program} AS list;"))
-        hand = partial(ss._database.rows, _BY_HAND.format(condition))
+        hand = partial(ss._database.connection.rows, _BY_HAND.format(condition))
         found, expected = _pairs(ours()), sorted(hand())
         if found != expected:
             raise AssertionError(f"{name}: {str(found)[:200]} is not {str(expected)[:200]}")

@@ -25,7 +25,7 @@ from ssduck.sensors import SENSOR_TYPES
 from ssduck.simulators import Body, Kind
 
 if TYPE_CHECKING:
-    from ssduck.past import Record
+    from ssduck.record import Record
     from ssduck.world import World
 
 T = TypeVar("T")

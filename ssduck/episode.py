@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ssduck.recording import Ticks
+from ssduck.rings import Ticks
 
 
 @dataclass(frozen=True)

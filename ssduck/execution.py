@@ -59,7 +59,7 @@ class Execution(Names, ABC):
             before = dict(self._variables)
             outermost = not self._texts
             if outermost:
-                self._database.meter = Meter(self._limits)
+                self._database.connection.meter = Meter(self._limits)
             self._texts.append(program.text)
             try:
                 yield
@@ -194,7 +194,7 @@ class Execution(Names, ABC):
     @property
     def meter(self) -> Meter:
         """How much of its limits the running program has used."""
-        return self._database.meter
+        return self._database.connection.meter
 
     @contextmanager
     def _reading(self, *nodes: Node) -> Iterator[None]:

@@ -8,8 +8,9 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import EvaluationError
-from ssduck.past import Record
-from ssduck.recording import FRAMES, Recording, check_names, chosen_members
+from ssduck.record import Record
+from ssduck.recording import Recording, check_names, chosen_members
+from ssduck.rings import FRAMES
 from ssduck.sealed import Folder
 
 # So many rows of entities make a part, about: ten megabytes.

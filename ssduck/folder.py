@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 
 from ssduck.episode import Episode
 from ssduck.errors import RecordError
-from ssduck.recording import FRAMES, Ticks
+from ssduck.rings import FRAMES, Ticks
 
 FORMAT = "ssduck record"
 VERSION = 1

@@ -100,6 +100,8 @@ def form_of(query: Query, frame: Frame) -> Form:
         raise
     arguments = tuple(frame.value(argument) for argument in named.arguments)
     by_name = {argument.name: frame.value(argument.value) for argument in named.named}
+    if adapter.is_plain and not arguments and not by_name:
+        return Form(named.name, adapter, span=named.span)
     try:
         adapter.signature.bind(None, *arguments, **by_name)
     except TypeError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +35,10 @@ def highlighted(world: World, entities: Iterable[Entity], width: int, height: in
     chosen = {_shown(entity) for entity in entities}
     if not world.is_final:
         return Image.fromarray(_drawn(world, chosen, width, height))
-    twin = world.excerpt(list(world))
+    with warnings.catch_warnings():
+        # How fast joints are is nothing that a picture shows.
+        warnings.filterwarnings("ignore", message=".*velocities of joints are not recorded")
+        twin = world.excerpt(list(world))
     try:
         names = {world.entity(id).name for id in chosen}
         ids = {entity.id for entity in twin if entity.name in names}

@@ -25,8 +25,9 @@ from sqlglot import exp
 from ssduck.geometry import Geometry
 from ssduck.layout import Member
 from ssduck.models import KEYS, MODELS, models_of
-from ssduck.recording import FRAME_REALS, FRAMES, QUARTERS, RECORDABLE, STORED, Recording, Ticks
+from ssduck.recording import QUARTERS, RECORDABLE, Recording
 from ssduck.relations import BOX
+from ssduck.rings import FRAME_REALS, FRAMES, STORED, Ticks
 from ssduck.storing import WHENEVER, Cut
 from ssduck.tables import TABLES
 
@@ -228,7 +229,7 @@ class History:
     def _slot(self, table: str, slot: int) -> str:
         return self.place(f"{table} {slot}")
 
-    # -- writing (ssduck.recording.Store) ---------------------------------------------------
+    # -- writing (ssduck.recorder.Store) ---------------------------------------------------
 
     def add_members(
         self, members: Collection[Member], geometry_id: Callable[[Geometry], int]

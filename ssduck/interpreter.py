@@ -258,7 +258,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         """
         with self._lock:
             if not self._texts:
-                self._database.meter = Meter(self._limits)
+                self._database.connection.meter = Meter(self._limits)
             return Result(self._database.table(text, parameters))
 
     def statistics(self) -> dict[str, Statistics]:

@@ -12,7 +12,7 @@ from ssduck.database import Database
 from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.messages import shown
-from ssduck.past import Past
+from ssduck.past import Past, past_of
 from ssduck.planner import Planner
 from ssduck.programs import Compiled
 from ssduck.recording import RECORDABLE, Recording
@@ -71,7 +71,7 @@ class RecordVerbs(ABC):
         with self._lock:
             chosen = self._world(world)
             seconds = None if age is None else seconds_of(age)
-            return self._database.record_of(chosen).past(seconds)
+            return past_of(self._database.record_of(chosen), seconds)
 
     def record_to(
         self,

@@ -1,6 +1,6 @@
 """The history of a world in memory: the rings that are full, as they are.
 
-Nothing is copied: DuckDB looks into them where they are (`ssduck.recording`), which costs a tick a
+Nothing is copied: DuckDB looks into them where they are (`ssduck.rings`), which costs a tick a
 tenth of what storing it in DuckDB's tables does. The oldest are dropped as a whole.
 """
 
@@ -15,7 +15,8 @@ import pyarrow as pa
 
 from ssduck.geometry import Array, Indices
 from ssduck.history import BOXES_OFF, NEAR_COLUMNS, POSE, History, Near, Waiting, near_rows
-from ssduck.recording import QUARTERS, STORED, in_parts
+from ssduck.recording import QUARTERS
+from ssduck.rings import STORED, in_parts
 from ssduck.storing import WHENEVER, Cut, Kept
 
 # Fewer rows are put together with those before them.

@@ -19,7 +19,7 @@ from ssduck.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language import is_reserved
 from ssduck.messages import shown
 from ssduck.over_time import FORMS
-from ssduck.past import Past
+from ssduck.past import Past, past_of
 from ssduck.relations import Relation
 from ssduck.sources import within
 from ssduck.temporal import ValueHistory, aged, history_of, kept
@@ -85,7 +85,7 @@ class Names:
         return aged(name, self._variables[name], age, self._now, self._past)
 
     def _past(self, world: World, age: float | None) -> Past:
-        return self._database.record_of(world).past(age)
+        return past_of(self._database.record_of(world), age)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
         """What `name{}` gives, with the simulated times.

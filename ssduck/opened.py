@@ -30,8 +30,10 @@ from ssduck.history import (
     quoted,
 )
 from ssduck.models import MODELS, geometries_of, members_of
-from ssduck.past import Record, RecordedWorld
-from ssduck.recording import FRAMES, Recording
+from ssduck.record import Record
+from ssduck.recorded_world import RecordedWorld
+from ssduck.recording import Recording
+from ssduck.rings import FRAMES
 from ssduck.tables import TABLES
 
 
@@ -83,7 +85,7 @@ def runs(path: Path, database: Database) -> Sequence[Run]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _stored_runs(path, database.attach(path), database.writer())
+    return _stored_runs(path, database.connection.attach(path), database.connection.writer())
 
 
 def chosen_runs(found: Sequence[Run], world: str | None, number: int | None) -> list[Run]:
@@ -118,11 +120,11 @@ def world_of(run: Run, database: Database) -> RecordedWorld:
     """
     archive: OpenedFolder | History
     if isinstance(run, FolderRun):
-        archive = OpenedFolder(run, database.writer())
+        archive = OpenedFolder(run, database.connection.writer())
         ticks, models = archive.ticks, {table: run.read(f"models/{table}") for table in MODELS}
     else:
         assert isinstance(run, StoredRun)
-        archive = run.history(database.writer())
+        archive = run.history(database.connection.writer())
         ticks, models = archive.ticks(), archive.all_models()
     record = Record(
         None,

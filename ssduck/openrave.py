@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,12 +30,12 @@ CLONE_BODIES = 1
 
 
 def __getattr__(name: str) -> Any:
-    """The classes of handles, which are built on these spellings."""
-    if name not in ("KinBody", "Robot", "Sensor"):
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from ssduck import entities
-
-    return getattr(entities, name)
+    """What is built on these spellings: the classes of handles, and modules."""
+    if name in ("KinBody", "Robot", "Sensor"):
+        return getattr(import_module("ssduck.entities"), name)
+    if name in ("RaveCreateModule", "RaveInitialize", "RaveLoadPlugin"):
+        return getattr(import_module("ssduck.openrave_modules"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,8 @@ from ssduck.functions import Function
 from ssduck.intervals import changes_of, intervals_of
 from ssduck.messages import shown
 from ssduck.operators import truth
-from ssduck.past import Past, Record
+from ssduck.past import Past, past_of
+from ssduck.record import Record
 from ssduck.tree import Aged, Bare, Call, Given, Index, Name, Node, Query, Source, This
 from ssduck.world import World
 
@@ -105,15 +106,15 @@ def _held_for(series: Series, age: Any) -> float:
 
 
 def _holds(series: Series, age: Any) -> list[list[float]]:
-    return intervals_of(*series.holding(series.record.past(age)))
+    return intervals_of(*series.holding(past_of(series.record, age)))
 
 
 def _changes(series: Series, age: Any) -> list[list[Any]]:
-    return changes_of(*series.at(series.record.past(age)))
+    return changes_of(*series.at(past_of(series.record, age)))
 
 
 def _least(series: Series, age: Any) -> list[Any] | None:
-    times, values = series.at(series.record.past(age))
+    times, values = series.at(past_of(series.record, age))
     known = [(value, time) for time, value in zip(times, values, strict=True) if _is_number(value)]
     others = [v for v in values if v is not None and not isinstance(v, int | float)]
     if others:

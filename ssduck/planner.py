@@ -290,7 +290,7 @@ class Typed:
     """
 
     def __init__(self, scope: Functions, frame: Frame, database: Database) -> None:
-        self.deepest = database.meter.limits.depth
+        self.deepest = database.connection.meter.limits.depth
         self._scope = scope
         self._frame = frame
         self._database = database

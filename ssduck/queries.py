@@ -156,7 +156,7 @@ class Planned:
         if not self.plan.paths:
             return Rows(fetched, names)
         if self.plan.graph is not None:
-            meter = self._database.meter
+            meter = self._database.connection.meter
             found = _graph_paths(self.plan.graph, fetched, names, meter.step)
             meter.check_rows(len(found.paths))
             return found
@@ -167,7 +167,9 @@ class Planned:
         parameters = _parameters(plan, outer, sources)
         if any(_is_long(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source):
             # What is written in a statement DuckDB compares whole blocks of rows with.
-            return database.rows(plan.select.transform(written(parameters)).sql("duckdb"))
+            return database.connection.rows(
+                plan.select.transform(written(parameters)).sql("duckdb")
+            )
         # A buffer of numbers has no place for an unknown one.
         if not plan.tables and None not in parameters.values():
             numbers = {name: parameters[name] for name in plan.numbers}
@@ -180,12 +182,12 @@ class Planned:
             for alias, name in plan.tables.items():
                 shape = next(shape for shape in plan.shapes if shape.alias == alias)
                 assert shape.tag is not None
-                database.show(name, arrow_of(elements_of(sources[alias]), shape.tag))
+                database.connection.show(name, arrow_of(elements_of(sources[alias]), shape.tag))
                 shown.append(name)
-            return database.rows(plan.sql, parameters or None)
+            return database.connection.rows(plan.sql, parameters or None)
         finally:
             for name in shown:
-                database.unshow(name)
+                database.connection.unshow(name)
 
     def _prepared(self, texts: dict[str, Any]) -> Statement | None:
         """The prepared statement for these values of what is no number.
@@ -200,7 +202,7 @@ class Planned:
         if self._statement is None and _size(texts) <= MOST_WRITTEN:
             select = self.plan.select.transform(written(texts)) if texts else self.plan.select
             assert isinstance(select, exp.Select)
-            self._statement = Statement(self._database, select, self.plan.numbers)
+            self._statement = Statement(self._database.plans, select, self.plan.numbers)
         return self._statement
 
     def _frames(

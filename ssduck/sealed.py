@@ -22,7 +22,9 @@ from ssduck.geometry import Geometry
 from ssduck.layout import Member
 from ssduck.messages import shown
 from ssduck.models import KEYS, MODELS, models_of, told_of
-from ssduck.recording import FRAMES, Recorder, Recording
+from ssduck.recorder import Recorder
+from ssduck.recording import Recording
+from ssduck.rings import FRAMES
 from ssduck.storing import WHENEVER, Cut
 from ssduck.tables import TABLES
 
@@ -34,7 +36,7 @@ PART_TICKS = 2400
 
 
 class Folder:
-    """Writes an episode of a world into a folder (`ssduck.recording.Store`).
+    """Writes an episode of a world into a folder (`ssduck.recorder.Store`).
 
     Args:
         path: the folder; it is made if it is not there.

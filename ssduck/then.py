@@ -1,7 +1,7 @@
 """What contacts and sensors told at a recorded tick, of one or two entities.
 
 SQL's macros cannot look things up by the tick of a row; these can. Each takes the columns of the
-table at a tick (`ssduck.past.Record.rows`), and gives numbers.
+table at a tick (`ssduck.record.Record.rows`), and gives numbers.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from typing import Self
 from ssduck.errors import SelectScriptError
 from ssduck.following import Followed
 from ssduck.members import Members
-from ssduck.recording import Recorder
+from ssduck.recorder import Recorder
 from ssduck.simulators import Simulator
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot

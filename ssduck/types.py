@@ -11,7 +11,7 @@ from operator import itemgetter
 from typing import Any, TypeAlias
 
 from ssduck.entities import Entity
-from ssduck.past import Record
+from ssduck.record import Record
 from ssduck.relations import ValueType
 from ssduck.world import World
 

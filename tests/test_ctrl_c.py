@@ -15,6 +15,7 @@ import pytest
 import ssduck
 from ssduck import ctrl_c
 from ssduck.database import Database
+from ssduck.database.connection import Connection
 from ssduck.errors import SqlError
 from ssduck.limits import Limits
 
@@ -39,7 +40,7 @@ def ss():
 @pytest.fixture
 def database():
     database = Database(":memory:", None)
-    yield database
+    yield database.connection
     database.close()
 
 
@@ -227,7 +228,7 @@ def test_whoever_was_told_of_signals_is_told_still(database, wakeup, depth):
     def work():
         if depth == 2:
             with ssduck.Interpreter() as inner:
-                inner._database._told("", lambda: signal.raise_signal(signal.SIGTERM))
+                inner._database.connection._told("", lambda: signal.raise_signal(signal.SIGTERM))
         else:
             signal.raise_signal(signal.SIGTERM)
         swallowed(list)
@@ -261,8 +262,8 @@ def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
 OURS = {
     ctrl_c.Listening.enter.__code__,
     ctrl_c.Listening.leave.__code__,
-    Database._told.__code__,
-    Database._in_time.__code__,
+    Connection._told.__code__,
+    Connection._in_time.__code__,
 }
 
 
@@ -312,7 +313,7 @@ def test_ctrl_c_at_any_point_leaves_all_as_it_was(monkeypatch):
             timers.append(self)
 
     monkeypatch.setattr(threading, "Timer", Timer)
-    database = Database(":memory:", None, Limits(seconds=10_000))
+    database = Database(":memory:", None, Limits(seconds=10_000)).connection
     database.run("SELECT 1")
     when = 1
     while pressed_at(database, when):

@@ -17,7 +17,17 @@ from typer.testing import CliRunner
 
 import ssduck
 from ssduck.cli import app
-from ssduck.demos import NAMES, chaos, description_of, drawing, prolog, reasoning, robots, run_of
+from ssduck.demos import (
+    NAMES,
+    chaos,
+    description_of,
+    drawing,
+    environment,
+    prolog,
+    reasoning,
+    robots,
+    run_of,
+)
 from ssduck.demos.grid import Grid, free_cells, shortest_way
 from ssduck.demos.placing import Placing
 
@@ -286,7 +296,18 @@ def test_overlaps_among_others(some, others, among):
     assert chaos._are_among(some, others) == among
 
 
-# -- maps, and clauses ---------------------------------------------------------------------------
+# -- sub-scenes, maps, clauses ---------------------------------------------------------------------------
+
+
+def test_an_environment(tmp_path, monkeypatch):
+    told = []
+    assert run_of("environment")(tmp_path, told.append, seed=0)
+    with Image.open(tmp_path / "environment.png") as picture:
+        assert picture.size == (640, 480)
+    assert (tmp_path / "near_roomba" / "scene.toml").is_file()
+    monkeypatch.setattr(environment, "ALIKE", 0.0)
+    (tmp_path / "again").mkdir()
+    assert not environment.run(tmp_path / "again", told.append, seed=0)
 
 
 def test_maps_of_the_kitchen(tmp_path):

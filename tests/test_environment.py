@@ -633,51 +633,6 @@ def test_removing(kitchen, client):
         kitchen.what_if().remove("can")
 
 
-# Cell 41, as printed, but for the class that it is built on.
-CELL_41 = """
-class interpeter_environment(Interpreter):
-    def evalAs(self, AS, SELECT, FROM, FROM_n, WHERE):
-        if AS == "environment":
-            return self.environment(AS, SELECT, FROM, FROM_n, WHERE)
-        return Interpreter.evalAs(self, AS, SELECT, FROM, FROM_n, WHERE)
-    def environment(self, AS, SELECT, FROM, FROM_n, WHERE):
-        mark = True
-        newEnv = None
-        for elem in FROM:
-            if not newEnv: newEnv = elem[0].GetEnv().CloneSelf(1|8)
-
-            if WHERE != []:
-                mark = self.eval(WHERE, elem, FROM_n)
-
-            if not mark:
-                object = self.eval(SELECT, elem, FROM_n)
-
-                if type(object) == Robot:
-                    newEnv.Remove(newEnv.GetRobot(object.GetName()))
-                elif type(object) == KinBody:
-                    newEnv.Remove(newEnv.GetKinBody(object.GetName()))
-
-        return newEnv
-"""
-
-
-def test_the_tutorials_own_interpreter(kitchen):
-    from ssduck.openrave import KinBody, Robot
-
-    names = {"Interpreter": ssduck.Interpreter, "Robot": Robot, "KinBody": KinBody}
-    exec(CELL_41, names)  # noqa: S102
-    program = (
-        "roomba = SELECT obj FROM kitchen WHERE id(this)=='roomba_625x' AS value;"
-        "SELECT obj FROM kitchen WHERE distance(roomba, this) <= 1.5 AS environment;"
-    )
-    found = []
-    for kind in (names["interpeter_environment"], ssduck.Interpreter):
-        ss = kind()
-        ss.addVariable("kitchen", kitchen)
-        found.append([entity.name for entity in ss.eval(program) if entity.kind != "sensor"])
-    assert found[0] == found[1] != []
-
-
 def test_cloning_nothing(kitchen):
     assert len(kitchen.CloneSelf(8)) == 0
     clone = kitchen.CloneSelf(1)

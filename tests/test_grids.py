@@ -345,12 +345,17 @@ def pixels(path):
 
 def test_the_manuals_pictures_are_up_to_date(pictures):
     page = (ROOT / "docs" / "adapters.md").read_text(encoding="utf-8")
-    assert len(pictures) == 5
+    assert len(pictures) == 9
     for name, drawn in pictures.items():
-        stored = ROOT / "docs" / f"{name}.png"
+        path = ROOT / "docs" / f"{name}.png"
         assert f"({name}.png)" in page
-        assert stored.stat().st_size < 100_000
-        assert np.array_equal(pixels(stored), drawn), f"{name}: run tools/draw_forms.py"
+        assert path.stat().st_size < 100_000
+        stored = pixels(path)
+        assert stored.shape == drawn.shape, f"{name}: run tools/draw_forms.py"
+        # Grids are exact; renderers and fonts are not the same everywhere.
+        other = (np.abs(stored - drawn).max(axis=2) > 32).mean()
+        most = 0.05 if name.startswith("forms-") else 0.0
+        assert other <= most, f"{name}: run tools/draw_forms.py"
 
 
 def test_the_pictures_show_what_they_should(pictures, tmp_path):
@@ -372,6 +377,8 @@ def test_the_pictures_show_what_they_should(pictures, tmp_path):
     seen = pictures["sensorgrid"]
     assert (seen == 40).all(axis=2).sum() > 20_000
     assert (seen == [74, 0, 60]).all(axis=2).sum() > 0  # where most sensors see
+    for name in ("forms-image", "forms-environment", "forms-points", "forms-graph"):
+        assert 0.02 < (pictures[name] != 255).any(axis=2).mean() < 0.9
     assert len(np.unique(pictures["voxelgrid"].reshape(-1, 3), axis=0)) > 20
 
 

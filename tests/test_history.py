@@ -418,7 +418,7 @@ def test_no_statement_reads_ticks_that_are_not_asked_for(falling: ssduck.Interpr
     _step(falling, 480)
     falling.flush()
     told: list[str] = []
-    falling._database._tracer = told.append
+    falling._database.connection._tracer = told.append
     falling.eval("SELECT z FROM lab{-0.1} WHERE id(this) == 'ball_0' AS list;")
     (query,) = [sql for sql in told if "entities_history" in sql]
     assert "BETWEEN" in query
@@ -565,7 +565,7 @@ def test_a_long_window_has_its_values_written_in(falling: ssduck.Interpreter) ->
     )
     wanted = falling.eval(program)
     told: list[str] = []
-    falling._database._tracer = told.append
+    falling._database.connection._tracer = told.append
     before, queries.LONG = queries.LONG, 10
     try:
         assert falling.eval(program) == wanted != []

@@ -155,7 +155,7 @@ def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
     told: list[str] = []
     for _ in range(ticks):
         world.tick()
-    ss._database._tracer = told.append
+    ss._database.connection._tracer = told.append
     assert ss.eval("since(z(ball) < 2);") == 0.0
     blocks = [sql for sql in told if "entities_history" in sql]
     assert len(blocks) == (1 if ticks < 239 else 2 if ticks < 719 else 3)

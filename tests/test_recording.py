@@ -10,7 +10,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import SqlError
-from ssduck.recording import Recorder
+from ssduck.recorder import Recorder
 
 
 class Store:
@@ -108,7 +108,7 @@ def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int
                 ss.flush()
         rows = ss.sql("SELECT tick, id FROM entities_history ORDER BY ALL").fetchall()
         assert rows == [(t, id) for t in range(first, first + 2500) for id in (1, 2, 3)]
-        assert len(ss._database._recorders[0]._store._parts) < 5
+        assert len(ss._database._recorders.running[0]._store._parts) < 5
 
 
 def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World) -> None:
@@ -127,4 +127,4 @@ def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World)
         for rows in kept:
             ticks = rows["tick"].to_pylist()
             assert ticks == [tick for tick in range(ticks[0], ticks[-1] + 1) for _ in range(3)]
-        assert len(ss._database._recorders[0].rings["entities"]._lent) < 30
+        assert len(ss._database._recorders.running[0].rings["entities"]._lent) < 30

@@ -16,9 +16,11 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck import Recording, database
+from ssduck import Recording
+from ssduck.database import recorders, writer
+from ssduck.database.writer import Writer
 from ssduck.errors import SqlError
-from ssduck.recording import Recorder
+from ssduck.recorder import Recorder
 
 ROOT = Path(__file__).resolve().parent.parent
 RING = 10
@@ -39,14 +41,14 @@ class Gate:
         self.reached, self.opened = threading.Event(), threading.Event()
         self.failures = 0
         self._held = ""
-        run = database.Writer.run
+        run = Writer.run
 
-        def told(writer: database.Writer, sql: str) -> None:
+        def told(own: Writer, sql: str) -> None:
             if threading.current_thread().name == "ssduck stores":
                 self._pass(sql)
-            run(writer, sql)
+            run(own, sql)
 
-        monkeypatch.setattr(database.Writer, "run", told)
+        monkeypatch.setattr(Writer, "run", told)
 
     def _pass(self, sql: str) -> None:
         if self._held and sql.startswith(self._held):
@@ -71,8 +73,8 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 @pytest.fixture
 def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
     """A world of falling balls; a file takes its ticks ten at a time, and each time a checkpoint."""
-    monkeypatch.setattr(database, "RING_TICKS", RING)
-    monkeypatch.setattr(database, "LONG_LOG", 1)
+    monkeypatch.setattr(recorders, "RING_TICKS", RING)
+    monkeypatch.setattr(writer, "LONG_LOG", 1)
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(BALLS):
         pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
@@ -87,7 +89,7 @@ def recorded(world: ssduck.World, tmp_path: Path) -> Iterator[ssduck.Interpreter
 
 
 def _recorder(ss: ssduck.Interpreter) -> Recorder:
-    return ss._database._recorders[0]
+    return ss._database._recorders.running[0]
 
 
 def _ticked(world: ssduck.World, until: int) -> None:
@@ -343,7 +345,7 @@ def test_a_log_that_cannot_be_moved_is_told_at_flush(
         raise SqlError("no checkpoint")
 
     with monkeypatch.context() as patch:
-        patch.setattr(database.Writer, "settle", fails)
+        patch.setattr(Writer, "settle", fails)
         _ticked(world, RING + 1)
         _recorder(recorded).wait()
     with pytest.raises(SqlError, match="no checkpoint"):
@@ -379,16 +381,16 @@ def test_garbage_is_collected_in_the_thread_that_stores(
     path = tmp_path / "run.duckdb"
     ss: Any = ssduck.Interpreter(str(path))
     ss.add_variable("lab", world)
-    finish = ss._database._finalizer
-    run, ended = database.Writer.run, threading.Event()
+    finish = ss._database.connection._finalizer
+    run, ended = Writer.run, threading.Event()
 
-    def told(writer: database.Writer, sql: str) -> None:
+    def told(own: Writer, sql: str) -> None:
         if threading.current_thread().name == "ssduck stores" and sql == "BEGIN":
             finish()  # as the collector of garbage would
             ended.set()
-        run(writer, sql)
+        run(own, sql)
 
-    monkeypatch.setattr(database.Writer, "run", told)
+    monkeypatch.setattr(Writer, "run", told)
     _ticked(world, RING + 3)
     assert ended.wait(60)
     for thread in threading.enumerate():
@@ -402,8 +404,9 @@ def test_garbage_is_collected_in_the_thread_that_stores(
 
 SCRIPT = """
 import os, sys, time, pybullet, ssduck
-from ssduck import database
-database.RING_TICKS = 10
+from ssduck.database import recorders
+from ssduck.database.writer import Writer
+recorders.RING_TICKS = 10
 client = pybullet.connect(pybullet.DIRECT)
 ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
 for place in range(3):
@@ -411,11 +414,11 @@ for place in range(3):
 world = ssduck.World.attach(client, name="lab")
 ss = ssduck.Interpreter(sys.argv[1])
 ss.add_variable("lab", world)
-slow = database.Writer.insert
+slow = Writer.insert
 def insert(*given):
     time.sleep(0.05)
     slow(*given)
-database.Writer.insert = insert
+Writer.insert = insert
 while world.snapshot.number < 24:
     world.tick()
 """

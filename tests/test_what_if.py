@@ -498,7 +498,7 @@ def test_one_name_for_several_worlds(kitchen):
         for height in (1.0, 2.0, 3.0):
             maybe = kitchen.what_if({"can": [1, 0, 0, 0, 0, 0, height]})
             ss.add_variable("maybe", maybe)
-            assert [bound.world for bound in ss._database._bound] == [maybe]
+            assert [bound.world for bound in ss._database._worlds.bound] == [maybe]
             heights += ss.eval("SELECT z FROM maybe WHERE id(this) == 'can' AS list;")
         assert heights == [1.0, 2.0, 3.0]
 

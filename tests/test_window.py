@@ -57,11 +57,11 @@ def _told(ss: ssduck.Interpreter, program: str, long: int) -> tuple[Any, list[st
     """What a program gives, and its statements; of more ticks than `long`, values are written in."""
     told: list[str] = []
     before, queries.LONG = queries.LONG, long
-    ss._database._tracer = told.append
+    ss._database.connection._tracer = told.append
     try:
         return ss.eval(program), told
     finally:
-        ss._database._tracer = None
+        ss._database.connection._tracer = None
         queries.LONG = before
 
 
@@ -166,7 +166,7 @@ def _rows(draw: Any) -> list[pa.Table]:
 def writer() -> Iterator[Any]:
     """A connection of a history's own."""
     with ssduck.Interpreter() as ss:
-        yield ss._database.writer()
+        yield ss._database.connection.writer()
 
 
 @given(

@@ -1,17 +1,21 @@
 """Draw the pictures of docs/adapters.md: `python tools/draw_forms.py [FOLDER]`, docs by default.
 
-Each picture is a form's own, `grid.image()`, of the shipped kitchen, its pixels enlarged.
+All are of the shipped kitchen. Those of grids are their own, `grid.image()`, the pixels enlarged.
 """
 
 from __future__ import annotations
 
+import io
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 import ssduck
+from ssduck.scenes import Camera
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 BOUNDS = "bounds=[[-1.75, -2.5], [2.45, 2.7]]"
@@ -79,11 +83,76 @@ def drawn(ss: ssduck.Interpreter, picture: Picture) -> Image.Image:
     return whole
 
 
+# -- what is no grid ------------------------------------------------------------------------------
+
+SIZE = (640, 420)
+COLOURS = [(31, 119, 180), (214, 39, 40), (44, 160, 44), (255, 127, 14), (148, 103, 189)]
+
+
+def view(ss: ssduck.Interpreter) -> Image.Image:
+    robots: Image.Image = ss.eval(f"SELECT obj FROM kitchen WHERE isRobot(this) AS image{SIZE};")
+    return robots.quantize(64)
+
+
+def sub_scene(ss: ssduck.Interpreter) -> Image.Image:
+    world = ss.eval(f"{ROOMBA} {NEAR.replace('roombaGrid', 'environment')}")
+    camera = Camera(eye=(2.9, -1.9, 1.9), target=(1.0, 0.0, 0.3), fov=45)
+    picture = Image.fromarray(world.render(*SIZE, camera))
+    world.close()
+    return picture.quantize(64)
+
+
+def cloud(ss: ssduck.Interpreter) -> Image.Image:
+    """Points from the side and from above a little, in a colour an entity."""
+    table = "table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;"
+    near = "SELECT obj FROM kitchen WHERE distance(table, this) < 1.3 AND volume(this) < 1"
+    found = ss.eval(f"{table} {near} AND NOT isSensor(this) AS points(0.02);")
+    x, y, z = found.points.T
+    across, up = x * 0.9 - y * 0.35, z * 0.9 + (x * 0.35 + y * 0.9) * 0.4
+    pixels = np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8)
+    scale = min((SIZE[0] - 20) / np.ptp(across), (SIZE[1] - 20) / np.ptp(up))
+    columns = (10 + (across - across.min()) * scale).astype(int)
+    rows = (SIZE[1] - 10 - (up - up.min()) * scale).astype(int)
+    pixels[rows, columns] = np.array(COLOURS)[found.owners % len(COLOURS)]
+    return Image.fromarray(pixels).quantize(16)
+
+
+def network(ss: ssduck.Interpreter) -> Image.Image:
+    """What is above what, drawn by networkx and matplotlib."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+    import networkx as nx
+
+    above = "above(a.this, b.this) AND NOT (isSensor(a.this) OR isSensor(b.this))"
+    graph = ss.eval(f"SELECT a.this, b.this FROM a=kitchen, b=kitchen WHERE {above} AS graph;")
+    figure, axes = plt.subplots(figsize=(6.4, 4.2), dpi=100)
+    nx.draw_networkx(graph, nx.shell_layout(graph), ax=axes, node_color="#ffd27f", font_size=8)
+    axes.axis("off")
+    axes.margins(0.15)
+    figure.tight_layout()
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png")
+    plt.close(figure)
+    return Image.open(drawn).convert("RGB").quantize(32)
+
+
+VIEWS: dict[str, Callable[[ssduck.Interpreter], Image.Image]] = {
+    "image": view,
+    "environment": sub_scene,
+    "points": cloud,
+    "graph": network,
+}
+
+
 def main() -> None:
     folder = Path(sys.argv[1]) if sys.argv[1:] else DOCS
     with ssduck.load("kitchen") as ss:
         for name, picture in PICTURES.items():
             drawn(ss, picture).save(folder / f"{name}.png", optimize=True)
+        for name, draw in VIEWS.items():
+            draw(ss).save(folder / f"forms-{name}.png", optimize=True)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import ssduck
-from ssduck import Recording, database
+from ssduck import Recording
+from ssduck.database import recorders, writer
 from ssduck.errors import RecordError, SelectScriptError
 
 Kind: TypeAlias = Literal["parquet", "file"]
@@ -54,7 +55,8 @@ def record(kind: Kind, path: str, seed: int) -> None:
     chance = random.Random(seed)  # noqa: S311  # no secret
     if chance.random() < 0.5:
         few = chance.randrange(1, 9)
-        vars(database).update(RING_TICKS=few, PART_TICKS=few, LONG_LOG=1)
+        vars(recorders).update(RING_TICKS=few, PART_TICKS=few)
+        writer.LONG_LOG = 1
     world, move = _world(chance)
     recording = Recording(tables=TABLES)
     _tell(begun=True)

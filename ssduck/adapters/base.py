@@ -16,6 +16,7 @@ from ssduck.tree import Query
 if TYPE_CHECKING:
     from ssduck.world import World
 
+_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 # What an adapter reads: rows; columns by their names; entities; the query, and rows if it asks.
 Need: TypeAlias = Literal["rows", "columns", "entities", "query"]
 
@@ -151,6 +152,12 @@ class Adapter:
     def signature(self) -> inspect.Signature:
         """What `make` takes; the selection first."""
         return inspect.signature(self.make)
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """Whether it needs no arguments."""
+        _, *parameters = self.signature.parameters.values()
+        return all(p.default is not p.empty or p.kind in _ANY_NUMBER for p in parameters)
 
     @property
     def usage(self) -> str:

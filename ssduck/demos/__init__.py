@@ -23,6 +23,7 @@ NAMES = (
     "robots",
     "reasoning",
     "chaos",
+    "environment",
     "map",
     "prolog",
 )

@@ -1,0 +1,91 @@
+"""What users' statements are about, by the words in them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import duckdb
+
+from ssduck.catalog import TABLE_MACROS, looking_up
+from ssduck.database.bound import Bound
+from ssduck.errors import LimitError, Span
+from ssduck.tables import TABLES
+from ssduck.world import World
+
+# The tables that a word in a statement stands for: a table's name, or that of a relation that
+# looks things up in some.
+_TABLES_OF = {
+    **{name.lower(): frozenset((name,)) for name in TABLES},
+    **{relation.name.lower(): relation.tables for relation in looking_up()},
+    **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
+}
+_TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
+_KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+# What lets tables of another world than the first go without its name.
+_CHANGES_THE_FIRST = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
+
+# SQL with more words, or with more brackets around one of them, takes DuckDB's parser a time that
+# nothing ends.
+MOST_WORDS = 200_000
+MOST_BRACKETS = 100
+
+
+class Asked:
+    """What users' statements ask for.
+
+    A view or a prepared statement asks again when it is used, under another name; so what such a
+    statement names is asked for from then on.
+
+    Attributes:
+        for_good: the tables that are so.
+    """
+
+    def __init__(self) -> None:
+        self.for_good: set[str] = set()
+        self._first_changes = False
+
+    def tables(self, sql: str) -> set[str]:
+        """The tables that a statement may read."""
+        words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+        asked = {table for word in words for table in _TABLES_OF[word]}
+        if _KEEPS_A_QUERY.search(sql):
+            self.for_good |= asked
+        return asked | self.for_good
+
+    def worlds(self, sql: str, bound: Sequence[Bound]) -> list[World] | None:
+        """The worlds that a statement may be about; None for all, where it may use another one.
+
+        The first one's tables go without its name.
+        """
+        self._first_changes |= _CHANGES_THE_FIRST.search(sql) is not None
+        if self.for_good or self._first_changes or _KEEPS_A_QUERY.search(sql):
+            return None
+        text = sql.casefold()
+        return [
+            own.world
+            for number, own in enumerate(bound)
+            if number == 0 or any(schema.casefold() in text for schema in own.schemas)
+        ]
+
+
+def check_length(sql: str) -> None:
+    """Complain of SQL that DuckDB would parse for a long time; it cannot be stopped there.
+
+    Raises:
+        LimitError: it is too long, or nested too deeply.
+    """
+    letters = sql.encode("utf-8", "replace")  # DuckDB itself complains of what is no letter
+    words = duckdb.tokenize(letters.decode())
+    if len(words) > MOST_WORDS:
+        raise LimitError(f"SQL of {len(words)} words; under a limit it may have {MOST_WORDS}")
+    depth = 0
+    for place, _ in words:
+        depth += _DEEPER.get(letters[place], 0)
+        if depth > MOST_BRACKETS:
+            start = len(letters[:place].decode())
+            told = f"SQL nested deeper than {MOST_BRACKETS} brackets"
+            raise LimitError(told, text=sql, span=Span(start, start + 1))
+
+
+_DEEPER = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}

@@ -1,0 +1,115 @@
+"""What is in the schemas of worlds: views of their tables, macros of relations, and comments."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from sqlglot import exp
+
+from ssduck.catalog import described, dropped
+from ssduck.database.bound import Bound, Kept
+from ssduck.database.connection import Connection
+from ssduck.history import History, history_name, model_name, not_recorded
+from ssduck.models import MODELS
+from ssduck.recording import RECORDABLE
+from ssduck.tables import TABLES
+
+_HISTORIES = tuple(map(history_name, ("ticks", *RECORDABLE)))
+_MODELS = tuple(map(model_name, MODELS))
+# What refers to a world's buffers, as a regular expression in SQL.
+_LOST = exp.Literal.string(r'"world \d+: ').sql("duckdb")
+
+
+class Schemas:
+    """The schemas of worlds.
+
+    Args:
+        connection: to the database that has them.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        # Those whose relations and tables users' SQL was told of; None: not even the others.
+        self._told_of: set[str] | None = None
+
+    def make(self, name: str, bound: Bound) -> None:
+        """Make that of a world, or make it anew, with views of its tables."""
+        schema = exp.table_(name, quoted=True)
+        self._connection.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
+        for table in TABLES:
+            rows = exp.select("*").from_(exp.table_(bound.live(table), quoted=True))
+            if table in bound.world.snapshot.untold:
+                _refuse(rows, bound.world.snapshot.untold[table])
+            view = exp.table_(table, db=name, quoted=True)
+            create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
+            self._connection.run(create.sql("duckdb"))
+        self.make_history(name, bound)
+
+    def make_history(self, name: str, bound: Bound) -> None:
+        """Make the views of what is kept of a world, instead of those that were there."""
+        if self._told_of is not None:
+            self._told_of.discard(name)
+        kept = bound.kept
+        for table in ("ticks", *RECORDABLE):
+            rows = None
+            if kept is not None:
+                waiting = bound.waiting if kept.recorder is not None else None
+                rows = kept.history.select(table, waiting)
+            if rows is None:
+                refused = exp.select("*").from_(exp.table_(bound.live(table), quoted=True))
+                _refuse(refused, not_recorded(table, bound.world.name))
+                rows = refused.sql("duckdb")
+            self._make_view(name, history_name(table), rows)
+        for table, rows in kept.history.models().items() if kept is not None else ():
+            self._make_view(name, table, rows)
+
+    def _make_view(self, schema: str, name: str, rows: str) -> None:
+        view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
+        self._connection.run(f"CREATE OR REPLACE VIEW {view} AS {rows}")
+
+    def describe(self, names: Sequence[str], only: str | None, recorded: Collection[str]) -> None:
+        """Make the relations functions of SQL, and let it say what the tables hold.
+
+        Args:
+            names: of all schemas of worlds.
+            only: that of the only world.
+            recorded: those whose ticks are recorded.
+        """
+        if self._told_of != set(names):
+            for statement in described(names, only, self._told_of, recorded):
+                self._connection.run(statement)
+            self._told_of = set(names)
+
+    def leave(self, schema: str, kept: Kept | None) -> None:
+        """Leave one without what needs ssduck."""
+        for statement in dropped(schema, described=schema in (self._told_of or ())):
+            self._connection.run(statement)
+        if not self._connection.is_file:
+            return
+        history = kept.history if kept is not None else None
+        if not isinstance(history, History):
+            history = None
+        for name in (*_HISTORIES, *_MODELS):
+            if history is not None and name in history.views:
+                self._make_view(schema, name, f"SELECT * FROM {history.place(name)}")  # noqa: S608
+            else:
+                view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
+                self._connection.run(f"DROP VIEW IF EXISTS {view}")
+
+    def forget_lost(self) -> None:
+        """Drop the views on worlds of a process that was killed."""
+        lost = self._connection.own_rows(
+            "SELECT schema_name, view_name FROM duckdb_views() WHERE NOT internal AND NOT "  # noqa: S608
+            f"temporary AND regexp_matches(sql, {_LOST})"
+        )
+        for schema, name in lost:
+            view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
+            self._connection.run(f"DROP VIEW {view}")
+
+
+def _refuse(rows: exp.Select, why: str) -> None:
+    """Make a SELECT fail when it is read; a condition on no rows would not be looked at."""
+    failing = exp.func("error", exp.Literal.string(why)).as_("why")
+    rows.join(exp.select(failing).subquery("untold"), join_type="cross", copy=False)
+    rows.set("expressions", [exp.Star(except_=[exp.column("why")])])
+    rows.where(exp.column("why").is_(exp.null()), copy=False)

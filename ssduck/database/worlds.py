@@ -1,0 +1,168 @@
+"""The worlds in a database: which there are, under which names, and showing DuckDB their rows."""
+
+from __future__ import annotations
+
+from itertools import count
+
+from sqlglot import exp
+
+from ssduck.database.bound import Bound, Kept
+from ssduck.database.connection import Connection
+from ssduck.database.recorders import Recorders
+from ssduck.database.schemas import Schemas
+from ssduck.database.statement import Plans
+from ssduck.errors import ArgumentError
+from ssduck.history import ABOUT
+from ssduck.recorded_world import RecordedWorld
+from ssduck.recording import Recording
+from ssduck.world import UNNAMED, World
+
+# Schemas that DuckDB has already.
+_TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
+
+
+class Worlds:
+    """The worlds in a database.
+
+    Args:
+        connection: to that.
+        plans: of prepared statements, which read the worlds' buffers.
+        schemas: where their tables are.
+        recorders: keep their ticks,
+        recording: so, from when they are first seen on; None for not at all.
+
+    Attributes:
+        bound: the worlds; the first one's tables go without its name.
+        by_schema: the same by all names of theirs.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        plans: Plans,
+        schemas: Schemas,
+        recorders: Recorders,
+        recording: Recording | None,
+    ) -> None:
+        self._connection = connection
+        self._plans = plans
+        self._schemas = schemas
+        self._recorders = recorders
+        self._recording = recording
+        self.bound: list[Bound] = []
+        self.by_schema: dict[str, Bound] = {}
+        self._numbers = count(1)
+
+    def bind(self, name: str, world: World) -> None:
+        """Make the schema of that name that of a world's tables; it may have several.
+
+        Raises:
+            ArgumentError: DuckDB has a schema or a database of that name, or another world has
+                one that differs in case only, which DuckDB does not tell apart.
+        """
+        self._check_schema(name)
+        self._unbind(name, world)
+        if world.name == UNNAMED:
+            world.name = name
+        bound = self.entry(world, name)
+        if name not in bound.schemas:
+            bound.schemas.append(name)
+            self._schemas.make(name, bound)
+            self._plans.forget("entities")
+        self._set_search_path()
+        names = {schema: bound for bound in self.bound for schema in bound.schemas}
+        self.by_schema.clear()
+        self.by_schema.update(names)
+
+    def _unbind(self, name: str, world: World) -> None:
+        """Take a name from another world; one without a name is not held any more."""
+        for other in [bound for bound in self.bound if name in bound.schemas]:
+            if other.world is world:
+                continue
+            other.schemas.remove(name)
+            if not other.schemas:
+                self.bound.remove(other)
+                self._recorders.stop(other)
+                for shown in other.versions:
+                    self._connection.unshow(shown)
+
+    def _check_schema(self, name: str) -> None:
+        ((database,),) = self._connection.own_rows("SELECT current_database()")
+        if name.casefold() in _TAKEN or name.casefold() == database.casefold():
+            raise ArgumentError(
+                f"a world cannot be called {name!r}: DuckDB has a schema or database of that name"
+            )
+        runs = "SELECT schema_name FROM duckdb_tables() WHERE table_name = ?"
+        taken = self._connection.own_rows(runs, [ABOUT])
+        if name.casefold() in {schema.casefold() for (schema,) in taken}:
+            raise ArgumentError(
+                f"a world cannot be called {name!r}: a recorded run is called so in SQL"
+            )
+        for other in self.bound:
+            for schema in other.schemas:
+                if schema != name and schema.casefold() == name.casefold():
+                    raise ArgumentError(
+                        f"a world cannot be called {name!r}: there is {schema!r}, "
+                        "and SQL does not tell upper from lower case"
+                    )
+
+    def _set_search_path(self) -> None:
+        """The first world's tables go without its name."""
+        first = next((bound.schemas[0] for bound in self.bound if bound.schemas), None)
+        if first is not None:
+            name = exp.to_identifier(first, quoted=True).sql("duckdb")
+            path = exp.Literal.string(f"main,{name}").sql("duckdb")
+            self._connection.run(f"SET search_path = {path}")
+
+    def entry(self, world: World, name: str | None = None) -> Bound:
+        """What is known of a world; its ticks are recorded under the name that it gets first."""
+        for bound in self.bound:
+            if bound.world is world:
+                return bound
+        bound = Bound(world, f"world {next(self._numbers)}")
+        self.bound.append(bound)
+        try:
+            if isinstance(world, RecordedWorld):
+                bound.kept = Kept(world.archive, world.own_record)
+            if self._recording is not None and not world.is_final:
+                self._recorders.start(bound, self._recording, name or world.name)
+            self.show(bound)
+        except BaseException:
+            self.bound.remove(bound)
+            raise
+        return bound
+
+    def record(self, bound: Bound, recording: Recording | None) -> None:
+        """Keep the ticks of a world in a new history, and none in that before; None keeps none."""
+        with bound.world.held():
+            self._recorders.stop(bound)
+        if recording is not None:
+            self._recorders.start(bound, recording, bound.schemas[0])
+        self.show(bound)
+        for schema in bound.schemas:
+            self._schemas.make_history(schema, bound)
+        self._plans.forget("entities")
+
+    def schema_of(self, world: World) -> str:
+        """The schema of a world's tables; one is made for a world that has none here."""
+        bound = self.entry(world)
+        if not bound.schemas:
+            taken = {schema.casefold() for other in self.bound for schema in other.schemas}
+            names = (f"{world.name}_{number}" for number in count(2))
+            name = world.name
+            while name.casefold() in taken or name.casefold() in _TAKEN:
+                name = next(names)
+            self.bind(name, world)
+        return bound.schemas[0]
+
+    def show(self, bound: Bound) -> None:
+        """Let DuckDB see the buffers that were made anew; the others it sees already."""
+        new = [
+            entry for entry in bound.buffers() if bound.versions.get(entry[1]) != entry[2].version
+        ]
+        stale = {table for table, name, _ in new if name in bound.versions}
+        if stale:
+            self._plans.forget(*stale)
+        for _, name, rows in new:
+            self._connection.show(name, rows.arrow)
+            bound.versions[name] = rows.version

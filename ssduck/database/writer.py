@@ -1,0 +1,128 @@
+"""A connection to DuckDB for what is kept of a world."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from ssduck.errors import SqlError
+
+# Bytes of DuckDB's log that are worth the tenths of a second that moving them takes: it
+# rewrites some of what was moved before, so that more at a time take less.
+LONG_LOG = 1 << 26
+_INCOMING = "rows to be stored"
+
+
+class Writer:
+    """A connection of its own to the same database, for what is kept of a world.
+
+    It writes whatever other connections do, and reads on another one, which sees nothing of a
+    transaction before its end.
+
+    Args:
+        connection: to the database.
+        file: where that is; None for memory.
+    """
+
+    def __init__(self, connection: duckdb.DuckDBPyConnection, file: Path | None = None) -> None:
+        self._connection = connection.cursor()
+        self._reading = connection.cursor()
+        self._file = file
+        self._lock = threading.RLock()
+        self._reading_lock = threading.RLock()
+
+    def run(self, sql: str) -> None:
+        """Run a statement.
+
+        Raises:
+            SqlError: DuckDB cannot, for the disk is full, say.
+        """
+        with self._lock, _storing_errors():
+            self._connection.execute(sql).fetchall()
+
+    def settle(self) -> None:
+        """Let DuckDB move what was stored from its log into its file, if there is much of it.
+
+        DuckDB would do so by itself, but gives the database up where the disk is full then.
+
+        Raises:
+            SqlError: DuckDB cannot.
+        """
+        if self._file is None:
+            return
+        log = self._file.with_name(f"{self._file.name}.wal")
+        with self._lock, _storing_errors(), suppress(OSError, duckdb.TransactionException):
+            size = log.stat().st_size
+            if size > LONG_LOG and shutil.disk_usage(log.parent).free > 4 * size:
+                self._connection.execute("CHECKPOINT")
+
+    def insert(self, place: str, rows: pa.Table) -> None:
+        """Add rows to a table, by the names of its columns."""
+        self._take_in(f"INSERT INTO {place} BY NAME", rows)
+
+    def insert_new(self, place: str, rows: pa.Table) -> None:
+        """Make a table of rows."""
+        self._take_in(f"CREATE TABLE {place} AS", rows)
+
+    def _take_in(self, what: str, rows: pa.Table) -> None:
+        """Run a statement that takes all rows of a table."""
+        with self._lock:
+            self._connection.register(_INCOMING, rows)
+            try:
+                self.run(f'{what} SELECT * FROM "{_INCOMING}"')  # noqa: S608
+            finally:
+                self._connection.unregister(_INCOMING)
+
+    def rows(
+        self,
+        sql: str,
+        parameters: Sequence[Any] = (),
+        tables: Mapping[str, pa.Table] | None = None,
+    ) -> pa.Table:
+        """All rows of a SELECT; it may read tables that are given."""
+        with self._reading_lock, ExitStack() as stack:
+            for name, table in (tables or {}).items():
+                self._reading.register(name, table)
+                stack.callback(self._reading.unregister, name)
+            try:
+                return self._reading.sql(sql, params=parameters).to_arrow_table()
+            except duckdb.Error as error:
+                raise SqlError(f"what was recorded cannot be read: {error}") from error
+
+    def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
+        """All rows of a SELECT, as tuples."""
+        with self._reading_lock:
+            try:
+                return self._reading.execute(sql).fetchall()
+            except duckdb.Error as error:
+                raise SqlError(f"what was recorded cannot be read: {error}") from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._reading.close()
+        self._connection.close()
+
+
+@contextmanager
+def _storing_errors() -> Iterator[None]:
+    """DuckDB's errors while something is stored become ssduck's."""
+    try:
+        yield
+    except duckdb.FatalException as error:
+        raise SqlError(
+            f"DuckDB has given up: {error}; what was stored before is in the file: close "
+            "this interpreter, and open the file again",
+            is_final=True,
+        ) from error
+    except duckdb.Error as error:
+        raise SqlError(
+            f"what is recorded cannot be stored: {error}; what was stored before is "
+            "whole, and what was not is kept until there is room"
+        ) from error

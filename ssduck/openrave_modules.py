@@ -1,0 +1,99 @@
+"""Modules of OpenRAVE that SelectScript's tutorial talks to: its filter plugin's occupancy grid.
+
+There, a module is made by `RaveCreateModule` and takes commands as texts. What the plugin has is
+a part of ssduck, so that there is nothing to load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ssduck.errors import ArgumentError, nearest
+from ssduck.messages import shown
+
+if TYPE_CHECKING:
+    from ssduck.world import World
+
+
+class OccupancyGridMap:
+    """The cells that the bodies of a world occupy at a height.
+
+    Commands: `SetTranslation x y z`, the grid's corner and its height, m; `SetSize nx ny size`,
+    how many cells there are and how wide they are, m; `Scan`, which gives a byte a cell, 1 for
+    occupied, x by x and along y within; `SetLineWidth` and `Render`, which draw nothing here.
+
+    Args:
+        world: whose bodies they are, as they are when `Scan` is sent.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._corner = (0.0, 0.0, 0.0)
+        self._size = (0, 0, 0.0)
+
+    def SendCommand(self, command: str) -> bytes | str:  # noqa: N802  # OpenRAVE's name
+        """Run a command; what it gives, or nothing.
+
+        Raises:
+            ArgumentError: there is no such command, or it does not take these numbers.
+        """
+        name, *given = command.split() or [""]
+        commands: dict[str, Callable[..., bytes | str]] = {
+            "SetTranslation": self._set_translation,
+            "SetSize": self._set_size,
+            "SetLineWidth": lambda _: "",
+            "Scan": self._scan,
+            "Render": lambda: "",
+        }
+        if name not in commands:
+            raise ArgumentError(
+                f"occupancygridmap has no command {shown(name)}",
+                suggestions=nearest(name, commands),
+            )
+        try:
+            return commands[name](*map(float, given))
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"occupancygridmap: {shown(command)}: {error}") from error
+
+    def _set_translation(self, x: float, y: float, z: float) -> str:
+        self._corner = (x, y, z)
+        return ""
+
+    def _set_size(self, nx: float, ny: float, size: float) -> str:
+        if not (nx >= 1 and ny >= 1 and size > 0.0):
+            raise ValueError("there is a cell at least, and it is wider than 0 m")
+        self._size = (int(nx), int(ny), size)
+        return ""
+
+    def _scan(self) -> bytes:
+        from ssduck.adapters.shapes import placed_shapes
+        from ssduck.rasters import Raster
+        from ssduck.slicing import Slicer
+
+        (x, y, z), (nx, ny, size) = self._corner, self._size
+        if not nx:
+            raise ValueError("SetSize comes first")
+        with self._world.held(("shapes",)):
+            placed = placed_shapes(self._world, self._world.GetBodies())
+        return Slicer(placed).cells(Raster((x, y), size, (nx, ny)), z, z).tobytes()
+
+
+MODULES: dict[str, Callable[[World], OccupancyGridMap]] = {"occupancygridmap": OccupancyGridMap}
+
+
+def RaveCreateModule(  # noqa: N802  # OpenRAVE's name
+    env: World, name: str
+) -> OccupancyGridMap | None:
+    """A module of that name for a world; None if there is none, as there."""
+    make = MODULES.get(name.lower())
+    return None if make is None else make(env)
+
+
+def RaveInitialize() -> None:  # noqa: N802  # OpenRAVE's name
+    """Do nothing: there is nothing to begin with."""
+
+
+def RaveLoadPlugin(path: str) -> bool:  # noqa: N802  # OpenRAVE's name
+    """Whether a plugin is there: of the file's name, only `filter`, which is a part of ssduck."""
+    return path.replace("\\", "/").rpartition("/")[2].partition(".")[0] == "filter"
