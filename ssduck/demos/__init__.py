@@ -21,6 +21,7 @@ from typing import Protocol
 NAMES = (
     "kitchen",
     "robots",
+    "cleanup",
     "reasoning",
     "chaos",
     "environment",

@@ -1,9 +1,9 @@
-"""Cleaning up the table: queries say what is to be done, a robot does it, a query says it is.
+"""A robot takes the cups from the kitchen's table to the sink, on paths that it plans itself.
 
 The job is that of SelectScript's tutorial: what is on the table, and less than 1.3 m away from
-the robot, belongs in the sink. The robot drives on its wheels, takes a cup by spreading its
-fingers in it, and lets go of it over the sink; all that is done is done by motors, friction and
-gravity of the running simulation.
+the robot, belongs in the sink; a query says what that is, and another whether it was done. The
+robot drives on its wheels, spreads its fingers in a cup, and lets go of it over the sink: by
+motors and gravity of the running simulation. What the fingers touch is held by a constraint.
 """
 
 from __future__ import annotations
