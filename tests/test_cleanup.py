@@ -10,7 +10,7 @@ import pytest
 
 import ssduck
 from ssduck.demos.chain import Chain
-from ssduck.demos.cleaner import ARM, GRIP
+from ssduck.demos.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
 from ssduck.demos.cleanup import ALLOWED, clean
 from ssduck.demos.motion import FASTEST, SWIFTEST, legs, timed
 from ssduck.demos.obstacles import Surroundings, walls_of
@@ -270,6 +270,30 @@ def test_a_cup_is_taken_to_the_sink(tmp_path):
         "cleanup_2_after.png",
     ]
     assert any("On the table: no cup" in line for line in said)
+
+
+def test_a_cup_that_cannot_be_dropped_is_put_back():
+    world = kitchen_of(FEW)
+    cup = world["cup_58a2"]
+    before = np.array(cup.position)
+    cleaner = Cleaner(world["barrett_4918"], np.random.default_rng(1), lambda: None)
+    cleaner.prepare()
+    far = np.array([0.35, 3.5, 0.8])  # behind the wall
+    assert not cleaner.can_drop(cup, [far])
+    assert cleaner.can_drop(cup, [np.array([0.35, 2.0, 0.8])])
+    assert cleaner.held is None
+    cleaner.pick(cup)
+    assert cup.position[2] > before[2] + 0.05
+    with pytest.raises(Failed, match="no place to stand"):
+        cleaner.drop([far], FALLS[:1])
+    assert cleaner.held is not None  # it does not let go of it elsewhere
+    assert cup.position[2] > before[2] + 0.05
+    cleaner.recover()
+    world.step(120)
+    assert cleaner.held is None
+    assert cup.position == pytest.approx(before, abs=0.02)
+    tilt = 2 * np.linalg.norm(cup.orientation[1:3])
+    assert tilt < 0.02  # upright
 
 
 def test_what_cannot_be_reached_is_said():

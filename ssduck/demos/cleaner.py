@@ -57,6 +57,8 @@ BARELY = 0.001
 # From how high above a spot a cup may fall, and from how far above that the hand goes straight
 # down, m; out of a sink's basin it has to come up straight.
 FALLS = ((0.03, 0.15), (0.08, 0.1), (0.15, 0.03))
+# The same where it is put back: it keeps off the table until it falls.
+SET_DOWN = (ARM_APART + 0.004, 0.09)
 
 
 class Failed(Exception):  # noqa: N818  # it is no error: it is what is told
@@ -136,7 +138,7 @@ class Cleaner:
             Failed: it cannot.
         """
         if self.held is not None:
-            self.drop([self._taken_from], [(0.005, max(ABOVE))])
+            self.drop([self._taken_from], [SET_DOWN])
             return
         self._open()
         self.mover.follow(self._higher())
