@@ -65,6 +65,10 @@ class Failed(Exception):  # noqa: N818  # it is no error: it is what is told
     """Why a cup was not taken away."""
 
 
+class OutOfReach(Failed):
+    """There is no place to stand: many were tried, and as many more would hardly do."""
+
+
 @dataclass(frozen=True, eq=False)
 class Way:
     """A straight way of the hand's grip, down from one point (3,) to another."""
@@ -270,6 +274,8 @@ class Cleaner:
         for _ in range(CHANCES):
             try:
                 return act()
+            except OutOfReach:
+                raise
             except Failed as failure:
                 failed = failure
         raise failed
@@ -345,7 +351,7 @@ class Cleaner:
                 if not self.mover.roll(near, shortened(near, path, self.rng, 60)):
                     raise Failed("the robot is stuck on its way")
                 return stand
-        raise Failed("there is no place to stand from which the arm reaches it")
+        raise OutOfReach("there is no place to stand from which the arm reaches it")
 
     def _stands(
         self, space: BaseSpace, here: Array, ways: Sequence[Way], but: Entity | None
