@@ -46,7 +46,7 @@ class Form:
             run: what runs it, while the caller holds the worlds.
 
         Raises:
-            LimitError: it writes a file, and files are switched off.
+            LimitError: it writes a file, and files are switched off; or the time is up.
         """
         if self.adapter.writes and not frame.scope.meter.limits.files:
             raise LimitError(f"AS {self.name}: files are switched off here", span=self.span)
@@ -59,10 +59,15 @@ class Form:
             assert isinstance(found, Rows)
             return found
 
+        def made(selection: Selection) -> Any:
+            value = self._made(selection)
+            frame.scope.meter.check_time()  # what a form does is one step, however long
+            return value
+
         if self.adapter.needs == "query" and not query.group and query.recursion is None:
-            return self._made(Selection(read, query, worlds))
+            return made(Selection(read, query, worlds))
         selected = run(query, frame, check)
-        return formed(selected, lambda rows: self._made(Selection(lambda _: rows, query, worlds)))
+        return formed(selected, lambda rows: made(Selection(lambda _: rows, query, worlds)))
 
     def _made(self, selection: Selection) -> Any:
         try:

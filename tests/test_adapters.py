@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib.metadata
+import time
 
 import pytest
 
 import ssduck
 import ssduck.adapters
-from ssduck.errors import ArgumentError, FunctionError, UnknownNameError
+from ssduck.errors import ArgumentError, FunctionError, LimitError, UnknownNameError
 
 
 @pytest.fixture(scope="module")
@@ -169,10 +170,30 @@ def test_errors_say_where_and_leave_variables(kitchen, registry, program, error,
         kitchen.call_variable("kept")
 
 
+def test_time_is_up_for_forms_too(kitchen, registry):
+    made = []
+
+    @ssduck.adapter("slow", needs="entities")
+    def slow(selection):
+        made.append(selection.entities)
+        time.sleep(0.3)
+
+    with ssduck.Interpreter(limits=ssduck.Limits(seconds=0.2)) as ss:
+        ss.add_variable("kitchen", kitchen.call_variable("kitchen"))
+        with pytest.raises(LimitError, match=r"took more than 0\.2 s"):
+            ss.eval("SELECT obj FROM kitchen GROUP BY id AS slow;")
+    assert len(made) <= 1  # of 37 groups
+
+
 @pytest.mark.parametrize("name", ["list", "dict", "value"])
 def test_ssducks_own_forms_stay(registry, name):
     with pytest.raises(ArgumentError, match=f"AS {name} is one of ssduck's own"):
         ssduck.adapter(name)(len)
+
+
+def test_a_decorator_without_brackets(registry):
+    with pytest.raises(ArgumentError, match=r"@ssduck\.adapter\(\)"):
+        ssduck.adapter(len)
 
 
 def test_a_name_that_no_program_could_say(registry):

@@ -734,7 +734,11 @@ def test_sums_of_groups(kitchen):
         ("plane('XY', [0, 0], [1.5, 1, 1])", "whole numbers of cells"),
         ("plane('XY', [0, 0], [1, 1, 0])", "above 0 m"),
         ("plane('XY', [0, 0], [100000, 100000, 1])", "more than 100,000,000"),
-        ("plane('XY', [0, 0], [9, 9, 1], 0)", "blur is a whole number of cells from 1 on"),
+        ("map(0.2, 1e-320)", "inf x inf cells are more than 100,000,000"),
+        ("map(0.2, 1e-200)", "more than 100,000,000"),
+        ("plane('XY', [0, 0], [9, 9, 1], 0)", "blur is a whole number from 1 to 9, not 0"),
+        ("plane('XY', [0, 0], [9, 9, 1], 10)", "blur is a whole number from 1 to 9, not 10"),
+        ("plane('XY', [0, 0], [9000, 9000, 1], 9000)", "27,000 x 27,000 cells are more than"),
     ],
 )
 def test_what_cannot_be(kitchen, form, message):

@@ -72,7 +72,7 @@ class Selection:
             raise ArgumentError(f"the columns' names differ from row to row: {names[0]}, …")
         return names[0] if names else ()
 
-    @property
+    @cached_property
     def entities(self) -> list[Entity]:
         """The entities in the rows, lists in them included, each once, as they first appear.
 
