@@ -228,6 +228,20 @@ def test_a_picture_shows_what_is_selected(kitchen):
     assert outlined(picture).any()
 
 
+def test_what_is_no_longer_there_is_in_no_form_of_space(shapes):
+    twin = shapes.call_variable("world").excerpt(["box"])
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("twin", twin)
+        ss.add_variable("box", twin["box"])
+        twin.remove("box")
+        for form in ("points", "mesh", "image(64, 48)"):
+            with pytest.raises(
+                ssduck.SelectScriptError, match=f"AS {form[:4]}.*'box' is no longer"
+            ):
+                ss.eval(f"SELECT to(box, 'gone') FROM twin AS {form};")
+    twin.close()
+
+
 def test_segmentation_is_by_ids(kitchen):
     world = kitchen.call_variable("kitchen")
     shown = world.segmentation(64, 48)
