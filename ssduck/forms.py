@@ -12,7 +12,7 @@ from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScript
 from ssduck.evaluate import Frame
 from ssduck.messages import reason
 from ssduck.past import Past
-from ssduck.rows import Column, Rows, Selected, check_columns, formed
+from ssduck.rows import Column, Rows, Selected, check_columns, checked_count, formed
 from ssduck.tree import Aged, Literal, Name, Query
 from ssduck.world import World
 
@@ -65,7 +65,11 @@ class Form:
             return value
 
         if self.adapter.needs == "query" and not query.group and query.recursion is None:
-            return made(Selection(read, query, worlds))
+            selection = Selection(read, query, worlds)
+            try:
+                return made(selection)
+            finally:
+                selection.end()
         selected = run(query, frame, check)
         return formed(selected, lambda rows: made(Selection(lambda _: rows, query, worlds)))
 
@@ -124,9 +128,9 @@ def help_of_forms() -> str:
 
 def _first(query: Query, count: int, frame: Frame) -> Query:
     """The query with so many rows at most."""
-    limit = None if query.limit is None else frame.value(query.limit)
-    least = count if not isinstance(limit, int) else min(count, limit)
-    return replace(query, limit=Literal(query.span, least))
+    if query.limit is not None:
+        count = min(count, checked_count(frame.value(query.limit), "LIMIT", query.limit))
+    return replace(query, limit=Literal(query.span, count))
 
 
 def _worlds(query: Query, frame: Frame) -> list[World]:

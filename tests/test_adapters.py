@@ -9,7 +9,13 @@ import pytest
 
 import ssduck
 import ssduck.adapters
-from ssduck.errors import ArgumentError, FunctionError, LimitError, UnknownNameError
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    FunctionError,
+    LimitError,
+    UnknownNameError,
+)
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +127,23 @@ def test_a_lazy_form_is_given_no_rows_that_it_does_not_read(kitchen, registry):
         every = [(1,), (2,), (3,), (4,)]
         assert ss.eval(f"{query} AS all;") == ([(1,)], every, every, [(1,)])
         assert calls == [1, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("limit", ["1.5", "-1", "'x'", "True"])
+def test_a_lazy_form_minds_the_limit(kitchen, registry, limit):
+    ssduck.adapter("peek", needs="query")(lambda selection: selection.head(2))
+    assert kitchen.eval("SELECT z FROM kitchen LIMIT 1 AS peek;") == [(1.499,)]
+    with pytest.raises(EvaluationError, match="LIMIT takes a whole number"):
+        kitchen.eval(f"SELECT z FROM kitchen LIMIT {limit} AS peek;")
+
+
+def test_a_lazy_form_reads_before_it_returns(kitchen, registry):
+    kept = []
+    ssduck.adapter("keep", needs="query")(kept.append)
+    kitchen.eval("SELECT z FROM kitchen AS keep;")
+    for late in (lambda: kept[0].rows, lambda: kept[0].head(1)):
+        with pytest.raises(ArgumentError, match="the query is over"):
+            late()
 
 
 def test_a_form_that_needs_entities(kitchen, registry):

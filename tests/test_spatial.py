@@ -238,7 +238,7 @@ def test_what_is_no_longer_there_is_in_no_form_of_space(shapes):
             with pytest.raises(
                 ssduck.SelectScriptError, match=f"AS {form[:4]}.*'box' is no longer"
             ):
-                ss.eval(f"SELECT to(box, 'gone') FROM twin AS {form};")
+                ss.eval(f"SELECT to(box, 'gone') FROM [1] AS {form};")
     twin.close()
 
 

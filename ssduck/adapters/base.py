@@ -49,6 +49,10 @@ class Selection:
             self._rows = self._read(None)
         return self._rows
 
+    def end(self) -> None:
+        """The query is over: what was not read yet would be of another tick."""
+        self._read = _ended
+
     @property
     def rows(self) -> list[tuple[Any, ...]]:
         """A tuple a row, in order: one value a column."""
@@ -166,6 +170,10 @@ class Adapter:
         plain = [p.replace(annotation=inspect.Parameter.empty) for p in parameters]
         listed = ", ".join(map(str, plain))
         return f"AS {' | '.join(self.names)}" + (f"({listed})" if listed else "")
+
+
+def _ended(_: int | None) -> Rows:
+    raise ArgumentError("the query is over; a form reads its rows before it returns")
 
 
 def _gather(value: Any, found: dict[tuple[Entity, int | None], Entity]) -> None:
