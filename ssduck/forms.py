@@ -12,7 +12,7 @@ from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScript
 from ssduck.evaluate import Frame
 from ssduck.messages import reason
 from ssduck.past import Past
-from ssduck.rows import Column, Rows, Selected, check_columns, formed
+from ssduck.rows import Column, Rows, Selected, check_columns, checked_count, formed
 from ssduck.tree import Aged, Literal, Name, Query
 from ssduck.world import World
 
@@ -46,7 +46,7 @@ class Form:
             run: what runs it, while the caller holds the worlds.
 
         Raises:
-            LimitError: it writes a file, and files are switched off.
+            LimitError: it writes a file, and files are switched off; or the time is up.
         """
         if self.adapter.writes and not frame.scope.meter.limits.files:
             raise LimitError(f"AS {self.name}: files are switched off here", span=self.span)
@@ -59,10 +59,19 @@ class Form:
             assert isinstance(found, Rows)
             return found
 
+        def made(selection: Selection) -> Any:
+            value = self._made(selection)
+            frame.scope.meter.check_time()  # what a form does is one step, however long
+            return value
+
         if self.adapter.needs == "query" and not query.group and query.recursion is None:
-            return self._made(Selection(read, query, worlds))
+            selection = Selection(read, query, worlds)
+            try:
+                return made(selection)
+            finally:
+                selection.end()
         selected = run(query, frame, check)
-        return formed(selected, lambda rows: self._made(Selection(lambda _: rows, query, worlds)))
+        return formed(selected, lambda rows: made(Selection(lambda _: rows, query, worlds)))
 
     def _made(self, selection: Selection) -> Any:
         try:
@@ -119,9 +128,9 @@ def help_of_forms() -> str:
 
 def _first(query: Query, count: int, frame: Frame) -> Query:
     """The query with so many rows at most."""
-    limit = None if query.limit is None else frame.value(query.limit)
-    least = count if not isinstance(limit, int) else min(count, limit)
-    return replace(query, limit=Literal(query.span, least))
+    if query.limit is not None:
+        count = min(count, checked_count(frame.value(query.limit), "LIMIT", query.limit))
+    return replace(query, limit=Literal(query.span, count))
 
 
 def _worlds(query: Query, frame: Frame) -> list[World]:

@@ -29,6 +29,9 @@ def highlighted(world: World, entities: Iterable[Entity], width: int, height: in
         entities: of the world; a sensor is shown by the body that it sits on.
         width: pixels.
         height: pixels.
+
+    Raises:
+        RemovedEntityError: one is no longer there.
     """
     from PIL import Image
 
@@ -49,6 +52,8 @@ def highlighted(world: World, entities: Iterable[Entity], width: int, height: in
 
 def _shown(entity: Entity) -> int:
     """The id of the body that shows an entity."""
+    if not entity.is_there:
+        raise entity.removed()
     if not isinstance(entity, Sensor):
         return entity.id
     snapshot = entity.state.snapshot

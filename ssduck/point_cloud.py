@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,15 +82,16 @@ def sampled(
     areas = [area_of(solid) for solid in placed.solids]
     if not math.isfinite(sum(areas)):
         raise ArgumentError("a plane has no end; leave it out by WHERE")
-    if sum(areas) / spacing**2 > MOST_POINTS:
+    square = max(spacing**2, sys.float_info.min)  # which is not 0
+    if sum(areas) / square > MOST_POINTS:
         raise ArgumentError(
-            f"{sum(areas) / spacing**2:,.0f} points are more than {MOST_POINTS:,}; "
+            f"{sum(areas) / square:,.0f} points are more than {MOST_POINTS:,}; "
             "take a larger spacing"
         )
     numbers = {id: number for number, id in enumerate(names)}
     points, normals, owners = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.intp)]
     for (solid, position, matrix), area, owner in zip(placed, areas, placed.owners, strict=True):
-        count = int(area / spacing**2 + random.random())  # right on average, however small
+        count = int(area / square + random.random())  # right on average, however small
         found, out = _on(solid, count, random)
         points.append(found @ matrix.T + position)
         normals.append(out @ matrix.T)

@@ -8,6 +8,9 @@ is at `origin`. The key `z` is ssduck's own, and of no account to others.
 from __future__ import annotations
 
 import ast
+import json
+import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,8 @@ from ssduck.messages import reason
 
 FREE, OCCUPIED = 254, 0
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+# What YAML reads as a text without quotes.
+_PLAIN = re.compile(r"\w[\w.-]*\.pgm", re.ASCII)
 _NEEDED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
 
@@ -37,9 +42,8 @@ def save(
     if picture == path:
         raise ArgumentError(f"{path} is where the picture goes; name the YAML file, map.yaml say")
     pixels = np.where(cells.T[::-1], OCCUPIED, FREE).astype(np.uint8)
-    Image.fromarray(pixels).save(picture, "PPM")
     told = {
-        "image": picture.name,
+        "image": _text(picture.name),
         "resolution": resolution,
         "origin": [*origin, 0.0],
         "negate": 0,
@@ -48,8 +52,21 @@ def save(
         "z": list(z) if isinstance(z, tuple) else z,
     }
     lines = [f"{key}: {value}\n" for key, value in told.items()]
-    path.write_text("".join(lines), encoding="utf-8")
+    try:
+        Image.fromarray(pixels).save(picture, "PPM")
+        path.write_text("".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be written: {reason(error)}") from error
     return path
+
+
+def _text(name: str) -> str:
+    """A file's name as YAML has it: in quotes where it would be read as something else."""
+    if _PLAIN.fullmatch(name):
+        return name
+    quoted = json.dumps(name, ensure_ascii=False)
+    # YAML takes these for ends of lines, or refuses them; JSON does not.
+    return re.sub("[\x7f-\x9f\u2028\u2029\ufeff]", lambda m: f"\\u{ord(m[0]):04x}", quoted)
 
 
 def load(
@@ -73,9 +90,15 @@ def load(
         z = tuple(map(float, height)) if isinstance(height, list) else float(height)
     except (OSError, TypeError, ValueError) as error:
         raise ArgumentError(f"{path} cannot be read as a map: {reason(error)}") from error
+    if not (math.isfinite(resolution) and resolution > 0.0 and math.isfinite(x + y)):
+        raise ArgumentError(
+            f"{path} cannot be read as a map: resolution {resolution:g}, origin {x:g}, {y:g}"
+        )
+    if told.get("mode") == "raw":
+        raise ArgumentError(f"{path}: the mode is raw; trinary and scale can be read")
     if turn != 0.0:
         raise ArgumentError(f"{path}: the map is turned by {turn:g} rad; grids are along the axes")
-    if told["negate"] not in (1, True):
+    if told["negate"] not in (1, "true", "True"):
         shade = 1.0 - shade
     occupied, free = shade > thresholds[0], shade < thresholds[1]
     lost = int((~occupied & ~free).sum())
@@ -95,12 +118,13 @@ def _told(path: Path) -> dict[str, Any]:
         raise ArgumentError(f"{path} cannot be read: {reason(error)}") from error
     found: dict[str, Any] = {}
     for line in text.splitlines():
-        key, colon, value = line.partition("#")[0].partition(":")
-        if colon and value.strip():
-            try:
-                found[key.strip()] = ast.literal_eval(value.strip())
-            except (ValueError, SyntaxError):
-                found[key.strip()] = value.strip()
+        key, _, value = map(str.strip, line.partition(":"))
+        if key.startswith("#") or not value or value.startswith("#"):
+            continue
+        try:
+            found[key] = ast.literal_eval(value)  # passes over a comment, too
+        except (ValueError, SyntaxError):
+            found[key] = value.partition(" #")[0].rstrip()
     missing = [key for key in _NEEDED if key not in found]
     if missing:
         raise ArgumentError(f"{path} is no map of ROS's map_server: it has no {missing[0]}")

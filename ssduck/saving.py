@@ -10,7 +10,7 @@ from typing import Any
 
 from ssduck.errors import SceneError
 from ssduck.excerpts import originals_of
-from ssduck.scenes import BodySpec, Camera, ConstraintSpec, Engine, Scene, SensorSpec
+from ssduck.scenes import BodySpec, Camera, ConstraintSpec, Engine, Scene, SensorSpec, variable_name
 from ssduck.simulators.pybullet import PyBulletSimulator
 from ssduck.simulators.pybullet_copies import Tick
 from ssduck.simulators.pybullet_saving import scene_of
@@ -55,7 +55,9 @@ def _scene(world: World, folder: Path) -> Scene:
             for member in snapshot.listed
             if member.sensor is not None
         ]
-    return replace(scene, name=world.name, camera=world.camera, sensors=tuple(sensors))
+    return replace(
+        scene, name=variable_name(world.name), camera=world.camera, sensors=tuple(sensors)
+    )
 
 
 def _lines(scene: Scene, folder: Path) -> Iterator[str]:

@@ -195,7 +195,7 @@ def find_scene(name: str | Path) -> Scene:
         return read_scene(path)
     if suffix in MODEL_SUFFIXES:
         body = BodySpec(name=None, kind=None, model=path.resolve())
-        return Scene(name=_identifier(path.stem), path=path, bodies=(body,))
+        return Scene(name=variable_name(path.stem), path=path, bodies=(body,))
     raise SceneError(
         f"{path}: cannot tell what this is; a scene ends in .toml, "
         f"a model in {', '.join(MODEL_SUFFIXES)}"
@@ -416,10 +416,10 @@ def _check_unique(
 def _default_name(path: Path) -> str:
     """What a scene is called by its file: `name.toml`, or `name/scene.toml`."""
     place = path.resolve()
-    return _identifier(place.parent.name if place.name == "scene.toml" else place.stem)
+    return variable_name(place.parent.name if place.name == "scene.toml" else place.stem)
 
 
-def _identifier(text: str) -> str:
-    """A name for a scene made from a file's."""
+def variable_name(text: str) -> str:
+    """A name for a scene, which is a variable of programs, made from another one."""
     name = "".join(letter if letter.isalnum() or letter == "_" else "_" for letter in text)
     return name if name.isidentifier() else f"world_{name}".rstrip("_")

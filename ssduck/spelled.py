@@ -32,7 +32,7 @@ class Part:
         """Its value.
 
         Raises:
-            ArgumentError: there are as many elements as names, or should be.
+            ArgumentError: there are not as many elements as names.
         """
         if len(elements) != len(names):
             raise ArgumentError(f"{len(elements)} elements and {len(names)} names of sources")

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import importlib.metadata
+import time
 
 import pytest
 
 import ssduck
 import ssduck.adapters
-from ssduck.errors import ArgumentError, FunctionError, UnknownNameError
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    FunctionError,
+    LimitError,
+    UnknownNameError,
+)
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +129,23 @@ def test_a_lazy_form_is_given_no_rows_that_it_does_not_read(kitchen, registry):
         assert calls == [1, 1, 2, 3, 4]
 
 
+@pytest.mark.parametrize("limit", ["1.5", "-1", "'x'", "True"])
+def test_a_lazy_form_minds_the_limit(kitchen, registry, limit):
+    ssduck.adapter("peek", needs="query")(lambda selection: selection.head(2))
+    assert kitchen.eval("SELECT z FROM kitchen LIMIT 1 AS peek;") == [(1.499,)]
+    with pytest.raises(EvaluationError, match="LIMIT takes a whole number"):
+        kitchen.eval(f"SELECT z FROM kitchen LIMIT {limit} AS peek;")
+
+
+def test_a_lazy_form_reads_before_it_returns(kitchen, registry):
+    kept = []
+    ssduck.adapter("keep", needs="query")(kept.append)
+    kitchen.eval("SELECT z FROM kitchen AS keep;")
+    for late in (lambda: kept[0].rows, lambda: kept[0].head(1)):
+        with pytest.raises(ArgumentError, match="the query is over"):
+            late()
+
+
 def test_a_form_that_needs_entities(kitchen, registry):
     ssduck.adapter("names", needs="entities")(lambda s: [e.name for e in s.entities])
     assert kitchen.eval("SELECT obj FROM kitchen WHERE isRobot(this) AS names;") == [
@@ -169,10 +193,30 @@ def test_errors_say_where_and_leave_variables(kitchen, registry, program, error,
         kitchen.call_variable("kept")
 
 
+def test_time_is_up_for_forms_too(kitchen, registry):
+    made = []
+
+    @ssduck.adapter("slow", needs="entities")
+    def slow(selection):
+        made.append(selection.entities)
+        time.sleep(0.3)
+
+    with ssduck.Interpreter(limits=ssduck.Limits(seconds=0.2)) as ss:
+        ss.add_variable("kitchen", kitchen.call_variable("kitchen"))
+        with pytest.raises(LimitError, match=r"took more than 0\.2 s"):
+            ss.eval("SELECT obj FROM kitchen GROUP BY id AS slow;")
+    assert len(made) <= 1  # of 37 groups
+
+
 @pytest.mark.parametrize("name", ["list", "dict", "value"])
 def test_ssducks_own_forms_stay(registry, name):
     with pytest.raises(ArgumentError, match=f"AS {name} is one of ssduck's own"):
         ssduck.adapter(name)(len)
+
+
+def test_a_decorator_without_brackets(registry):
+    with pytest.raises(ArgumentError, match=r"@ssduck\.adapter\(\)"):
+        ssduck.adapter(len)
 
 
 def test_a_name_that_no_program_could_say(registry):

@@ -742,11 +742,13 @@ def test_saved_names_are_made_fit(client, write, tmp_path):
     ).replace('"rob\u00f6ter "x""', "'rob\u00f6ter \"x\"'")
     number = pybullet.loadURDF(str(write("r.urdf", text)), physicsClientId=client)
     pybullet.resetJointState(number, 0, 0.25, physicsClientId=client)
-    world = ssduck.World.attach(client, names={number: 'odd "name" \\ \t/..'})
+    names = {number: 'odd "name" \\ \t/..'}
+    world = ssduck.World.attach(client, names=names, name='the "world"; 2')
     world.add_sensor("range_finder", 'odd "name" \\ \t/..', "eye", "b", max_range=2.0)
     with pytest.warns(UserWarning, match="what motors do"):
         world.save(tmp_path / "saved")
     loaded = ssduck.load(tmp_path / "saved").worlds[0]
+    assert loaded.name == "the__world___2"  # a variable
     assert farthest(world, loaded) < 1e-12
     assert loaded['odd "name" \\ \t/..'].joints[0].upper == 1.0
 

@@ -162,7 +162,7 @@ MISTAKES = [
         "near(table, table, nothing);",
         ArgumentError,
         "near(table, table, nothing)",
-        "near does not take (Entity, Entity, nothing): near(a, b, d) -> bool",
+        "near does not take (KinBody, KinBody, nothing): near(a, b, d) -> bool",
         [],
     ),
     ("3[0];", ArgumentError, "0", "a number has no element 0", []),

@@ -113,6 +113,12 @@ def test_entities_alone(kitchen):
     assert len(kitchen.eval("SELECT obj FROM kitchen WHERE False AS graph;")) == 0
 
 
+def test_columns_come_before_what_is_told_of_every_entity(kitchen):
+    for query in ("SELECT obj, id FROM kitchen", "SELECT id, isRobot FROM kitchen"):
+        graph = kitchen.eval(f"{query} AS graph;")
+        assert graph.nodes["table"]["id"] == graph.nodes["table"]["name"] == "table"
+
+
 def test_a_graph_a_group(kitchen):
     graphs = kitchen.eval("SELECT obj FROM kitchen GROUP BY type AS graph;")
     assert {kind: len(graph) for kind, graph in graphs.items()} == {
@@ -137,7 +143,7 @@ REFUSED = [
         f"SELECT a.this, b.this, c.this {PAIRS.replace('WHERE', ', c=[1, 2] WHERE')} AND above(a.this, b.this)",
         "two values of 'c'.*multi=True",
     ),
-    ("SELECT to(obj, 'a'), to(id, 'name'), to(z, 'kind') FROM kitchen", "two values of 'kind'"),
+    (f"SELECT a.this, to(id(b.this), 'b') {PAIRS}", "two values of 'b'.*; name the columns"),
     ("SELECT getTime(), isRobot FROM kitchen", "getTime is of 0 entities"),
 ]
 

@@ -439,11 +439,17 @@ YAML = "image: m.pgm\nresolution: 0.1 # m\norigin: [1, 2.5, 0]\nnegate: {negate}
 
 @pytest.mark.parametrize(
     ("negate", "unknown", "expected"),
-    [(0, True, [[1, 1, 0]]), (0, False, [[1, 0, 0]]), (1, False, [[0, 0, 1]])],
+    [
+        (0, True, [[1, 1, 0]]),
+        (0, False, [[1, 0, 0]]),
+        ("false", False, [[1, 0, 0]]),
+        (1, False, [[0, 0, 1]]),
+        ("true", False, [[0, 0, 1]]),
+    ],
 )
 def test_a_map_of_another(tmp_path, negate, unknown, expected):
     (tmp_path / "m.yaml").write_text(YAML.format(negate=negate), encoding="utf-8")
-    shades = [0, 205, 254] if not negate else [0, 50, 255]
+    shades = [0, 205, 254] if negate in (0, "false") else [0, 50, 255]
     Image.fromarray(np.array([shades], np.uint8)).save(tmp_path / "m.pgm")
     grid = OccupancyGrid.load(tmp_path / "m.yaml", unknown=unknown)
     assert grid.cells.T.astype(int).tolist() == expected
@@ -460,6 +466,10 @@ def test_a_map_of_another(tmp_path, negate, unknown, expected):
         (lambda text: text.replace("2.5, 0]", "2.5, 0.1]"), r"turned by 0.1 rad"),
         (lambda text: text.replace("m.pgm", "n.pgm"), "cannot be read as a map: .*n.pgm"),
         (lambda text: text.replace("[1, 2.5, 0]", "1"), "cannot be read as a map"),
+        (lambda text: text.replace("0.1 # m", "-0.1"), "resolution -0.1"),
+        (lambda text: text.replace("0.1 # m", "0 # m"), "resolution 0"),
+        (lambda text: text.replace("0.1 # m", "1e999"), "resolution inf"),
+        (lambda text: text + "mode: raw\n", "the mode is raw"),
         (lambda text: text, "1 cells are unknown; load"),
     ],
 )
@@ -475,6 +485,33 @@ def test_files_that_are_not_there(grid, tmp_path):
         OccupancyGrid.load(tmp_path / "nowhere.yaml")
     with pytest.raises(ArgumentError, match="where the picture goes"):
         grid.save(tmp_path / "map.pgm")
+    with pytest.raises(ArgumentError, match=r"map\.yaml cannot be written: .*[Nn]o such file"):
+        grid.save(tmp_path / "nowhere" / "map.yaml")
+
+
+@pytest.mark.parametrize(
+    ("name", "image"),
+    [
+        ("map-2.1", "map-2.1.pgm"),
+        ("a #b", '"a #b.pgm"'),
+        ("a: b", '"a: b.pgm"'),
+        ("- x", '"- x.pgm"'),
+        ("[x]", '"[x].pgm"'),
+        ("'q'", "\"'q'.pgm\""),
+        ('"q"', r'"\"q\".pgm"'),
+        ("&x", '"&x.pgm"'),
+        ("#", '"#.pgm"'),
+        ("a\nb", r'"a\nb.pgm"'),
+        ("back\\slash", r'"back\\slash.pgm"'),
+        ("ü", '"ü.pgm"'),
+        ("next\x85line", r'"next\u0085line.pgm"'),
+        ("😀", '"😀.pgm"'),
+    ],
+)
+def test_a_file_may_have_any_name(grid, tmp_path, name, image):
+    path = grid.save(tmp_path / f"{name}.yaml")
+    assert path.read_text(encoding="utf-8").splitlines()[0] == f"image: {image}"
+    assert OccupancyGrid.load(path) == grid
 
 
 # -- what sensors see -----------------------------------------------------------------------------
@@ -697,7 +734,11 @@ def test_sums_of_groups(kitchen):
         ("plane('XY', [0, 0], [1.5, 1, 1])", "whole numbers of cells"),
         ("plane('XY', [0, 0], [1, 1, 0])", "above 0 m"),
         ("plane('XY', [0, 0], [100000, 100000, 1])", "more than 100,000,000"),
-        ("plane('XY', [0, 0], [9, 9, 1], 0)", "blur is a whole number of cells from 1 on"),
+        ("map(0.2, 1e-320)", "inf x inf cells are more than 100,000,000"),
+        ("map(0.2, 1e-200)", "more than 100,000,000"),
+        ("plane('XY', [0, 0], [9, 9, 1], 0)", "blur is a whole number from 1 to 9, not 0"),
+        ("plane('XY', [0, 0], [9, 9, 1], 10)", "blur is a whole number from 1 to 9, not 10"),
+        ("plane('XY', [0, 0], [9000, 9000, 1], 9000)", "27,000 x 27,000 cells are more than"),
     ],
 )
 def test_what_cannot_be(kitchen, form, message):

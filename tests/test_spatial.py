@@ -136,8 +136,10 @@ BAD = [
     ("box", "points('near')", "spacing is a number, not 'near'"),
     ("box", "points(0.02, -1)", "seed is a whole number from 0"),
     ("box", "points(0.0001)", "208,000,000 points are more than 20,000,000"),
+    ("box", "points(1e-200)", "points are more than 20,000,000"),
     ("box", "glb('no/such/folder/box.glb')", "No such file"),
-    ("box", "glb(3)", "glb takes the path of a file, not 3"),
+    ("box", "glb(3)", "the file is to be a path in quotes, not 3"),
+    ("nobody", "glb('x.glb')", "nothing that is selected has shapes"),
     ("box", "image(0)", "width is a whole number from 1 to 8192, not 0"),
     ("box", "image(10, 2.5)", "height is a whole number"),
 ]
@@ -175,6 +177,20 @@ def test_a_glb_stands_upright(shapes, tmp_path):
     assert loaded.bounds[1] == pytest.approx([high[0], high[2], -low[1]], abs=1e-6)
 
 
+def test_a_glb_that_cannot_be_written_leaves_what_was_there(shapes, tmp_path):
+    path = tmp_path / "kept.glb"
+    path.write_text("kept")
+    for query in (
+        f"SELECT obj FROM world GROUP BY id AS glb('{path}');",
+        f"SELECT obj FROM world AS glb('{path}');",  # a plane
+        selected("box", f"glb('{tmp_path}')"),
+    ):
+        with pytest.raises(ArgumentError):
+            shapes.eval(query)
+    assert path.read_text() == "kept"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_glb_may_be_forbidden(tmp_path):
     with ssduck.Interpreter(limits=ssduck.Limits.strict()) as ss, pytest.raises(LimitError):
         ss.eval(f"SELECT this FROM [1] AS glb('{tmp_path}/x.glb');")
@@ -210,6 +226,20 @@ def test_a_picture_shows_what_is_selected(kitchen):
     # grey: red, green and blue are equal
     assert np.ptp(np.asarray(picture)[faded].astype(int), axis=1).max() == 0
     assert outlined(picture).any()
+
+
+def test_what_is_no_longer_there_is_in_no_form_of_space(shapes):
+    twin = shapes.call_variable("world").excerpt(["box"])
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("twin", twin)
+        ss.add_variable("box", twin["box"])
+        twin.remove("box")
+        for form in ("points", "mesh", "image(64, 48)"):
+            with pytest.raises(
+                ssduck.SelectScriptError, match=f"AS {form[:4]}.*'box' is no longer"
+            ):
+                ss.eval(f"SELECT to(box, 'gone') FROM [1] AS {form};")
+    twin.close()
 
 
 def test_segmentation_is_by_ids(kitchen):

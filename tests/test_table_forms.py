@@ -6,6 +6,7 @@ import io
 import json
 import math
 import sys
+from decimal import Decimal
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.adapters import find
 from ssduck.adapters.columns import array_of
-from ssduck.errors import ArgumentError, FunctionError, LimitError, UnsupportedError
+from ssduck.errors import ArgumentError, LimitError, UnsupportedError
 from ssduck.result import Result
 from ssduck.shown import Shown
 
@@ -254,10 +255,26 @@ def test_structured_arrays(kitchen):
 
 
 def test_numbers_that_floats_are_not_stay_exact(values):
+    rows = [{"n": 2**53, "f": 0.5}]
+    assert values("SELECT n, f FROM rows AS numpy;", rows).tolist() == [[2**53, 0.5]]
     rows = [{"n": 2**53 + 1, "f": 0.5}]
-    assert values("SELECT n, f FROM rows AS numpy;", rows).dtype == float  # column by column
+    assert values("SELECT n, f FROM rows AS numpy;", rows).tolist() == [(2**53 + 1, 0.5)]
+    assert values("SELECT n, n FROM rows AS numpy;", rows).tolist() == [[2**53 + 1] * 2]
     found = values("SELECT n FROM rows AS numpy;", [{"n": 2**53 + 1}, {"n": 0.5}])
     assert found["n"].tolist() == [2**53 + 1, 0.5]
+
+
+def test_decimals_keep_their_digits(values):
+    rows = [{"n": Decimal("1.5")}, {"n": Decimal(2)}]
+    assert values("SELECT n FROM rows AS polars;", rows)["n"].to_list() == [1.5, 2]
+
+
+def test_json_takes_a_number_of_spaces(kitchen):
+    few = "SELECT id FROM kitchen WHERE id(this) == 'table' AS json"
+    assert kitchen.eval(f"{few}(2);") == '[\n  {\n    "id": "table"\n  }\n]'
+    for indent in ("'x'", "2.5", "-1", "True", "100000"):
+        with pytest.raises(ArgumentError, match="indent is a whole number from 0 to 80"):
+            kitchen.eval(f"{few}({indent});")
 
 
 def test_json_is_a_text(kitchen):
@@ -343,8 +360,10 @@ def test_parquet_that_cannot_be_written(kitchen, tmp_path):
             ArgumentError,
             "each group",
         ),
-        (f"SELECT id FROM kitchen AS parquet('{tmp_path}/no/x');", FunctionError, "FileNotFound"),
+        (f"SELECT id FROM kitchen AS parquet('{tmp_path}/no/x');", ArgumentError, "No such file"),
+        (f"SELECT id FROM kitchen AS parquet('{tmp_path}');", ArgumentError, "directory"),
         ("SELECT id FROM kitchen AS parquet('');", ArgumentError, "a path in quotes"),
+        ("SELECT id FROM kitchen AS parquet('/');", ArgumentError, "a path in quotes"),
         ("SELECT id FROM kitchen AS parquet(3);", ArgumentError, "a path in quotes"),
         (f"SELECT to([obj, 1], 'x') FROM kitchen AS parquet('{kept}');", ArgumentError, "holds"),
     ]:

@@ -59,22 +59,28 @@ def adapter(
     Raises:
         ArgumentError: a name cannot be a form's, or is that of one of ssduck's own.
     """
+    for name in names:
+        _check_name(name)
 
     def register(make: Maker) -> Maker:
         called = names or (make.__name__,)
         for name in called:
-            if not isinstance(name, str) or not name.isidentifier():
-                raise ArgumentError(
-                    f"{shown(name)} cannot be a form's name: letters, digits and _ only"
-                )
-            if name in _BUILT_IN:
-                raise ArgumentError(f"AS {name} is one of ssduck's own forms; choose another name")
+            _check_name(name)
         told = help or inspect.getdoc(make) or "A form of your own."
         form = Adapter(called, told, make, needs, tables=frozenset(tables))
         _ADAPTERS.update(dict.fromkeys(called, form))
         return make
 
     return register
+
+
+def _check_name(name: Any) -> None:
+    if callable(name):
+        raise ArgumentError("adapter is called before it decorates: @ssduck.adapter()")
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ArgumentError(f"{shown(name)} cannot be a form's name: letters, digits and _ only")
+    if name in _BUILT_IN:
+        raise ArgumentError(f"AS {name} is one of ssduck's own forms; choose another name")
 
 
 def find(name: str) -> Adapter:

@@ -49,6 +49,10 @@ class Selection:
             self._rows = self._read(None)
         return self._rows
 
+    def end(self) -> None:
+        """The query is over: what was not read yet would be of another tick."""
+        self._read = _ended
+
     @property
     def rows(self) -> list[tuple[Any, ...]]:
         """A tuple a row, in order: one value a column."""
@@ -72,7 +76,7 @@ class Selection:
             raise ArgumentError(f"the columns' names differ from row to row: {names[0]}, …")
         return names[0] if names else ()
 
-    @property
+    @cached_property
     def entities(self) -> list[Entity]:
         """The entities in the rows, lists in them included, each once, as they first appear.
 
@@ -166,6 +170,10 @@ class Adapter:
         plain = [p.replace(annotation=inspect.Parameter.empty) for p in parameters]
         listed = ", ".join(map(str, plain))
         return f"AS {' | '.join(self.names)}" + (f"({listed})" if listed else "")
+
+
+def _ended(_: int | None) -> Rows:
+    raise ArgumentError("the query is over; a form reads its rows before it returns")
 
 
 def _gather(value: Any, found: dict[tuple[Entity, int | None], Entity]) -> None:

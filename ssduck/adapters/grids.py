@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.adapters.arguments import number, numbers, positive
+from ssduck.adapters.arguments import number, numbers, positive, whole
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.entities import Entity, Sensor
@@ -144,16 +144,16 @@ def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 
     if any(count < 1 or count != int(count) for count in counts):
         raise ArgumentError(f"size: there are whole numbers of cells, not {shown(size)}")
     nx, ny = map(int, counts)
-    _check_count((nx, ny))
-    if not isinstance(blur, int) or isinstance(blur, bool) or not 1 <= blur <= max(nx, ny):
-        raise ArgumentError(f"blur is a whole number of cells from 1 on, not {shown(blur)}")
+    whole(blur, "blur", 1, max(nx, ny))
+    _check_count((nx + 2 * blur, ny + 2 * blur))
+    weights = _pyramid(blur)
     cells = np.zeros((nx + 2 * blur, ny + 2 * blur))
     for entity, value in _valued(selection):
         steps = (np.array(_place(entity))[list(_PLANES[plane])] - lower) / side
         if ((steps >= 0) & (steps < (nx, ny))).all():
             i, j = steps.astype(np.intp) + blur
             around = slice(i - blur + 1, i + blur), slice(j - blur + 1, j + blur)
-            cells[around] += value * _pyramid(blur)
+            cells[around] += value * weights
     return PlaneGrid(cells[blur:-blur, blur:-blur].copy(), tuple(lower.tolist()), side, plane)
 
 
@@ -247,15 +247,15 @@ def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tupl
     for low, high in zip(lower, upper, strict=True):
         if not low < high:
             raise ArgumentError(f"bounds: {low:g} is not below {high:g}")
-    steps = [math.ceil((high - low) / size - _OVER) for low, high in zip(lower, upper, strict=True)]
-    counts = tuple(max(1, step) for step in steps)
-    _check_count(counts)
-    return counts
+    steps = [(high - low) / size - _OVER for low, high in zip(lower, upper, strict=True)]
+    _check_count(steps)
+    return tuple(max(1, math.ceil(step)) for step in steps)
 
 
-def _check_count(counts: tuple[int, ...]) -> None:
+def _check_count(counts: Sequence[float]) -> None:
+    counts = [max(1.0, count) for count in counts]
     if math.prod(counts) > MOST_CELLS:
-        told = " x ".join(f"{count:,}" for count in counts)
+        told = " x ".join(f"{count:,.0f}" for count in counts)
         raise ArgumentError(
             f"{told} cells are more than {MOST_CELLS:,}; take larger cells, or bounds of a part"
         )

@@ -47,21 +47,22 @@ class _Network:
     def tell(self, entity: Entity, told: Mapping[str, Any]) -> None:
         """Tell something of an entity."""
         name = self.node(entity)
-        _put(self.nodes[name], told, name)
+        _put(self.nodes[name], told, name, "name the columns by to(…, 'name')")
 
     def connect(self, a: Entity, b: Entity, key: Key, told: Mapping[str, Any]) -> None:
         """Add an edge, or tell more of the one that is there."""
         start, end = self.node(a), self.node(b)
         attributes = self.edges.setdefault((start, end, key), {})
-        _put(attributes, told, f"the edge from {start} to {end}")
+        remedy = "AS graph(multi=True) makes an edge a row"
+        _put(attributes, told, f"the edge from {start} to {end}", remedy)
 
 
-def _put(attributes: dict[str, Any], told: Mapping[str, Any], what: str) -> None:
+def _put(attributes: dict[str, Any], told: Mapping[str, Any], what: str, remedy: str) -> None:
     for key, value in told.items():
         if attributes.setdefault(key, value) != value:
             raise ArgumentError(
                 f"{what} would be given two values of {key!r}: {shown(attributes[key])} and "
-                f"{shown(value)}; AS graph(multi=True) makes an edge a row"
+                f"{shown(value)}; {remedy}"
             )
 
 
@@ -153,9 +154,8 @@ def _graph(selection: Selection, multi: bool = False) -> Any:
     network = _network(selection, multi=multi)
     graph = networkx.MultiDiGraph() if multi else networkx.DiGraph()
     for name, told in network.nodes.items():
-        attributes = _facts(network.entities[name])
-        _put(attributes, told, name)
-        graph.add_nodes_from([(name, attributes)])
+        # What the query tells comes first: its id is a name.
+        graph.add_nodes_from([(name, _facts(network.entities[name]) | told)])
     for (a, b, key), told in network.edges.items():
         graph.add_edges_from([(a, b, key, told) if multi else (a, b, told)])
     return graph

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ssduck.adapters.arguments import positive, whole
 from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.shapes import SHAPES, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.highlight import highlighted
-from ssduck.messages import shown
 from ssduck.point_cloud import PointCloud, sampled
 from ssduck.solids import Solid
 
@@ -80,15 +79,13 @@ def _triangles(solid: Solid) -> Any:
 
 
 def _glb(selection: Selection, path: Any) -> str:
-    if not isinstance(path, str) or not path:
-        raise ArgumentError(f"glb takes the path of a file, not {shown(path)}")
+    file = check_file(selection, path)
     scene: Any = _mesh(selection)
+    if not scene.geometry:
+        raise ArgumentError("nothing that is selected has shapes, and a glTF file has some")
     scene.apply_transform(_UPRIGHT)
-    file = Path(path)
-    try:
-        file.write_bytes(scene.export(file_type="glb"))
-    except OSError as error:
-        raise ArgumentError(f"{path}: {error.strerror}") from error
+    stored = scene.export(file_type="glb")
+    replace_file(file, lambda stream: stream.write(stored))
     return str(file)
 
 

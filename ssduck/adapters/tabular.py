@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import namedtuple
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from ssduck.adapters.arguments import whole
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.columns import distinct, plain_value, table_of
+from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.optional import library
 from ssduck.answers import as_json
-from ssduck.errors import ArgumentError
 from ssduck.result import Result, values_of
 from ssduck.types import EXACT
 
 # What numpy's integers of 64 bits hold.
 _MOST = 2**63
+# Letters that a level of JSON is indented by.
+_MOST_INDENT = 80
 
 
 def _result(selection: Selection) -> Result:
@@ -46,11 +47,18 @@ def _df(selection: Selection) -> Any:
 def _polars(selection: Selection) -> Any:
     polars = library("polars", "polars")
     table = table_of(selection)
-    large = [field.name for field in table.schema if pa.types.is_decimal(field.type)]
+    # Decimals of a program's own may have digits behind the point.
+    large = [
+        field.name
+        for field in table.schema
+        if pa.types.is_decimal(field.type) and field.type.scale == 0
+    ]
     return polars.from_arrow(table).with_columns(polars.col(large).cast(polars.Int128))
 
 
 def _json(selection: Selection, indent: int | None = None) -> str:
+    if indent is not None:
+        whole(indent, "indent", 0, _MOST_INDENT)
     names = distinct(selection.columns)
     rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
     return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)
@@ -71,22 +79,9 @@ def _parquet(selection: Selection, file: str) -> str:
     """It takes the place of a file of that name at once, when it is written."""
     import pyarrow.parquet as pq
 
-    query = selection.query
-    if query.group or query.recursion is not None:
-        raise ArgumentError(
-            "each group and each path would replace the file of the one before; select without "
-            "GROUP BY or CONNECT BY, or AS table"
-        )
-    if not isinstance(file, str) or not file:
-        raise ArgumentError("the file is to be a path in quotes")
-    path = Path(file)
+    path = check_file(selection, file)
     table = table_of(selection)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        pq.write_table(table, beside)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    replace_file(path, lambda stream: pq.write_table(table, stream))
     return file
 
 
@@ -100,7 +95,8 @@ def _numpy(selection: Selection) -> npt.NDArray[Any]:
     columns = [[plain_value(value) for value in column] for column in zip(*rows, strict=True)]
     arrays = [_array(column) for column in columns]
     kinds = {array.dtype.kind for array in arrays}
-    alike = kinds <= {"i", "f"} or kinds == {"b"}
+    exact = "f" not in kinds or all(_is_exact(array) for array in arrays)
+    alike = (kinds <= {"i", "f"} and exact) or kinds == {"b"}
     if alike and all(array.ndim <= 2 for array in arrays):
         return np.column_stack(arrays)
     names = distinct(selection.columns)
@@ -109,6 +105,11 @@ def _numpy(selection: Selection) -> npt.NDArray[Any]:
     for name, array in zip(names, arrays, strict=True):
         table[name] = array
     return table
+
+
+def _is_exact(array: npt.NDArray[Any]) -> bool:
+    """Whether numbers stay what they are as floats."""
+    return array.dtype.kind != "i" or bool(((array >= -EXACT) & (array <= EXACT)).all())
 
 
 def _array(column: list[Any]) -> npt.NDArray[Any]:

@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -136,10 +137,8 @@ class _Models:
     def _new_folder(self, name: str) -> Path:
         taken = {path.name for path in (self.folder / MODELS).glob("*")}
         plain = _file_name(name)
-        number = 2
-        while (told := plain if number == 2 else f"{plain}_{number - 1}") in taken:
-            number += 1
-        folder = self.folder / MODELS / told
+        others = (f"{plain}_{number}" for number in count(2))
+        folder = self.folder / MODELS / next(n for n in chain([plain], others) if n not in taken)
         folder.mkdir(parents=True)
         return folder
 
