@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import ssduck
+from ssduck.demos import cleaner as cleaner_module
 from ssduck.demos.chain import Chain
 from ssduck.demos.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
 from ssduck.demos.cleanup import ALLOWED, clean
@@ -296,7 +297,8 @@ def test_a_cup_that_cannot_be_dropped_is_put_back():
     assert tilt < 0.02  # upright
 
 
-def test_what_cannot_be_reached_is_said():
+def test_what_cannot_be_reached_is_said(monkeypatch):
+    monkeypatch.setattr(cleaner_module, "PLACES", 200)  # there is none, however many are tried
     said = []
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("kitchen", kitchen_of([*FEW, "plate_fa76"]))
