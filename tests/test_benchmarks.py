@@ -114,6 +114,7 @@ def test_grids_and_rays(monkeypatch):
     monkeypatch.setattr(adapters, "ROUNDS", 1)
     rows = list(adapters.rows())
     assert [row[:2] for row in rows] == [
+        ("environment", ""),
         ("map(0.22, 0.2)", "546"),
         ("sensorgrid(0.24, 0.2)", "546"),
     ]
