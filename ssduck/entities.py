@@ -439,6 +439,12 @@ class Sensor(SensorSpellings, Entity):
         return SENSOR_TYPES[self.spec.type].has_picture
 
     @property
+    def host(self) -> int:
+        """The id of the body that it sits on."""
+        member = self.state.snapshot.members[self._row()]
+        return member.mount[0]
+
+    @property
     def spec(self) -> SensorSpec:
         """What the sensor is, and where it sits."""
         spec = self.state.snapshot.members[self._row()].sensor

@@ -54,10 +54,7 @@ def _shown(entity: Entity) -> int:
     """The id of the body that shows an entity."""
     if not entity.is_there:
         raise entity.removed()
-    if not isinstance(entity, Sensor):
-        return entity.id
-    snapshot = entity.state.snapshot
-    return snapshot.members[snapshot.rows[entity.id]].mount[0]
+    return entity.host if isinstance(entity, Sensor) else entity.id
 
 
 def _drawn(world: World, chosen: set[int], width: int, height: int) -> npt.NDArray[np.uint8]:

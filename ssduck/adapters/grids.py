@@ -126,8 +126,7 @@ def _seen(sensor: Sensor, placed: PlacedSolids, points: Array, off: float) -> An
         raise ArgumentError(f"{sensor.name!r} is nowhere: its pose is no number")
     matrix = rotation_matrices(turn)[0]
     inside = np.flatnonzero(view((points - start) @ matrix, spec.max_range, spec.settings, off))
-    host = sensor.state.snapshot.members[sensor.state.snapshot.rows[sensor.id]].mount[0]
-    others = placed.of(placed.owners != host)
+    others = placed.of(placed.owners != sensor.host)
     return inside[~are_blocked(others, start, points[inside])]
 
 
