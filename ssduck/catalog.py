@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import sqlglot
 from sqlglot import exp
 
 from ssduck.elements import pairs_of
@@ -38,7 +39,7 @@ class TableMacro:
 
     def macro(self, place: Sequence[str], schema: str) -> str:
         """The statement that makes it."""
-        apart = exp.column(self.candidates.apart)
+        apart = sqlglot.parse_one(self.candidates.apart, dialect="duckdb")
         pairs = pairs_of(self.candidates, apart, schema, "pairs").table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
         temporary = "TEMP " if place[0] == "temp" else ""
@@ -56,9 +57,10 @@ class TableMacro:
 TABLE_MACROS = (
     TableMacro(
         "colliding_pairs",
-        (),
-        Candidates("colliding"),
-        "A row is the ids a, b of two entities that collide; each pair both ways.",
+        ("depth := 1e-6",),
+        Candidates("colliding", "depth"),
+        "A row is the ids a, b of two entities that are deeper in each other than depth, 1e-6 m "
+        "if it is not given; each pair both ways.",
     ),
     TableMacro(
         "pairs_within",

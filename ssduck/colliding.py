@@ -1,4 +1,4 @@
-"""Which entities of a tick collide, or are near each other, all of them at once.
+"""Which entities of a tick collide, touch or are near each other, all of them at once.
 
 The broad phase finds the pairs of shapes whose boxes meet. Spheres around the shapes that are far
 apart, and spheres in them that are near, decide many of these; half-spaces are decided by support
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -31,6 +31,48 @@ _MOST_ENTITIES = 1 << 32
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
+Asked: TypeAlias = Literal["colliding", "within", "touching"]
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of two entities: it holds if it does of two of their shapes.
+
+    Attributes:
+        of: whether they collide: are deeper in each other than `distance`; whether the distance
+            of their nearest points is at most `distance`; whether they touch: that distance is
+            at most `distance` and the collision margins of both shapes.
+        distance: metres.
+    """
+
+    of: Asked
+    distance: float
+
+    def bound(self, margins: float) -> float:
+        """What the gap of two shapes is to be below, or at most.
+
+        Args:
+            margins: of both together, metres.
+        """
+        if self.of == "colliding":
+            return -self.distance
+        return self.distance + margins if self.of == "touching" else self.distance
+
+    def bounds(self, sorts: Sorts, first: Indices, second: Indices) -> Array:
+        """The bounds of pairs of shapes, (n,)."""
+        found = np.full(len(first), self.bound(0.0))
+        if self.of == "touching":
+            found += sorts.margins[first] + sorts.margins[second]
+        return found
+
+    def apart(self, sorts: Sorts) -> float:
+        """How far apart shapes may be, metres; less than 0 if it holds of none."""
+        if self.of == "colliding":
+            return 0.0
+        two = np.sort(sorts.margins)[-2:].sum() if self.of == "touching" else 0.0
+        return self.distance + float(two)
+
+
 class Sorts:
     """What does not depend on the poses of shapes.
 
@@ -38,10 +80,18 @@ class Sorts:
         solids: the different solids.
         of: (n,), which solid each shape is.
         entities: (n,), whose shape it is.
+        margins: (n,), the collision margins, metres; None for none.
     """
 
-    def __init__(self, solids: Sequence[Solid], of: Indices, entities: Indices) -> None:
+    def __init__(
+        self,
+        solids: Sequence[Solid],
+        of: Indices,
+        entities: Indices,
+        margins: Array | None = None,
+    ) -> None:
         self.entities = entities
+        self.margins = np.zeros(len(of)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
         self.single = bool(np.bincount(entities).max(initial=0) <= 1)
         self.known = np.array([solid.known for solid in solids], dtype=bool)[of]
@@ -137,32 +187,42 @@ class Found:
         return list(zip(first.tolist(), second.tolist(), strict=True))
 
 
-def colliding(scene: Scene, deeper: float, is_deeper: Callable[[int, int], bool]) -> Found:
-    """The pairs of entities with shapes that are deeper in each other.
+def known_with_all(sorts: Sorts, known: Flags) -> Flags:
+    """Of each shape whether all of its entity are known."""
+    lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
+    all_known: Flags = lost[sorts.entities] == 0
+    return all_known
+
+
+def entities_of(
+    scene: Scene,
+    question: Question,
+    holds: Callable[[int, int], bool],
+    among: Pairs | None = None,
+) -> Found:
+    """The pairs of entities of which something holds.
 
     Args:
         scene: the shapes.
-        deeper: metres.
-        is_deeper: whether two shapes are, for those that nothing else decides.
+        question: what is to hold of two of their shapes.
+        holds: whether it does, asked of those that nothing else decides.
+        among: the pairs of shapes that are compared; None for all that are near enough.
     """
-    rules = _by_spheres, _by_planes, _by_axes, _by_cores
-    return _found(scene, _candidates(scene, 0.0), rules, -deeper, is_deeper)
-
-
-def colliding_of(
-    scene: Scene, shapes: Pairs, deeper: float, is_deeper: Callable[[int, int], bool]
-) -> Found:
-    """As `colliding`, of these pairs of shapes."""
-    rules = _by_spheres, _by_planes, _by_axes, _by_cores
-    return _found(scene, _usable(scene, shapes), rules, -deeper, is_deeper)
-
-
-def within_of(
-    scene: Scene, shapes: Pairs, apart: float, is_within: Callable[[int, int], bool]
-) -> Found:
-    """As `all_within`, of these pairs of shapes."""
-    rules = _by_spheres, _by_planes, _by_cores
-    return _found(scene, _usable(scene, shapes), rules, apart, is_within)
+    if among is None:
+        apart = question.apart(scene.sorts)
+        if not apart >= 0.0:  # nor a number that is none
+            return Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
+        among = _candidates(scene, apart if question.of == "colliding" else apart + _MARGIN)
+    else:
+        among = _usable(scene, among)
+    bounds = question.bounds(scene.sorts, *among)
+    rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
+    if question.of == "colliding":
+        rules = _by_spheres, _by_planes, _by_axes, _by_cores
+    else:  # no distance is below 0
+        usable = bounds >= 0.0
+        among, bounds = (among[0][usable], among[1][usable]), bounds[usable]
+    return _found(scene, among, rules, bounds, holds)
 
 
 def _usable(scene: Scene, shapes: Pairs) -> Pairs:
@@ -172,19 +232,7 @@ def _usable(scene: Scene, shapes: Pairs) -> Pairs:
     return first[both], second[both]
 
 
-def all_within(scene: Scene, apart: float, is_within: Callable[[int, int], bool]) -> Found:
-    """The pairs of entities with shapes that are at most so far apart; what meets is 0 apart.
-
-    Args:
-        scene: the shapes.
-        apart: metres, not below 0.
-        is_within: whether two shapes are, for those that nothing else decides.
-    """
-    rules = _by_spheres, _by_planes, _by_cores
-    return _found(scene, _candidates(scene, apart + _MARGIN), rules, apart, is_within)
-
-
-Rule: TypeAlias = Callable[[Scene, Indices, Indices, float], Verdicts]
+Rule: TypeAlias = Callable[[Scene, Indices, Indices, Array], Verdicts]
 
 
 # What is too large for its squares is not decided by them.
@@ -193,16 +241,16 @@ def _found(
     scene: Scene,
     candidates: Pairs,
     rules: Sequence[Rule],
-    bound: float,
+    bounds: Array,
     is_below: Callable[[int, int], bool],
 ) -> Found:
-    """The pairs of entities with shapes whose gaps are below a bound, or of which it is said.
+    """The pairs of entities with shapes whose gaps are below bounds, or of which it is said.
 
     Args:
         scene: the shapes.
         candidates: the pairs of shapes that are compared.
         rules: what is asked of them, one after another, until they are decided.
-        bound: metres.
+        bounds: of each pair, metres.
         is_below: asked of two shapes that no rule decides.
     """
     first, second = candidates
@@ -211,12 +259,12 @@ def _found(
     compared = owners if single else np.unique(owners)
     found = np.zeros(0, np.intp)
     for rule in rules:
-        verdicts = rule(scene, first, second, bound)
+        verdicts = rule(scene, first, second, bounds)
         found = np.concatenate((found, owners[verdicts == BELOW]))
         left = verdicts == UNDECIDED
         if not single:
             left &= ~np.isin(owners, found)
-        first, second, owners = first[left], second[left], owners[left]
+        first, second, owners, bounds = first[left], second[left], owners[left], bounds[left]
     more: set[int] = set()
     for owner, s, t in zip(owners.tolist(), first.tolist(), second.tolist(), strict=True):
         if owner not in more and is_below(s, t):
@@ -243,15 +291,15 @@ def _candidates(scene: Scene, apart: float) -> Pairs:
 # -- rules -------------------------------------------------------------------------------------
 
 
-def _by_spheres(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+def _by_spheres(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """The spheres around shapes, and those in them; a half-space has none."""
     sorts, error = scene.sorts, slack(scene.bodies, first, second)
     verdicts = np.zeros(len(first), np.int8)
     around = sorts.reach[first] + sorts.reach[second]
-    verdicts[_distances(scene.centres, first, second) > around + bound + error] = ABOVE
+    verdicts[_distances(scene.centres, first, second) > around + bounds + error] = ABOVE
     within = sorts.inner_radius[first], sorts.inner_radius[second]
     apart = _distances(scene.inner, first, second) - within[0] - within[1]
-    verdicts[(apart < bound - error) & (within[0] > 0.0) & (within[1] > 0.0)] = BELOW
+    verdicts[(apart < bounds - error) & (within[0] > 0.0) & (within[1] > 0.0)] = BELOW
     return verdicts
 
 
@@ -261,7 +309,7 @@ def _distances(points: Array, first: Indices, second: Indices) -> Array:
     return lengths
 
 
-def _by_planes(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+def _by_planes(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """Half-spaces and any other shape, by the point of it that is farthest in."""
     sorts = scene.sorts
     verdicts = np.zeros(len(first), np.int8)
@@ -276,26 +324,26 @@ def _by_planes(scene: Scene, first: Indices, second: Indices, bound: float) -> V
     lowest += scene.bodies.supports(other, -normals.T).T
     gaps = np.einsum("ni,ni->n", normals, lowest) - sorts.cores.radius[other]
     error = slack(scene.bodies, plane, other)
-    verdicts[some[gaps > bound + error]] = ABOVE
-    verdicts[some[gaps < bound - error]] = BELOW
+    verdicts[some[gaps > bounds[some] + error]] = ABOVE
+    verdicts[some[gaps < bounds[some] - error]] = BELOW
     return verdicts
 
 
-def _by_axes(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+def _by_axes(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """Boxes that may be deep in each other: exactly."""
     verdicts = np.zeros(len(first), np.int8)
     some = np.flatnonzero(scene.sorts.is_box[first] & scene.sorts.is_box[second])
-    is_deep = box_depths(scene, first[some], second[some]) > -bound
+    is_deep = box_depths(scene, first[some], second[some]) > -bounds[some]
     verdicts[some] = np.where(is_deep, BELOW, ABOVE)
     return verdicts
 
 
-def _by_cores(scene: Scene, first: Indices, second: Indices, bound: float) -> Verdicts:
+def _by_cores(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """What is convex; the convex hull of a mesh only tells that it is far from something."""
     sorts = scene.sorts
     verdicts = np.zeros(len(first), np.int8)
     some = np.flatnonzero(~(sorts.is_endless[first] | sorts.is_endless[second]))
-    found = compare(scene.bodies, first[some], second[some], bound)
+    found = compare(scene.bodies, first[some], second[some], bounds[some])
     hollow = ~(sorts.is_convex[first[some]] & sorts.is_convex[second[some]])
     found[hollow & (found == BELOW)] = UNDECIDED
     verdicts[some] = found

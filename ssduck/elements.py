@@ -142,8 +142,8 @@ def pairs_then(
     """Whether a relation holds of two entities at the tick of a row: all ticks asked at once.
 
     Args:
-        candidates: whose pairs: those that collide, or are within a distance.
-        apart: that distance.
+        candidates: whose pairs: those that collide, touch, or are within a distance.
+        apart: that distance, or the depth.
         row: the ticks, and that of the row.
         ids: of the entities, as far as they are the same at each tick.
         columns: their ids at the row.
@@ -156,8 +156,7 @@ def pairs_then(
         *(exp.Literal.number(0) if isinstance(id, exp.Column) else id.copy() for id in ids),
     ]
     called = f"then {candidates.of}"
-    if candidates.of != "colliding":
-        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    arguments.append(exp.cast(apart.copy(), "DOUBLE"))
     found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
     each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
     parts = [
@@ -236,9 +235,7 @@ class Pairs:
 def pairs_of(candidates: Candidates, apart: exp.Expr, schema: str, name: str) -> Pairs:
     """All pairs of entities of a world of which a relation may hold."""
     called = exp.to_identifier(f"narrow all_{candidates.of}", quoted=True)
-    arguments: list[exp.Expr] = [exp.Literal.string(schema)]
-    if candidates.of != "colliding":
-        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    arguments = [exp.Literal.string(schema), exp.cast(apart.copy(), "DOUBLE")]
     numbers = exp.func("unnest", exp.Anonymous(this=called, expressions=arguments))
     number, many = exp.column("n"), exp.Literal.number(MOST_IDS)
     table = (

@@ -169,56 +169,23 @@ def _read_other(path: Path) -> tuple[Array, list[Triangles]]:
 
 # -- poses ------------------------------------------------------------------------------------
 
-# Rotations and products are sums of products of two rows' entries. As one matrix product of all
-# such products with constant weights they cost two calls; numpy's own `cross` costs dozens,
-# which counts where a tick is a few hundred rows.
-_EPSILON = np.zeros((3, 3, 3))  # the cross product: axis a times axis b is ± axis c
-for _a, _b, _c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    _EPSILON[_a, _b, _c], _EPSILON[_b, _a, _c] = 1.0, -1.0
-_CROSS: Array = _EPSILON.reshape(9, 3)
-
-# (s, u)(t, v) = (s t - u.v, s v + t u + u x v)
-_HAMILTON = np.zeros((4, 4, 4))
-_HAMILTON[0, :, :] = np.eye(4)
-_HAMILTON[1:, 0, 1:] = np.eye(3)
-_HAMILTON[1:, 1:, 0] = -np.eye(3)
-_HAMILTON[1:, 1:, 1:] = _EPSILON
-_PRODUCT: Array = _HAMILTON.reshape(16, 4)
-
-# R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed)
-_SQUARES = np.zeros((4, 4, 3, 3))
-_SQUARES[0, 0] = np.eye(3)
-_SQUARES[1:, 1:] = 2.0 * np.einsum("ai,bj->abij", np.eye(3), np.eye(3))
-for _a in range(3):
-    _SQUARES[1 + _a, 1 + _a] -= np.eye(3)
-    _SQUARES[0, 1 + _a] = 2.0 * _EPSILON[_a].T
-_ROTATION: Array = _SQUARES.reshape(16, 9)
-
-
-# Matrix products of more rows than about twice this BLAS shares out among threads, whose
-# meeting again takes longer than the product itself; and what so many take stays in the cache.
-_ROWS_TOGETHER = 1024
-
-
-def _products(first: Array, second: Array, weights: Array) -> Array:
-    summed = np.zeros((len(first), weights.shape[1]))
-    for start in range(0, len(first), _ROWS_TOGETHER):
-        some = slice(start, start + _ROWS_TOGETHER)
-        pairs = first[some, :, None] * second[some, None, :]
-        np.matmul(pairs.reshape(-1, len(weights)), weights, out=summed[some])
-    return summed
+# A row's result has the same bits in whatever company it is worked out: a tick's rows, a few of
+# them, those of many ticks. So these are sums of a fixed order, term by term over all rows: of a
+# matrix product, or of `einsum`, the order depends on the number of rows.
 
 
 def rotation_matrices(orientations: Array) -> Array:
     """(n, 4) unit quaternions to (n, 3, 3) rotation matrices."""
-    return _products(orientations, orientations, _ROTATION).reshape(-1, 3, 3)
+    return np.ascontiguousarray(turns_of(orientations).T).reshape(-1, 3, 3)
 
 
 def turns_of(orientations: Array) -> Array:
-    """As `rotation_matrices`, of very many: (n, 4) to (9, n), row by row."""
-    w, x, y, z = np.ascontiguousarray(orientations.T)
-    ww, xx, yy, zz = w * w, x * x, y * y, z * z
-    wx, wy, wz, xy, xz, yz = w * x, w * y, w * z, x * y, x * z, y * z
+    """As `rotation_matrices`, one row an entry: (n, 4) to (9, n)."""
+    # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed)
+    columns = np.ascontiguousarray(orientations.T)
+    ww, xx, yy, zz = columns * columns
+    wx, wy, wz = columns[0] * columns[1:]
+    xy, yz, xz = columns[1:] * columns[_AFTER]
     return np.array(
         [
             *(ww + xx - yy - zz, 2.0 * (xy - wz), 2.0 * (xz + wy)),
@@ -228,20 +195,48 @@ def turns_of(orientations: Array) -> Array:
     )
 
 
+_AFTER = np.array([2, 3, 1])
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
 def rotate(matrices: Array, vectors: Array) -> Array:
     """Each (3, 3) of (n, 3, 3) times each (3,) of (n, 3)."""
-    rotated: Array = np.einsum("nij,nj->ni", matrices, vectors)
+    products = matrices * vectors[:, None, :]
+    rotated: Array = products[:, :, 0] + products[:, :, 1]
+    rotated += products[:, :, 2]
     return rotated
 
 
 def cross(first: Array, second: Array) -> Array:
     """Cross products of the rows of (n, 3)."""
-    return _products(first, second, _CROSS)
+    crossed: Array = first.take(_NEXT, axis=1) * second.take(_LAST, axis=1)
+    crossed -= first.take(_LAST, axis=1) * second.take(_NEXT, axis=1)
+    return crossed
 
 
 def multiply(first: Array, second: Array) -> Array:
     """Hamilton products of (n, 4) quaternions: the rotation `second`, then `first`."""
-    return _products(first, second, _PRODUCT)
+    # (s, u)(t, v) = (s t - u.v, s v + t u + u x v)
+    w, x, y, z = np.ascontiguousarray(first.T)
+    s, i, j, k = np.ascontiguousarray(second.T)
+    product = np.array(
+        [
+            w * s - x * i - y * j - z * k,
+            w * i + x * s + y * k - z * j,
+            w * j + y * s + z * i - x * k,
+            w * k + z * s + x * j - y * i,
+        ]
+    )
+    return np.ascontiguousarray(product.T)
+
+
+def unit_quaternions(orientations: Array) -> Array:
+    """Quaternions (n, 4) of length 1; NaN where they have none."""
+    squares = orientations * orientations
+    length = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit: Array = orientations / length[:, None]
+    return unit
 
 
 def compose(
@@ -266,12 +261,21 @@ def invert(positions: Array, orientations: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class PlacedGeometry:
-    """A geometry that is fixed to a frame: which one, and where in it."""
+    """A geometry that is fixed to a frame: which one, and where in it.
+
+    Attributes:
+        frame: the frame's number.
+        geometry: the shape.
+        position: (3,), in the frame, metres.
+        orientation: (4,), in the frame, w, x, y, z.
+        margin: how far around the shape the simulator takes others to touch it, metres.
+    """
 
     frame: int
     geometry: Geometry
     position: Array
     orientation: Array
+    margin: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,7 +364,9 @@ class Boxer:
         """The lower and the upper corners of the cores' boxes, (3, cores) each."""
         # Copies, for what is not contiguous costs more than copying it.
         turn = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
-        turned = np.einsum("ijn,jkn->ikn", turn, vectors)
+        turned = turn[:, 0, None] * vectors[0]
+        turned += turn[:, 1, None] * vectors[1]
+        turned += turn[:, 2, None] * vectors[2]
         origins = positions.take(self._frames, axis=0).T.copy()
         low = turned[:, :TOGETHER].min(axis=1) + origins
         high = turned[:, :TOGETHER].max(axis=1) + origins

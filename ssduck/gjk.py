@@ -220,7 +220,7 @@ def _joined(parts: Sequence[_Pairs]) -> _Pairs:
     return _Pairs(*fields)
 
 
-def compare(bodies: Bodies, first: Indices, second: Indices, bound: float) -> Verdicts:
+def compare(bodies: Bodies, first: Indices, second: Indices, bound: float | Array) -> Verdicts:
     """Whether the gaps of pairs of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
 
     The gap is as of `ssduck.separation`: minus the depth where shapes meet. A verdict leaves room
@@ -231,12 +231,13 @@ def compare(bodies: Bodies, first: Indices, second: Indices, bound: float) -> Ve
         first: (n,), bodies.
         second: (n,), bodies; of those whose cores are hulls of what is not convex, only ABOVE
             tells of the shapes.
-        bound: metres.
+        bound: metres, of all pairs or (n,) of each.
     """
     verdicts = np.zeros(len(first), np.int8)
+    bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
     for start in range(0, len(first), TOGETHER):
         some = slice(start, start + TOGETHER)
-        _decide(_begin(bodies, first[some], second[some], bound), bodies, verdicts[some])
+        _decide(_begin(bodies, first[some], second[some], bounds[some]), bodies, verdicts[some])
     return verdicts
 
 
@@ -252,11 +253,11 @@ def slack(bodies: Bodies, first: Indices, second: Indices) -> Array:
     return error
 
 
-def _begin(bodies: Bodies, first: Indices, second: Indices, bound: float) -> _Pairs:
+def _begin(bodies: Bodies, first: Indices, second: Indices, bounds: Array) -> _Pairs:
     cores = bodies.cores
     between = bodies.centres[:, first] - bodies.centres[:, second]
     error = slack(bodies, first, second)
-    core_bound = bound + cores.radius[first] + cores.radius[second]
+    core_bound = bounds + cores.radius[first] + cores.radius[second]
     count = len(first)
     return _Pairs(
         np.arange(count),

@@ -8,7 +8,7 @@ on whole arrays.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 
@@ -49,6 +49,12 @@ class Member:
     def mass(self) -> float:
         """Kilograms; 0 for a sensor and for what cannot move."""
         return sum(link.mass for link in self.body.links) if self.body else 0.0
+
+
+def margins_of(members: Iterable[Member]) -> float:
+    """How far apart two shapes of some entities may be that touch by their margins, metres."""
+    bodies = (member.body for member in members if member.body is not None)
+    return 2.0 * max((shape.margin for body in bodies for shape in body.shapes), default=0.0)
 
 
 class Layout:
@@ -113,7 +119,7 @@ class Part:
         shape_counts = [len(body.shapes) for body in self.bodies]
         self._shape_rows = _runs([first[member.id][1] for member in members], shape_counts)
         self._shapes = [
-            PlacedGeometry(start + shape.frame, shape.geometry, shape.position, shape.orientation)
+            replace(shape, frame=start + shape.frame)
             for start, body in zip(starts.tolist(), self.bodies, strict=False)
             for shape in body.shapes
         ]

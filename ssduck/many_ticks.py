@@ -14,10 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.broad import Pairs
-from ssduck.colliding import Sorts
-from ssduck.geometry import Array, Boxer, Geometry, Indices, compose, rotation_matrices
+from ssduck.colliding import Question, Scene, Sorts, entities_of, known_with_all
+from ssduck.geometry import (
+    Array,
+    Boxer,
+    Geometry,
+    Indices,
+    compose,
+    rotation_matrices,
+    turns_of,
+    unit_quaternions,
+)
 from ssduck.layout import Member
-from ssduck.narrow import Narrow, found_of, scene_of
+from ssduck.narrow import Narrow
 from ssduck.separation import Counter
 from ssduck.shapes import Shapes
 from ssduck.solids import Solid, solid_of
@@ -33,6 +42,7 @@ class _Model:
     """The shapes of an entity: which solid each is, on which link, where there; their boxes."""
 
     of: Indices
+    margins: Array
     links: Indices
     positions: Array
     orientations: Array
@@ -89,7 +99,7 @@ class Models:
         """The shapes of some entities at one tick.
 
         Args:
-            ids: of the entities, no two the same.
+            ids: of the entities, ascending: of what is equal, the order tells which comes first.
             poses: of each the positions and orientations of its links, (links, 7).
             calls: counts what is compared.
         """
@@ -98,14 +108,14 @@ class Models:
         key = tuple(ids)
         if key not in self._sorts:
             owners = np.repeat(np.arange(len(ids)), [model.count for model in models])
-            of = np.concatenate([model.of for model in models])
-            self._sorts[key] = Sorts(self._solids, of, owners)
-        of = np.concatenate([model.of for model in models])
+            of, margins = _joined(models)
+            self._sorts[key] = Sorts(self._solids, of, owners, margins)
+        of, margins = _joined(models)
         positions, orientations, boxes = (
             np.concatenate([part[i] for part in placed]) for i in range(3)
         )
         starts = list(accumulate((model.count for model in models), initial=0))
-        narrow = Narrow(self._solids, of, positions, orientations, boxes, starts, calls)
+        narrow = Narrow(self._solids, of, positions, orientations, boxes, starts, calls, margins)
         numbers = {id: number for number, id in enumerate(ids)}
         around = np.array([_around(part[2]) for part in placed]).reshape(-1, 6).T
         return Shapes(narrow, numbers, self._sorts[key], around, np.array(ids, dtype=np.int64))
@@ -122,14 +132,14 @@ class Models:
         return positions, orientations, boxes
 
     def together(
-        self, first: Side, second: Side, apart: float | None, calls: Counter
+        self, first: Side, second: Side, question: Question, calls: Counter
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Whether pairs are as near, and of which of them that is known, (n,) each.
+        """Of which pairs something holds, and of which of them that is known, (n,) each.
 
         Args:
             first: the one entity of each pair,
             second: and the other.
-            apart: metres; None for those that collide.
+            question: what is to hold.
             calls: counts what is compared.
         """
         holds = np.zeros(len(first.ids), dtype=bool)
@@ -141,7 +151,7 @@ class Models:
             before = ends[start - 1] if start else 0
             end = int(np.searchsorted(ends, before + MOST_TOGETHER, side="right"))
             run = np.arange(start, max(end, start + 1))
-            holds[run], known[run] = self._some(first, second, run, apart, calls)
+            holds[run], known[run] = self._some(first, second, run, question, calls)
             start = int(run[-1]) + 1
         return holds, known
 
@@ -152,31 +162,32 @@ class Models:
         return counts
 
     def _some(
-        self, first: Side, second: Side, run: Indices, apart: float | None, calls: Counter
+        self, first: Side, second: Side, run: Indices, question: Question, calls: Counter
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Of these n pairs, compared together: the two entities of pair k are k and n + k."""
         parts = [*self._placed(first, run, 0), *self._placed(second, run, len(run))]
         owners, of = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-        positions, orientations = (np.concatenate([part[i] for part in parts]) for i in (2, 3))
+        margins, *poses = (np.concatenate([part[i] for part in parts]) for i in (2, 3, 4))
+        positions, orientations = poses
         if (owners[1:] < owners[:-1]).any():  # each entity's shapes together
             order = np.argsort(owners, kind="stable")
-            owners, of = owners[order], of[order]
+            owners, of, margins = owners[order], of[order], margins[order]
             positions, orientations = positions[order], orientations[order]
         count = len(run)
         counts = np.bincount(owners, minlength=2 * count)
         starts = np.cumsum(counts) - counts
         shapes = _each_with_each(starts[:count], counts[:count], starts[count:], counts[count:])
-        sorts = Sorts(self._solids, of, owners)
-        scene = scene_of(sorts, positions, orientations)
+        sorts = Sorts(self._solids, of, owners, margins)
+        scene = _scene_of(sorts, positions, orientations)
         endless = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
 
-        def pair(s: int, t: int) -> Narrow:  # for the few that only a closer look decides
+        def holds_of(s: int, t: int) -> bool:  # of the few that only a closer look decides
             two = [s, t]
-            return Narrow(
-                self._solids, of[two], positions[two], orientations[two], endless, [0, 1, 2], calls
-            )
+            placed = positions[two], orientations[two], endless
+            narrow = Narrow(self._solids, of[two], *placed, [0, 1, 2], calls, margins[two])
+            return narrow.answer(0, 1, question)
 
-        found = found_of(scene, shapes, apart, pair)
+        found = entities_of(scene, question, holds_of, shapes)
         calls.pairs += len(found.compared)
         holds = np.zeros(count, dtype=bool)
         holds[found.sides[0]] = True
@@ -186,8 +197,8 @@ class Models:
 
     def _placed(
         self, side: Side, run: Indices, start: int
-    ) -> list[tuple[Indices, Indices, Array, Array]]:
-        """Whose, which solids and where the shapes of one side's entities are.
+    ) -> list[tuple[Indices, Indices, Array, Array, Array]]:
+        """Whose, which solids, with which margins and where the shapes of one side's entities are.
 
         Args:
             side: one of the two entities of pairs.
@@ -204,9 +215,11 @@ class Models:
                 for shape in np.flatnonzero(model.links == link).tolist():
                     placed = _composed(frames, model.positions[shape], model.orientations[shape])
                     solid = np.full(len(own), model.of[shape])
-                    found.append((start + own, solid, placed.positions, placed.orientations))
+                    margins = np.full(len(own), model.margins[shape])
+                    poses = placed.positions, placed.orientations
+                    found.append((start + own, solid, margins, *poses))
         nothing = np.zeros(0, dtype=np.intp)
-        return [*found, (nothing, nothing, np.zeros((0, 3)), np.zeros((0, 4)))]
+        return [*found, (nothing, nothing, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))]
 
     def _frames(self, side: Side, rows: Indices, id: int, link: int) -> Frames:
         if link == 0:
@@ -219,6 +232,7 @@ class Models:
             shapes = [] if body is None else list(body.shapes)
             self._models[id] = _Model(
                 np.array([self._place(shape.geometry) for shape in shapes], dtype=np.intp),
+                np.array([shape.margin for shape in shapes], dtype=np.float64),
                 np.array([shape.frame for shape in shapes], dtype=np.intp),
                 np.array([shape.position for shape in shapes]).reshape(-1, 3),
                 np.array([shape.orientation for shape in shapes]).reshape(-1, 4),
@@ -231,6 +245,12 @@ class Models:
             self._places[geometry.key] = len(self._solids)
             self._solids.append(solid_of(geometry))
         return self._places[geometry.key]
+
+
+def _joined(models: Sequence[_Model]) -> tuple[Indices, Array]:
+    """The solids and the margins of all their shapes."""
+    of, margins = ([getattr(model, name) for model in models] for name in ("of", "margins"))
+    return np.concatenate(of), np.concatenate(margins)
 
 
 def _around(boxes: Array) -> Array:
@@ -280,3 +300,19 @@ def _each_with_each(first: Indices, counts: Indices, second: Indices, others: In
     place = np.arange(len(pair)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     width = others[pair]
     return first[pair] + place // width, second[pair] + place % width
+
+
+def _scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
+    """Shapes at poses, without boxes.
+
+    Args:
+        sorts: what they are, and whose.
+        positions: (n, 3), in the world.
+        orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
+    """
+    unit = unit_quaternions(orientations)
+    with np.errstate(invalid="ignore"):
+        finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
+        matrices = turns_of(unit).reshape(3, 3, -1).transpose(2, 0, 1)
+    known = known_with_all(sorts, finite & sorts.known)
+    return Scene(sorts, known, np.zeros((6, 0)), positions, matrices)

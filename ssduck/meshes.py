@@ -9,8 +9,8 @@ surfaces, and which of their triangles cross; it has no depth. The depth here is
 
 Each bounds from below how far one must be moved to leave the other; so the depth is a lower bound
 of that, and exact where a corner is deepest, or an edge crosses an edge. A cylinder is a prism of
-64 sides here, which is off by up to 0.0013 of its radius; the corners of a sphere and a capsule
-are the ends of their cores.
+64 sides in it here, which is off by up to 0.0013 of its radius; the corners of a sphere and a
+capsule are the ends of their cores.
 """
 
 from __future__ import annotations

@@ -10,24 +10,16 @@ near each other is found at once, by `ssduck.colliding`, with the same answers.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property, partial
+from collections.abc import Iterable, Sequence
+from functools import cached_property
 from itertools import pairwise
 from threading import RLock
 
 import numpy as np
 
-from ssduck.broad import Flags, Pairs
-from ssduck.colliding import (
-    Found,
-    Scene,
-    Sorts,
-    all_within,
-    colliding,
-    colliding_of,
-    within_of,
-)
-from ssduck.geometry import Array, Indices, rotate, rotation_matrices, turns_of
+from ssduck.broad import Flags
+from ssduck.colliding import Found, Question, Scene, Sorts, entities_of, known_with_all
+from ssduck.geometry import Array, Indices, rotate, rotation_matrices, unit_quaternions
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
 from ssduck.overlap import (
     Box,
@@ -73,6 +65,7 @@ class Narrow:
         starts: (entities + 1,): the shapes of entity e are those from `starts[e]` up to, and
             without, `starts[e + 1]`.
         calls: counts what FCL is asked.
+        margins: (shapes,), the collision margins, metres; None for none.
     """
 
     def __init__(
@@ -84,69 +77,63 @@ class Narrow:
         boxes: Array,
         starts: Sequence[int],
         calls: Counter,
+        margins: Array | None = None,
     ) -> None:
         self.calls = calls
+        self._margins: list[float] = [0.0] * len(of) if margins is None else margins.tolist()
         self._solids: list[Solid] = [solids[number] for number in np.asarray(of).tolist()]
         self._positions, self._orientations, self._boxes = positions, orientations, boxes
         self._starts = list(starts)
         self._placed: dict[int, Placed] = {}
+        self._ranks: dict[int, tuple[str | float, ...]] = {}
         self._apart: dict[tuple[int, int], Separation | None] = {}
         self._deep: dict[tuple[int, int], Separation] = {}
         self._clearances: dict[tuple[int, int], float | None] = {}
         self._beyond: dict[tuple[int, int], float] = {}
-        self._collisions: dict[tuple[int, int], bool | None] = {}
+        self._decided: dict[tuple[int, int, Question], bool | None] = {}
         self._closest: dict[tuple[int, int], Separation | None] = {}
         self._shares: dict[tuple[int, int], float | None] = {}
         self._hulls: dict[int, Hull | None] = {}
         self._arounds: dict[int, Box] = {}
         self._footprints: dict[int, Array] = {}
-        self._all: Found | None = None
-        self._all_within: dict[float, Found] = {}
+        self._all: dict[Question, Found] = {}
         self._compared: set[int] = set()
         # DuckDB calls from its own threads. A pair would be compared twice, not wrongly.
         self._lock = RLock()
 
     # -- relations ------------------------------------------------------------------------
 
-    def collides(self, i: int, j: int) -> bool | None:
-        """Whether they are deeper in each other than 1e-6 m."""
+    def collides(self, i: int, j: int, deeper: float = COLLIDES) -> bool | None:
+        """Whether they are deeper in each other, m."""
+        return self._holds(i, j, Question("colliding", deeper))
+
+    def touches(self, i: int, j: int, apart: float = TOUCHES) -> bool | None:
+        """Whether two shapes are at most so far apart, m, and the margins of both."""
+        return self._holds(i, j, Question("touching", apart))
+
+    def _holds(self, i: int, j: int, question: Question) -> bool | None:
         if i == j:
             return False
-        key = (i, j) if i < j else (j, i)
+        key = (i, j, question) if i < j else (j, i, question)
         with self._lock:
-            if key not in self._collisions:
-                self._collisions[key] = self._collide(*key)
-            return self._collisions[key]
+            if key not in self._decided:
+                self._decided[key] = self._decide(*key)
+            return self._decided[key]
 
-    def all_that_collide(self, sorts: Sorts) -> Found:
-        """The pairs of entities that collide.
+    def all_of(self, question: Question, sorts: Sorts) -> Found:
+        """The pairs of entities of which something holds.
 
         Args:
+            question: what is to hold.
             sorts: what the shapes are, and whose.
         """
         with self._lock:
-            if self._all is None:
-                found = colliding(self._scene(sorts), COLLIDES, self.are_deep)
+            if question not in self._all:
+                scene = self._scene(sorts)
+                found = entities_of(scene, question, lambda s, t: self.answer(s, t, question))
                 self.note(found.compared.tolist())
-                self._all = found
-            return self._all
-
-    def all_within(self, sorts: Sorts, apart: float) -> Found:
-        """The pairs of entities whose clearance is no more.
-
-        Args:
-            sorts: what the shapes are, and whose.
-            apart: metres.
-        """
-        with self._lock:
-            if apart not in self._all_within:
-                found = Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
-                if apart >= 0.0:
-                    is_within = partial(self.are_within, apart=apart)
-                    found = all_within(self._scene(sorts), apart, is_within)
-                self.note(found.compared.tolist())
-                self._all_within[apart] = found
-            return self._all_within[apart]
+                self._all[question] = found
+            return self._all[question]
 
     def note(self, pairs: Iterable[int]) -> None:
         """Count pairs of entities, by their numbers, as compared.
@@ -159,31 +146,47 @@ class Narrow:
             self.calls.pairs += len(self._compared) - before
 
     def _scene(self, sorts: Sorts) -> Scene:
-        known = _known_with_all(sorts, self._finite & sorts.known)
+        known = known_with_all(sorts, self._finite & sorts.known)
         return Scene(sorts, known, self._boxes.T, self._positions, self._matrices)
 
-    def are_deep(self, s: int, t: int) -> bool:
-        """Whether two shapes are deeper in each other than counts."""
+    def answer(self, s: int, t: int, question: Question) -> bool:
+        """Whether something holds of two shapes."""
+        if question.of == "colliding":
+            return self._are_deep(s, t, question.distance)
+        return self._are_within(s, t, question.bound(self._margin(s, t)))
+
+    def _are_deep(self, s: int, t: int, deeper: float) -> bool:
+        """Whether two shapes are deeper in each other."""
         if self._bound(s, t) > 0.0:
             return False
         # Most meshes that collide are found to without their depth.
-        is_new = self._is_of_mesh(s, t) and (min(s, t), max(s, t)) not in self._apart
-        if is_new and surely_deeper(self._place(s), self._place(t), COLLIDES, self.calls):
+        first, second = self._in_order(s, t)
+        is_new = self._is_of_mesh(s, t) and (first, second) not in self._apart
+        if is_new and surely_deeper(self._place(first), self._place(second), deeper, self.calls):
             return True
-        return self._separation(s, t).gap < -COLLIDES
+        return self._separation(s, t).gap < -deeper
 
-    def are_within(self, s: int, t: int, apart: float) -> bool:
+    def _are_within(self, s: int, t: int, apart: float) -> bool:
         """Whether two shapes are at most so far apart, m."""
         if self._bound(s, t) > apart + ROUNDING:
             return False
         found = self._gap(s, t)
-        return found is None or max(0.0, found.gap) <= apart
+        return (0.0 if found is None else max(0.0, found.gap)) <= apart
 
-    def touching(self, i: int, j: int, apart: float) -> list[int]:
-        """Which of an entity's shapes are at most so far from one of another's, m."""
+    def _margin(self, s: int, t: int) -> float:
+        """The collision margins of two shapes together, m."""
+        return self._margins[s] + self._margins[t]
+
+    def _margins_of(self, i: int, j: int) -> float:
+        """The same of two entities, of those of their shapes that have the largest."""
+        return self.margin(i) + self.margin(j)
+
+    def shapes_touching(self, i: int, j: int, apart: float) -> list[int]:
+        """Which of an entity's shapes are at most so far from one of another's, m, and margins."""
+        question = Question("touching", apart)
         with self._lock:
-            near = self._near(i, j, apart)
-            found = {s for s, t in near if self.are_within(s, t, apart)}
+            near = self._near(i, j, apart + self._margins_of(i, j))
+            found = {s for s, t in near if self.answer(s, t, question)}
         return sorted(s - self._starts[i] for s in found)
 
     def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
@@ -238,21 +241,21 @@ class Narrow:
     def on(self, a: int, b: int) -> bool | None:
         """Whether b rests on a.
 
-        They are within 1 mm, a normal there from a to b is within 30 degrees of up, and the
-        middle of b's box is over the hull of a's footprint.
+        They are within 1 mm and the margins of both shapes, a normal there from a to b is within
+        30 degrees of up, and the middle of b's box is over the hull of a's footprint.
         """
         if a == b:
             return False
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
-            near = self._near(a, b, TOUCHES)
+            near = self._near(a, b, TOUCHES + self._margins_of(a, b))
             if not near or not self._is_over(a, b):
                 return False
-            found = (self._separation(s, t) for s, t in near)
+            found = ((self._separation(s, t), TOUCHES + self._margin(s, t)) for s, t in near)
             return any(
-                one.gap <= TOUCHES and one.normal is not None and -one.normal[2] >= UPRIGHT
-                for one in found
+                one.gap <= apart and one.normal is not None and -one.normal[2] >= UPRIGHT
+                for one, apart in found
             )
 
     def _is_over(self, a: int, b: int) -> bool:
@@ -319,6 +322,10 @@ class Narrow:
             return None
         return sum(self._solids[shape].volume for shape in self._shapes[e])
 
+    def margin(self, e: int) -> float:
+        """The largest collision margin of its shapes, m; 0 without any."""
+        return max((self._margins[shape] for shape in self._shapes[e]), default=0.0)
+
     def is_known(self, e: int) -> bool:
         """Whether an entity's poses are numbers and its shapes are known."""
         return self._are_known[e]
@@ -341,13 +348,15 @@ class Narrow:
 
     # -- of two entities ------------------------------------------------------------------
 
-    def _collide(self, i: int, j: int) -> bool | None:
+    def _decide(self, i: int, j: int, question: Question) -> bool | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
-        meeting = self._near(i, j, 0.0)
-        if any(self._surely_collide(s, t) for s, t in meeting):
+        near = self._near(i, j, question.bound(self._margins_of(i, j)))
+        if question.of == "colliding" and any(
+            self._overlap(s, t) > question.distance + ROUNDING for s, t in near
+        ):
             return True
-        return any(self.are_deep(s, t) for s, t in meeting)
+        return any(self.answer(s, t, question) for s, t in near)
 
     def _clear(self, i: int, j: int, upto: float) -> float | None:
         if not (self._are_known[i] and self._are_known[j]):
@@ -357,9 +366,9 @@ class Narrow:
         if not pairs:
             return None
         for bound, s, t in pairs:
-            if bound >= best or bound > upto + ROUNDING:
+            if bound > min(best, upto) + ROUNDING:
                 break
-            if bound <= 0.0 and self._surely_collide(s, t):
+            if bound <= 0.0 and self._overlap(s, t) > COLLIDES:
                 return 0.0
             apart = self._gap(s, t)
             best = min(best, 0.0 if apart is None else max(0.0, apart.gap))
@@ -373,7 +382,7 @@ class Narrow:
         best: Separation | None = None
         for bound, s, t in self._pairs(i, j):
             # Those that meet are all compared, for the deepest; the others up to the nearest.
-            if best is not None and bound > max(0.0, best.gap):
+            if best is not None and bound > max(0.0, best.gap) + ROUNDING:
                 break
             found = self._separation(s, t)
             if best is None or found.gap < best.gap:
@@ -391,7 +400,8 @@ class Narrow:
 
     def _near(self, i: int, j: int, within: float) -> list[tuple[int, int]]:
         """Those that may be no farther apart."""
-        return [(s, t) for bound, s, t in self._pairs(i, j) if bound <= within]
+        far = max(0.0, within) + ROUNDING
+        return [(s, t) for bound, s, t in self._pairs(i, j) if bound <= far]
 
     def _bound(self, s: int, t: int) -> float:
         """The distance of two shapes' boxes, or of the spheres around them if that is more."""
@@ -415,33 +425,51 @@ class Narrow:
         height: float = x * (a - d) + y * (b - e) + z * (c - f)
         return max(0.0, height - self._solids[other].reach)
 
-    def _surely_collide(self, s: int, t: int) -> bool:
-        """Whether spheres in the shapes are deeper in each other than counts."""
-        together = self._solids[s].inner_radius + self._solids[t].inner_radius - COLLIDES
-        return together > 0.0 and math.dist(self._inner[s], self._inner[t]) < together
+    def _overlap(self, s: int, t: int) -> float:
+        """How deep spheres in the shapes are in each other: they are at least as deep, m.
+
+        A shape without an inside has no such sphere, and one around nothing, a ring, none that
+        is known: then it is minus infinity.
+        """
+        own, other = self._solids[s].inner_radius, self._solids[t].inner_radius
+        if not (own > 0.0 and other > 0.0):
+            return -math.inf
+        return own + other - math.dist(self._inner[s], self._inner[t])
 
     # -- of two shapes --------------------------------------------------------------------
 
     def _gap(self, s: int, t: int) -> Separation | None:
         """The separation of shapes, s's from t's; None for meshes that meet."""
-        if s > t:
-            found = self._gap(t, s)
-            return None if found is None else found.swapped()
-        if (s, t) not in self._apart:
-            a, b = self._place(s), self._place(t)
+        first, second = key = self._in_order(s, t)
+        if key not in self._apart:
+            a, b = self._place(first), self._place(second)
             compare = mesh_apart if self._is_of_mesh(s, t) else separation
-            self._apart[s, t] = compare(a, b, self.calls)
-        return self._apart[s, t]
+            self._apart[key] = compare(a, b, self.calls)
+        found = self._apart[key]
+        return found if found is None or first == s else found.swapped()
 
     def _separation(self, s: int, t: int) -> Separation:
-        if s > t:
-            return self._separation(t, s).swapped()
         found = self._gap(s, t)
         if found is not None:
             return found
-        if (s, t) not in self._deep:
-            self._deep[s, t] = mesh_depth(self._place(s), self._place(t), self.calls)
-        return self._deep[s, t]
+        first, second = key = self._in_order(s, t)
+        if key not in self._deep:
+            self._deep[key] = mesh_depth(self._place(first), self._place(second), self.calls)
+        return self._deep[key] if first == s else self._deep[key].swapped()
+
+    def _in_order(self, s: int, t: int) -> tuple[int, int]:
+        """Two shapes in an order that hangs on what and where they are, not on their numbers.
+
+        So they are compared with the same rounding whoever asks: first of one and then of the
+        other, of a tick's rows or of two of them.
+        """
+        return (s, t) if (self._rank(s), s) <= (self._rank(t), t) else (t, s)
+
+    def _rank(self, shape: int) -> tuple[str | float, ...]:
+        if shape not in self._ranks:
+            place = *self._positions[shape].tolist(), *self._unit[shape].tolist()
+            self._ranks[shape] = (self._solids[shape].key, *place)
+        return self._ranks[shape]
 
     def _is_of_mesh(self, s: int, t: int) -> bool:
         """Whether one of them is a mesh and neither a half-space."""
@@ -481,10 +509,7 @@ class Narrow:
 
     @cached_property
     def _unit(self) -> Array:
-        length = np.sqrt(np.einsum("ij,ij->i", self._orientations, self._orientations))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            unit: Array = self._orientations / length[:, None]
-        return unit
+        return unit_quaternions(self._orientations)
 
     @cached_property
     def _finite(self) -> Flags:
@@ -522,45 +547,3 @@ class Narrow:
     def _matrices(self) -> Array:
         with np.errstate(invalid="ignore"):
             return rotation_matrices(self._unit)
-
-
-def _known_with_all(sorts: Sorts, known: Flags) -> Flags:
-    """Of each shape whether all of its entity are known."""
-    lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
-    all_known: Flags = lost[sorts.entities] == 0
-    return all_known
-
-
-def scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
-    """Shapes at poses, without boxes.
-
-    Args:
-        sorts: what they are, and whose.
-        positions: (n, 3), in the world.
-        orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        length = np.sqrt(np.einsum("ij,ij->i", orientations, orientations))
-        unit = orientations / length[:, None]
-        finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
-        matrices = turns_of(unit).reshape(3, 3, -1).transpose(2, 0, 1)
-    known = _known_with_all(sorts, finite & sorts.known)
-    return Scene(sorts, known, np.zeros((6, 0)), positions, matrices)
-
-
-def found_of(
-    scene: Scene, shapes: Pairs, apart: float | None, pair: Callable[[int, int], Narrow]
-) -> Found:
-    """Which entities collide, or are as near, of some pairs of shapes.
-
-    Args:
-        scene: the shapes.
-        shapes: the pairs; no others are compared.
-        apart: metres; None for those that collide.
-        pair: gives the narrow phase of two of the shapes, where nothing else decides.
-    """
-    if apart is None:
-        return colliding_of(scene, shapes, COLLIDES, lambda s, t: pair(s, t).are_deep(0, 1))
-    if apart < 0.0:
-        return Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
-    return within_of(scene, shapes, apart, lambda s, t: pair(s, t).are_within(0, 1, apart))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,11 +16,12 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.blocks import Blocks
+from ssduck.colliding import Question
 from ssduck.entities import HANDLES, Entity, Moment
 from ssduck.errors import EvaluationError
 from ssduck.geometry import Array, Indices
 from ssduck.history import POSE, Near, not_recorded
-from ssduck.layout import Member
+from ssduck.layout import Member, margins_of
 from ssduck.many_ticks import Frames as LinkFrames
 from ssduck.many_ticks import Ids, Models, Side
 from ssduck.past_world import PastWorld
@@ -78,6 +80,8 @@ class Record:
         self.fetch = fetch
         self._near = near
         self._models = Models(members)
+        # Of how many members it was found.
+        self._margins = -1, 0.0
         # How often shapes at a tick were asked for.
         self._asked: dict[int, int] = {}
         self._worlds: OrderedDict[int, PastWorld] = OrderedDict()
@@ -167,17 +171,18 @@ class Record:
             )
         return place
 
-    def pairs(self, asked: Near, *, collide: bool) -> list[Ids]:
-        """The pairs of entities that collide, or are as near, at some ticks.
+    def pairs(self, asked: Near, question: Question) -> list[Ids]:
+        """The pairs of entities of which something holds, at some ticks.
 
         Args:
-            asked: which ones.
-            collide: whether they are to collide.
+            asked: which ones; boxes are looked at as far out as margins make it.
+            question: what is to hold.
 
         Returns:
             The columns `PAIR` of those of which it holds, or is not known.
         """
-        rows = self._near(asked)
+        far = self.margins if question.of == "touching" else 0.0
+        rows = self._near(replace(asked, apart=asked.apart + far))
         ticks = rows["tick"].to_numpy()
         sides = [
             Side(
@@ -187,8 +192,7 @@ class Record:
             )
             for side in "ab"
         ]
-        apart = None if collide else asked.apart
-        holds, known = self._models.together(sides[0], sides[1], apart, self.calls)
+        holds, known = self._models.together(sides[0], sides[1], question, self.calls)
         found = np.flatnonzero(holds | ~known)
         columns = (ticks, sides[0].ids, sides[1].ids, known.astype(np.int64))
         return [column[found] for column in columns]
@@ -232,12 +236,20 @@ class Record:
             return self.at(tick).shapes()
         if len(self._asked) > MOST_ASKED:
             self._asked.clear()
+        ordered = sorted(ids)
         poses = [
             [self._pose("entities", tick, id, 0)]
             + [self._pose(self._links, tick, id, link) for link in self._models.moving_links(id)]
-            for id in ids
+            for id in ordered
         ]
-        return self._models.shapes(ids, [np.array(found) for found in poses], self.calls)
+        return self._models.shapes(ordered, [np.array(found) for found in poses], self.calls)
+
+    @property
+    def margins(self) -> float:
+        """How much farther apart shapes may be than what touches, metres: twice the most."""
+        if self._margins[0] != len(self.members):
+            self._margins = len(self.members), margins_of(self.members.values())
+        return self._margins[1]
 
     def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
         """The columns of a table at a tick; NaN for what is not known."""

@@ -50,20 +50,22 @@ class Candidates:
     """Where the pairs of a tick are found of which a relation of two entities may hold.
 
     Attributes:
-        of: those that collide; whose clearance is at most `apart`; or whose boxes are no farther
-            apart along any axis, in which case the relation is still to be asked about each.
+        of: those that collide, deeper than `apart`; whose clearance is at most `apart`; that
+            touch, so far apart and the margins of both; or whose boxes are no farther apart along
+            any axis, or no farther and the margins of both, in which cases the relation is still
+            to be asked about each.
         apart: metres, a DuckDB expression over parameters that are values.
         sliced: the same with the optional parameters given.
     """
 
-    of: Literal["colliding", "within", "meeting"]
+    of: Literal["colliding", "within", "touching", "meeting", "reaching"]
     apart: str = "0"
     sliced: str = "0"
 
     @property
     def are_exact(self) -> bool:
         """Whether the relation holds of all of them."""
-        return self.of != "meeting"
+        return self.of not in ("meeting", "reaching")
 
 
 @dataclass(frozen=True)

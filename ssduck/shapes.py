@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.broad import meeting
-from ssduck.colliding import Found, Sorts, pair_number
+from ssduck.colliding import Question, Sorts, pair_number
+from ssduck.errors import ArgumentError
 from ssduck.geometry import Array
 from ssduck.narrow import Narrow
 from ssduck.relations import MOST_IDS
@@ -71,24 +72,37 @@ class Shapes:
         self._sorts = sorts
         self._boxes = boxes
         self._ids = ids
-        self._colliding: list[int] | None = None
         self._overlapping: dict[float, list[int]] = {}
-        # How many pairs were asked about one by one, by how near they are to be; None: collide.
-        self._asked: Counter[float | None] = Counter()
-        self._found: dict[float | None, frozenset[int]] = {}
-        self._near: dict[float, list[int]] = {}
+        self._reaching: dict[float, list[int]] = {}
+        # How many pairs were asked about one by one, by what was asked.
+        self._asked: Counter[Question] = Counter()
+        self._found: dict[Question, frozenset[int]] = {}
+        self._all: dict[Question, list[int]] = {}
 
-    def all_colliding(self) -> list[int]:
-        """The pairs that collide, as numbers; so are those of the other two."""
-        if self._colliding is None:
-            self._colliding = self._of_found(self._narrow.all_that_collide(self._sorts))
-        return self._colliding
+    def all_colliding(self, deeper: float) -> list[int]:
+        """The pairs that are deeper in each other, m, as numbers; so are those of the others.
+
+        Raises:
+            ArgumentError: that is no depth.
+        """
+        return self._pairs(Question("colliding", depth(deeper)))
 
     def all_within(self, apart: float) -> list[int]:
         """The pairs whose clearance is at most that, m; no entity and itself."""
-        if apart not in self._near:
-            self._near[apart] = self._of_found(self._narrow.all_within(self._sorts, apart))
-        return self._near[apart]
+        return self._pairs(Question("within", apart))
+
+    def all_touching(self, apart: float) -> list[int]:
+        """The pairs with shapes that are at most so far apart, m, and the margins of both."""
+        return self._pairs(Question("touching", apart))
+
+    def _pairs(self, question: Question) -> list[int]:
+        """The pairs of which something holds."""
+        if question not in self._all:
+            found = self._narrow.all_of(question, self._sorts)
+            ids = np.array(list(self._numbers), dtype=np.int64)
+            first, second = found.sides
+            self._all[question] = _both_ways(ids[first], ids[second])
+        return self._all[question]
 
     def all_meeting(self, apart: float) -> list[int]:
         """The pairs whose boxes are no farther apart along any axis, m."""
@@ -97,11 +111,14 @@ class Shapes:
             self._overlapping[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._overlapping[apart]
 
-    def _of_found(self, found: Found) -> list[int]:
-        """The pairs of entities of `narrow` by their ids."""
-        ids = np.array(list(self._numbers), dtype=np.int64)
-        first, second = found.sides
-        return _both_ways(ids[first], ids[second])
+    def all_reaching(self, apart: float) -> list[int]:
+        """The same of boxes that are grown by the largest margin of their shapes."""
+        if apart not in self._reaching:
+            margins = np.array([self._narrow.margin(self._numbers[id]) for id in self._ids])
+            grown = np.concatenate((self._boxes[:3] - margins, self._boxes[3:] + margins))
+            first, second = meeting(grown, apart + ROUNDED)
+            self._reaching[apart] = _both_ways(self._ids[first], self._ids[second])
+        return self._reaching[apart]
 
     def _pair(self, a: int, b: int) -> tuple[int, int]:
         """Which entities two ids are; a pair counts once a tick."""
@@ -109,23 +126,20 @@ class Shapes:
         self._narrow.note((pair_number(i, j),))
         return i, j
 
-    def _together(self, apart: float | None) -> frozenset[int] | None:
-        """The pairs that are as near, found at once; None while few were asked about.
+    def _together(self, question: Question) -> frozenset[int] | None:
+        """The pairs of which something holds, found at once; None while few were asked about.
 
-        Args:
-            apart: metres; None for those that collide. What is far, as bodies go, is near too many.
+        What is far, as bodies go, is near too many.
         """
-        if apart not in self._found:
-            self._asked[apart] += 1
+        if question not in self._found:
+            self._asked[question] += 1
             few = max(FEW, len(self._numbers) // 4)
-            if self._asked[apart] <= few or not (apart is None or apart <= self._usual):
+            is_far = question.of != "colliding" and not question.distance <= self._usual
+            if self._asked[question] <= few or is_far:
                 return None
-            narrow, sorts = self._narrow, self._sorts
-            found = (
-                narrow.all_that_collide(sorts) if apart is None else narrow.all_within(sorts, apart)
-            )
-            self._found[apart] = frozenset(found.numbers.tolist())
-        return self._found[apart]
+            found = self._narrow.all_of(question, self._sorts)
+            self._found[question] = frozenset(found.numbers.tolist())
+        return self._found[question]
 
     @cached_property
     def _usual(self) -> float:
@@ -140,11 +154,15 @@ class Shapes:
             return True
         return False if self._narrow.is_known(i) and self._narrow.is_known(j) else None
 
-    def collides(self, a: int, b: int) -> bool | None:
-        """Whether they are deeper in each other than counts."""
+    def collides(self, a: int, b: int, deeper: float) -> bool | None:
+        """Whether they are deeper in each other, m.
+
+        Raises:
+            ArgumentError: that is no depth.
+        """
         i, j = self._pair(a, b)
-        found = self._together(None)
-        return self._narrow.collides(i, j) if found is None else self._is_among(found, i, j)
+        found = self._together(Question("colliding", depth(deeper)))
+        return self._narrow.collides(i, j, deeper) if found is None else self._is_among(found, i, j)
 
     def penetration(self, a: int, b: int) -> float | None:
         """The depth of the deepest two shapes, m; 0 if all are apart."""
@@ -162,15 +180,21 @@ class Shapes:
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return False
-        found = self._together(apart)
+        found = self._together(Question("within", apart))
         if found is not None:
             return self._is_among(found, i, j)
         gap = self._narrow.clearance(i, j, apart)
         return None if gap is None else gap <= apart
 
-    def touching(self, a: int, b: int, apart: float) -> list[int]:
-        """The numbers of a's shapes that are at most that far from a shape of b, m."""
-        return self._narrow.touching(*self._pair(a, b), apart)
+    def touching(self, a: int, b: int, apart: float) -> bool | None:
+        """Whether two of their shapes are at most so far apart, m, and the margins of both."""
+        i, j = self._pair(a, b)
+        found = self._together(Question("touching", apart))
+        return self._narrow.touches(i, j, apart) if found is None else self._is_among(found, i, j)
+
+    def shapes_touching(self, a: int, b: int, apart: float) -> list[int]:
+        """The numbers of a's shapes that touch a shape of b so."""
+        return self._narrow.shapes_touching(*self._pair(a, b), apart)
 
     def points(self, a: int, b: int) -> list[list[float]] | None:
         """The nearest or the deepest points, one of each."""
@@ -204,6 +228,17 @@ class Shapes:
         return self._narrow.placed([self._numbers[id] for id in ids], ids)
 
 
+def depth(deeper: float) -> float:
+    """How deep shapes are to be in each other, m.
+
+    Raises:
+        ArgumentError: it is below 0, or no number.
+    """
+    if not deeper >= 0.0:
+        raise ArgumentError(f"collides: the depth is a number of metres from 0 up, not {deeper:g}")
+    return deeper
+
+
 def _both_ways(a: Ids, b: Ids) -> list[int]:
     """Pairs of ids as numbers, each pair both ways, in order."""
     numbers = np.concatenate((a * MOST_IDS + b, b * MOST_IDS + a))
@@ -217,11 +252,14 @@ ANSWERS: dict[str, Answer] = {
     for answer in (
         Shapes.all_colliding,
         Shapes.all_within,
+        Shapes.all_touching,
         Shapes.all_meeting,
+        Shapes.all_reaching,
         Shapes.collides,
         Shapes.penetration,
         Shapes.clearance,
         Shapes.near,
+        Shapes.touching,
         Shapes.points,
         Shapes.on,
         Shapes.inside,

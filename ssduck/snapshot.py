@@ -257,6 +257,7 @@ class Snapshot:
                 table.reals("xmin", "zmax").T.copy(),
                 starts,
                 self.calls,
+                sorts.margins,
             )
             entities = self.tables["entities"]
             boxes = entities.reals("xmin", "zmax").copy()
@@ -268,10 +269,11 @@ class Snapshot:
         """The solids, which one each shape is, where those of each entity begin, its number."""
         if self._solids is None or self._solids[0] is not self._layout:
             bodies = self._layout.bodies
-            shapes = [shape.geometry for _, body in bodies for shape in body.shapes]
-            different = {geometry.key: geometry for geometry in shapes}
+            shapes = [shape for _, body in bodies for shape in body.shapes]
+            different = {shape.geometry.key: shape.geometry for shape in shapes}
             place = {key: number for number, key in enumerate(different)}
-            of = np.array([place[geometry.key] for geometry in shapes], dtype=np.intp)
+            of = np.array([place[shape.geometry.key] for shape in shapes], dtype=np.intp)
+            margins = np.array([shape.margin for shape in shapes], dtype=np.float64)
             solids = list(map(solid_of, different.values()))
             counts = [len(body.shapes) for _, body in bodies]
             starts = list(accumulate(counts, initial=0))
@@ -280,7 +282,7 @@ class Snapshot:
             without = [member.id for member in self.members if member.body is None]
             numbers |= dict.fromkeys(without, len(bodies))
             owners = np.repeat(np.arange(len(bodies)), counts)
-            found = solids, of, [*starts, starts[-1]], numbers, Sorts(solids, of, owners)
+            found = solids, of, [*starts, starts[-1]], numbers, Sorts(solids, of, owners, margins)
             self._solids = self._layout, found
         return self._solids[1]
 

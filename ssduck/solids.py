@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import RLock
 from typing import Any, Literal, TypeAlias
@@ -23,8 +23,9 @@ from ssduck.surfaces import Surface, enclosed_volume, without_copies
 
 SolidType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
 
-# A prism stands in for a cylinder where FCL is asked: inscribed and exact in the end against
-# what is convex, of the same volume against meshes.
+# An inscribed prism stands in for a cylinder where FCL is asked: exact in the end against what
+# is convex. That of more sides against meshes is nowhere out of the cylinder's box or sphere, so
+# that what these tell of a distance is never contradicted.
 PRISM_SIDES = 24
 FINE_SIDES = 64
 # Sets of points thinner than this share of their length are flat, straight, or one point.
@@ -52,6 +53,7 @@ class Solid:
         centre, reach: of a sphere around the shape.
         inner_centre, inner_radius: of a sphere in it; radius 0 where none is known.
         rim: (k, 3) of a mesh, the core points that are corners of its convex hull.
+        key: equal for solids of equal geometries.
     """
 
     type: SolidType
@@ -69,6 +71,7 @@ class Solid:
     inner_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inner_radius: float = 0.0
     rim: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    key: str = ""
 
     @property
     def is_convex(self) -> bool:
@@ -96,7 +99,14 @@ class Solid:
 
     @cached_property
     def fine_surface(self) -> Surface:
-        """The same, but that a cylinder's prism has its volume and more sides."""
+        """The same, but that a cylinder's prism has more sides."""
+        if self.type == "cylinder":
+            return prism(self.disc, self.half, FINE_SIDES)
+        return self.surface
+
+    @cached_property
+    def _as_large(self) -> Surface:
+        """The same, but that a cylinder's prism has its volume, and sticks out of it."""
         if self.type == "cylinder":
             turn = 2.0 * math.pi / FINE_SIDES
             return prism(self.disc * math.sqrt(turn / math.sin(turn)), self.half, FINE_SIDES)
@@ -106,7 +116,7 @@ class Solid:
     def points(self) -> Array:
         """Points whose convex hull is the shape's, up to 0.002 of a round one's radius."""
         if self.type == "cylinder":
-            return self.fine_surface.vertices
+            return self._as_large.vertices
         if not self.radius:
             return self.core
         ball = _ball() * self.radius
@@ -125,7 +135,7 @@ class Solid:
             size = self.reach or 1.0  # qhull takes what is very large or small for flat
             hull = hull_of(self.points / size)
             return Surface(hull.core * size, hull.faces)
-        return self.fine_surface
+        return self._as_large
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +187,7 @@ def solid_of(geometry: Geometry) -> Solid:
     with _LOCK:
         found = _CACHE.get(key)
         if found is None:
-            found = _CACHE[key] = _build(geometry)
+            found = _CACHE[key] = replace(_build(geometry), key=key)
             if len(_CACHE) > CACHED_SOLIDS:
                 _CACHE.popitem(last=False)
         else:

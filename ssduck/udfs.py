@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import sqlglot
 
+from ssduck.colliding import Asked
 from ssduck.families.contacts import OF_CONTACTS
 from ssduck.families.entities import OF_ENTITIES
 from ssduck.families.ode import OF_ODE
@@ -42,13 +43,15 @@ BOXES_WITHIN = sqlglot.parse_one(boxes_within("d"), dialect="duckdb")
 _ONE = ("BIGINT", "BIGINT")
 _PAIR = _ONE + _ONE
 NARROW: dict[str, tuple[tuple[str, ...], str]] = {
-    "narrow all_colliding": ((), "BIGINT[]"),
-    "narrow all_within": (("DOUBLE",), "BIGINT[]"),
-    "narrow all_meeting": (("DOUBLE",), "BIGINT[]"),
-    "narrow collides": (_PAIR, "BOOLEAN"),
+    **{
+        f"narrow all_{of}": (("DOUBLE",), "BIGINT[]")
+        for of in ("colliding", "within", "touching", "meeting", "reaching")
+    },
+    "narrow collides": ((*_PAIR, "DOUBLE"), "BOOLEAN"),
     "narrow penetration": (_PAIR, "DOUBLE"),
     "narrow clearance": (_PAIR, "DOUBLE"),
     "narrow near": ((*_PAIR, "DOUBLE"), "BOOLEAN"),
+    "narrow touching": ((*_PAIR, "DOUBLE"), "BOOLEAN"),
     "narrow points": (_PAIR, "DOUBLE[][]"),
     "narrow on": (_PAIR, "BOOLEAN"),
     "narrow inside": (_PAIR, "DOUBLE"),
@@ -56,10 +59,15 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow volume": (_ONE, "DOUBLE"),
 }
 
+# How far apart shapes of a world may be that touch by their margins alone, metres.
+MARGINS = "narrow margins"
+
 # Those over many ticks: of a world, the first and the last tick, the ids of two entities (0 for
 # any), and a distance. They yield [tick, a, b, 1] of each pair of which it holds, with a 0 at the
 # end where it is not known.
-THEN_COLLIDING = "then colliding"
-THEN_WITHIN = "then within"
+THEN: dict[str, Asked] = {
+    "then colliding": "colliding",
+    "then within": "within",
+    "then touching": "touching",
+}
 THEN_TOLD = "then told"
-THEN = (THEN_COLLIDING, THEN_WITHIN)

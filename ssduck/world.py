@@ -500,7 +500,7 @@ class World(Ticked, WorldSpellings):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
             with self.held(("shapes",)):
-                shapes = self.snapshot.shapes().touching(entity.id, other.id, TOUCHES)
+                shapes = self.snapshot.shapes().shapes_touching(entity.id, other.id, TOUCHES)
             touch = {body.shapes[shape].frame for shape in shapes}
             count = len(touch & links_beyond(body, number))
             if count < touching:

@@ -207,9 +207,7 @@ def corners(shape, sides=SIDES):
             local, radius = np.array([[0, 0, -b / 2], [0, 0, b / 2]]), a
         case "cylinder":
             angles = np.arange(sides) * 2 * math.pi / sides
-            turn = 2 * math.pi / SIDES
-            wide = a * math.sqrt(turn / math.sin(turn)) if sides == SIDES else a
-            ring = np.stack((np.cos(angles), np.sin(angles)), 1) * wide
+            ring = np.stack((np.cos(angles), np.sin(angles)), 1) * a
             local = np.column_stack((np.tile(ring, (2, 1)), np.repeat([-b / 2, b / 2], sides)))
             radius = 0.0
         case "box":

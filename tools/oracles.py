@@ -52,8 +52,8 @@ part. None of the combinations raises an error.
 The depth is the length of the shortest translation that separates the shapes; of meshes it is
 that of the deepest corner or crossing triangle, which is at most as long.
 
-A cylinder against a mesh is a prism with 64 sides and the cylinder's volume: its surface is off
-by up to 0.0013 of its radius. A closed mesh is the solid that it encloses, and one that is convex
+A cylinder against a mesh is a prism with 64 sides in it: its surface is off by up to 0.0013 of
+its radius. A closed mesh is the solid that it encloses, and one that is convex
 is a hull. An open mesh is a surface. A plane is the half-space below it. Hulls may be flat.
 
 Errors are the worst that were found, in metres, of shapes up to 1 m, rounded up to a power of

@@ -8,6 +8,7 @@ from typing import Any
 
 from ssduck.errors import UnsupportedError
 from ssduck.history import Archive, Shown, history_name, not_recorded
+from ssduck.layout import margins_of
 from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.shapes import Shapes
@@ -85,6 +86,12 @@ class Bound:
                 "its ticks are not recorded, so that rows of another one cannot be compared"
             )
         return self.kept.record.shapes(tick, ids)
+
+    @property
+    def margins(self) -> float:
+        """How far apart shapes may be that touch by their margins, metres, at any of its ticks."""
+        now = margins_of(self.world.snapshot.members)
+        return now if self.kept is None else max(now, self.kept.record.margins)
 
     def told(self, what: str, tick: int, a: int, b: int) -> list[float]:
         """What contacts or sensors told at a recorded tick.

@@ -14,15 +14,16 @@ from typing import Any
 import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 
+from ssduck.colliding import Asked, Question
 from ssduck.database.bound import Bound
 from ssduck.database.connection import Connection
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError
 from ssduck.functions import Function
 from ssduck.history import Near
 from ssduck.record import PAIR, Record
-from ssduck.shapes import ANSWERS
+from ssduck.shapes import ANSWERS, depth
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import NARROW, THEN, THEN_COLLIDING, THEN_TOLD
+from ssduck.udfs import MARGINS, NARROW, THEN, THEN_TOLD
 from ssduck.world import World
 
 
@@ -70,14 +71,14 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
             side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
+    connection.add_function(MARGINS, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
     pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
-    for name in THEN:
-        collide = name == THEN_COLLIDING
+    for name, of in THEN.items():
         # In columns: as lists, some thousand pairs took as long as comparing them.
         connection.add_function(
             name,
-            partial(_then, worlds, collide),
-            ("VARCHAR", *["BIGINT"] * 4, *([] if collide else ["DOUBLE"])),
+            partial(_then, worlds, of),
+            ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
             pairs,
             type=PythonUDFType.ARROW,
             side_effects=True,
@@ -114,16 +115,21 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
     return call
 
 
-def _then(worlds: Mapping[str, Bound], collide: bool, *arguments: pa.ChunkedArray) -> pa.ListArray:
+def _margins(worlds: Mapping[str, Bound], world: str) -> float:
+    """How far apart shapes may be that touch by their margins, metres."""
+    return worlds[world].margins if world in worlds else 0.0
+
+
+def _then(worlds: Mapping[str, Bound], of: Asked, *arguments: pa.ChunkedArray) -> pa.ListArray:
     """The narrow phase over many ticks, of columns of what is asked for."""
 
-    def found(
-        world: str, first: int, last: int, a: int, b: int, apart: float = 0.0
-    ) -> pa.StructArray:
+    def found(world: str, first: int, last: int, a: int, b: int, distance: float) -> pa.StructArray:
         kept = worlds[world].kept
         if kept is None:
             raise EvaluationError(f"the ticks of {world!r} are not recorded")
-        pairs = kept.record.pairs(Near(first, last, a, b, apart), collide=collide)
+        question = Question(of, depth(distance) if of == "colliding" else distance)
+        apart = 0.0 if of == "colliding" else distance
+        pairs = kept.record.pairs(Near(first, last, a, b, apart), question)
         return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PAIR)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)

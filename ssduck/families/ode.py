@@ -6,7 +6,7 @@ import re
 
 from ssduck.families.contacts import summed
 from ssduck.families.forms import ENTITY, of_entity, told
-from ssduck.families.shapes import COLLIDES, on_shapes
+from ssduck.families.shapes import COLLIDES, DEEP, on_shapes
 from ssduck.relations import Candidates, Parameter, Relation
 
 # Of a unit quaternion w, x, y, z.
@@ -117,7 +117,7 @@ OF_ODE: tuple[Relation, ...] = (
         COLLIDES,
         "Checks if a and b collide: collides(a, b).",
         symmetric=True,
-        candidates=Candidates("colliding"),
+        candidates=Candidates("colliding", DEEP),
     ),
     *(
         of_entity(

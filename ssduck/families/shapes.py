@@ -80,7 +80,15 @@ def on_shapes(
     )
 
 
-COLLIDES = _narrow(_ask("collides"))
+# What is deeper in each other collides, metres.
+DEEP = "1e-6"
+COLLIDES = _narrow(_ask("collides", DEEP))
+# How much farther apart boxes may be, metres, for the margins of shapes.
+_MARGINS = '"narrow margins"($world)'
+_IS_DEPTH = (
+    "CASE WHEN depth < 0 OR isnan(depth::DOUBLE) THEN "
+    "error('collides: the depth is a number of metres from 0 up, not ' || depth) ELSE TRUE END"
+)
 
 OF_SHAPES: tuple[Relation, ...] = (
     Relation(
@@ -98,9 +106,14 @@ OF_SHAPES: tuple[Relation, ...] = (
         "collides",
         "flag",
         COLLIDES,
-        "Checks if shapes of a and b are deeper in each other than 1e-6 m.",
+        "Checks if shapes of a and b are deeper in each other than depth, 1e-6 m if it is not "
+        "given. What rests on something is pressed into it by 1e-5 m or so, or stays as far away "
+        "as the margins of the simulator are: inContact and touching tell of resting, "
+        "collides(a, b, 1e-3) of intrusion. A depth below 0 is an error.",
+        more=(Parameter("depth", "real", "a depth, m", optional=True),),
+        sliced=f"{_IS_DEPTH} AND {_narrow(_ask('collides', 'depth'))}",
         symmetric=True,
-        candidates=Candidates("colliding"),
+        candidates=Candidates("colliding", DEEP, "depth"),
     ),
     on_shapes(
         "penetration",
@@ -128,14 +141,16 @@ OF_SHAPES: tuple[Relation, ...] = (
     on_shapes(
         "touching",
         "flag",
-        _narrow(_ask("near", "0.001"), "0.001"),
-        "Checks if the clearance of a and b is at most eps, 1 mm if it is not given; what meets "
-        "touches.",
-        asked="on pairs whose boxes are at most eps apart",
+        _narrow(_ask("touching", "0.001"), f"0.001 + {_MARGINS}"),
+        "Checks if shapes of a and b are at most eps apart, 1 mm if it is not given; what meets "
+        "touches. The collision margins of the two shapes are added to eps: the simulator keeps "
+        "what rests on each other as far apart, 2 mm for two hulls in PyBullet (the column margin "
+        "of the table of shapes). near(a, b, d) goes by the surfaces alone.",
+        asked="on pairs whose boxes are at most eps and the largest margins apart",
         more=(Parameter("eps", "real", "a distance, m", optional=True),),
-        sliced=_narrow(_ask("near", "eps"), "eps"),
+        sliced=_narrow(_ask("touching", "eps"), f"(eps) + {_MARGINS}"),
         symmetric=True,
-        candidates=Candidates("within", "0.001", "eps"),
+        candidates=Candidates("touching", "0.001", "eps"),
     ),
     on_shapes(
         "near",
@@ -162,12 +177,12 @@ OF_SHAPES: tuple[Relation, ...] = (
         on_shapes(
             name,
             "flag",
-            _narrow(_ask("on"), "0.001"),
-            "Checks if b rests on a: they touch (clearance at most 1 mm), a normal there is "
-            "within 30 degrees of up, and the centre of the box of b is over the convex hull of "
-            "the footprint of a.",
-            asked="on pairs whose boxes are at most 1 mm apart",
-            candidates=Candidates("meeting", "0.001"),
+            _narrow(_ask("on"), f"0.001 + {_MARGINS}"),
+            "Checks if b rests on a: they touch (at most 1 mm apart and the collision margins of "
+            "the shapes, see touching), a normal there is within 30 degrees of up, and the centre "
+            "of the box of b is over the convex hull of the footprint of a.",
+            asked="on pairs whose boxes are at most 1 mm and the largest margins apart",
+            candidates=Candidates("reaching", "0.001"),
         )
         for name in ("on", "supports")
     ),
