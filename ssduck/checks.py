@@ -44,7 +44,7 @@ def steps(value: Any, what: str, of_seconds: str) -> int:
     Args:
         value: what was given.
         what: which argument of which function it is; the message begins with it.
-        of_seconds: the call that takes seconds, with {} for them, to be named where they may be meant.
+        of_seconds: the call that takes seconds, {} for them; named where they may be meant.
 
     Raises:
         NumberError: it is none.
