@@ -15,7 +15,9 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import Console
+
+    from ssduck.fitting import Fitted
 
 # How wide the output is at least where there is no terminal to tell.
 WIDTH = 100
@@ -29,11 +31,13 @@ class Answer:
         columns: their names, none if the rows are lists.
         rows: may differ in length if there are no columns.
         named: whether the answer itself names the columns.
+        types: of the columns, as DuckDB calls them; none if they are not known.
     """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
     named: bool = True
+    types: Sequence[str] = ()
 
 
 def answer_of(value: Any) -> Answer:
@@ -41,7 +45,7 @@ def answer_of(value: Any) -> Answer:
     from ssduck.result import Result
 
     if isinstance(value, Result):
-        return Answer(_distinct(value.columns), list(value))
+        return Answer(_distinct(value.columns), list(value), types=value.types)
     if isinstance(value, dict):
         return Answer(["key", "value"], list(value.items()))
     if value is None:
@@ -191,26 +195,40 @@ def console_of_answers() -> Console:
     return console
 
 
+def terminal_width() -> int | None:
+    """How wide the terminal is that standard output goes to; None if it goes elsewhere."""
+    from rich.console import Console
+
+    console = Console()
+    return console.width if console.is_terminal else None
+
+
 def print_table(answer: Answer) -> None:
-    """A table, folded to fit a terminal; elsewhere it is as wide as it is."""
+    """A table that fits the terminal; elsewhere it is as wide as it is."""
     console = console_of_answers()
     if console.is_terminal:
-        console.print(table_of(answer))
+        console.print(fitted(answer))
     else:
         sys.stdout.writelines(f"{line}\n" for line in lines_of(answer))
 
 
-def table_of(answer: Answer) -> RenderableType:
-    """A table for rich, which takes its time: half a second for a thousand rows."""
-    from rich import box
-    from rich.table import Table
+def fitted(answer: Answer, note: str = "") -> Fitted:
+    """A table that fits a terminal.
 
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, show_header=answer.named)
-    for name, numeric in zip(_names(answer), _numeric(answer), strict=True):
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
-    for row in answer.rows:
-        table.add_row(*map(_on_one_line, row))
-    return table
+    Args:
+        answer: the rows.
+        note: what a line below tells of them.
+    """
+    from ssduck.fitting import Column, Fitted
+
+    told = (answer.columns, answer.types) if answer.types else (answer.columns,)
+    heads = list(zip(*(map(_on_one_line, names) for names in told), strict=True))
+    lines = [[_on_one_line(value) for value in row] for row in answer.rows]
+    cells = list(zip_longest(*lines, fillvalue="")) or [()] * len(heads)
+    if not answer.named:
+        heads = [()] * len(cells)
+    parts = zip(heads, cells, _numeric(answer), strict=True)
+    return Fitted([Column(*part) for part in parts], note)
 
 
 def lines_of(answer: Answer) -> Iterator[str]:
@@ -232,11 +250,6 @@ def lines_of(answer: Answer) -> Iterator[str]:
             for text, width, right in zip(line, widths, numeric, strict=False)
         )
         yield "  ".join(padded).rstrip()
-
-
-def _names(answer: Answer) -> Sequence[str]:
-    width = max(map(len, answer.rows), default=0)
-    return [_on_one_line(name) for name in answer.columns] if answer.named else [""] * width
 
 
 def _numeric(answer: Answer) -> list[bool]:

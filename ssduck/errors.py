@@ -121,6 +121,10 @@ class ArgumentError(SelectScriptError, TypeError):
     """The wrong number of arguments, or one of the wrong type."""
 
 
+class NumberError(ArgumentError, ValueError):
+    """A number of the wrong kind, or out of the range that a function takes."""
+
+
 class StateError(SelectScriptError, ValueError):
     """A pose, or the value of a joint, that a body cannot be given."""
 

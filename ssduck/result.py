@@ -13,6 +13,36 @@ if TYPE_CHECKING:
 
     from ssduck.shown import Shown
 
+# A result of more columns does not name them all.
+_MOST_NAMED = 12
+_TYPES = {
+    pa.null(): "null",
+    pa.bool_(): "boolean",
+    pa.int8(): "tinyint",
+    pa.int16(): "smallint",
+    pa.int32(): "integer",
+    pa.int64(): "bigint",
+    pa.uint8(): "utinyint",
+    pa.uint16(): "usmallint",
+    pa.uint32(): "uinteger",
+    pa.uint64(): "ubigint",
+    pa.float32(): "float",
+    pa.float64(): "double",
+    pa.string(): "varchar",
+    pa.large_string(): "varchar",
+    pa.binary(): "blob",
+    pa.large_binary(): "blob",
+    pa.date32(): "date",
+    pa.decimal128(38, 0): "hugeint",
+}
+_FAMILIES = (
+    (pa.types.is_struct, "struct"),
+    (pa.types.is_map, "map"),
+    (pa.types.is_time, "time"),
+    (pa.types.is_interval, "interval"),
+    (pa.types.is_duration, "interval"),
+)
+
 
 class Result:
     """The rows of an SQL query, all of them fetched: stepping the world does not change them.
@@ -29,6 +59,11 @@ class Result:
     def columns(self) -> list[str]:
         """The names of the columns."""
         return list(self._table.column_names)
+
+    @property
+    def types(self) -> list[str]:
+        """The types of the columns, as DuckDB calls them."""
+        return [_type_name(column.type) for column in self._table.columns]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -72,7 +107,13 @@ class Result:
         return iter(Result(self._table).fetchall())
 
     def __repr__(self) -> str:
-        return f"<Result: {self.shape[0]} rows of {', '.join(self.columns)}>"
+        rows, count = self.shape
+        names = self.columns
+        if count > _MOST_NAMED:
+            half = _MOST_NAMED // 2
+            names = [*names[:half], "…", *names[-half:]]
+        of = f"{count} columns: " if count > _MOST_NAMED else ""
+        return f"<Result: {rows} rows of {of}{', '.join(names)}>"
 
     def __str__(self) -> str:
         """The first rows as a table."""
@@ -98,3 +139,21 @@ def values_of(column: pa.ChunkedArray | pa.Array) -> list[Any]:
     if pa.types.is_decimal(column.type) and (column.type.precision, column.type.scale) == (38, 0):
         return [None if value is None else int(value) for value in values]
     return values
+
+
+def _type_name(of: pa.DataType) -> str:
+    """What DuckDB calls a type of Arrow's."""
+    if pa.types.is_dictionary(of):  # an enumeration
+        return _type_name(of.value_type)
+    if pa.types.is_list(of) or pa.types.is_large_list(of):
+        return f"{_type_name(of.value_type)}[]"
+    if pa.types.is_fixed_size_list(of):
+        return f"{_type_name(of.value_type)}[{of.list_size}]"
+    if pa.types.is_decimal(of) and of not in _TYPES:
+        return f"decimal({of.precision},{of.scale})"
+    if pa.types.is_timestamp(of):
+        return "timestamp with time zone" if of.tz else "timestamp"
+    for is_one, name in _FAMILIES:
+        if is_one(of):
+            return name
+    return _TYPES.get(of, str(of))

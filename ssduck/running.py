@@ -46,7 +46,7 @@ def run(
     with _bar(seconds, len(lanes), progress) as watch:
         for lane in lanes:
             if not lane.total:
-                lane.world.tick()
+                lane.world.step(0)
         while stops := [stop for lane in lanes if (stop := lane.next_stop()) is not None]:
             for lane in lanes:
                 lane.advance(min(stops), watch)

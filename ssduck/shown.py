@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import html
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ssduck.answers import Answer, answer_of, lines_of, readable, table_of
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
+from ssduck.answers import Answer, answer_of, fitted, lines_of, readable, terminal_width
+from ssduck.fitting import Fitted
 
 # So many rows are shown.
 MOST_ROWS = 20
@@ -18,7 +16,8 @@ MOST_ROWS = 20
 class Shown:
     """What shows as a table: its first rows, numbers rounded to six digits.
 
-    A terminal shows it as text, a notebook as HTML, rich as a table of its own.
+    A terminal shows it as text that fits, a notebook as HTML, rich as a table of its own.
+    Text that goes elsewhere is as wide as it is.
 
     Args:
         value: the rows: a list of dicts, say.
@@ -42,6 +41,8 @@ class Shown:
         answer = self._answer
         if answer.columns and not answer.named:
             lines = [readable(row[0]) for row in answer.rows]
+        elif (width := terminal_width()) is not None:
+            return "\n".join(self.__rich__().lines(width))
         else:
             lines = list(lines_of(answer)) if answer.columns or answer.rows else []
         return "\n".join([*lines, self._more] if self._more else lines)
@@ -54,14 +55,12 @@ class Shown:
             for row in answer.rows
         )
         more = f"<p>{self._more}</p>" if self._more else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+        table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        # A wide table is scrolled; the notebook is not made wider by it.
+        return f'<div style="overflow-x: auto">{table}</div>{more}'
 
-    def __rich__(self) -> RenderableType:
-        from rich.console import Group
-        from rich.text import Text
-
-        table = table_of(self._answer)
-        return Group(table, Text(self._more)) if self._more else table
+    def __rich__(self) -> Fitted:
+        return fitted(self._answer, self._more)
 
 
 def _cell(value: Any) -> str:

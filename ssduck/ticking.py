@@ -10,11 +10,13 @@ from contextlib import contextmanager
 from itertools import count
 from typing import Self
 
-from ssduck.errors import SelectScriptError
+from ssduck import checks
+from ssduck.errors import ArgumentError, NumberError, SelectScriptError
 from ssduck.following import Followed
 from ssduck.members import Members
 from ssduck.recorder import Recorder
 from ssduck.simulators import Simulator
+from ssduck.simulators.clock import Clock
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
 
@@ -60,16 +62,61 @@ class Ticked(Followed):
 
     # -- a tick ---------------------------------------------------------------------------
 
-    def tick(self) -> Self:
+    def tick(self, *, steps: int | None = None, time: float | None = None) -> Self:
         """Take a tick: the tables are replaced by the simulator's state as it is now.
 
+        In an attached world, whose client you step, simulated time goes on with each such tick:
+        by one of the client's time steps, as it is set now, unless an argument tells otherwise.
+        In all other worlds only steps take time, and neither argument is accepted.
+
+        Args:
+            steps: how many steps you have run since the last tick, 0 or more. 0 takes another
+                tick of the same time: bodies were put elsewhere, say.
+            time: the simulated time that it is now, s, in place of a number of steps; not
+                before that of the last tick.
+
         Raises:
-            SimulatorError: the simulator does not answer; the last tick stays.
+            SimulatorError: the simulator does not answer; the last tick and its time stay.
+            NumberError: an argument is no such number, or the time is before the last tick's.
+            ArgumentError: both are given, or the world is not attached.
         """
         with self.lock:
-            self._take_tick()
+            self._check_not_held()
+            before, number = self._simulator.clock, self.snapshot.number
+            if self._simulator.watched:
+                self._simulator.set_clock(self._clock_of_tick(steps, time))
+            elif steps is not None or time is not None:
+                raise ArgumentError(
+                    f"tick: steps and time are for an attached world, and {self.name!r} is none: "
+                    "only step and run take its time"
+                )
+            try:
+                self._take()
+            except BaseException:
+                if self._simulator.watched and self.snapshot.number == number:
+                    self._simulator.set_clock(before)
+                raise
         self.tell()
         return self
+
+    def _clock_of_tick(self, steps: int | None, time: float | None) -> Clock:
+        """The clock of an attached world at the tick that is to be taken."""
+        clock, timestep = self._simulator.clock, self._simulator.timestep
+        if steps is not None and time is not None:
+            raise ArgumentError("tick: steps and time exclude each other")
+        if time is None:
+            count = 1 if steps is None else checks.steps(steps, "tick: steps", "tick(time=…)")
+            return clock.after(count, timestep)
+        given = checks.finite(time, "tick: time", "seconds")
+        if given < clock.time - self.slack:
+            raise NumberError(
+                f"tick: time: {given:g} s is before the last tick, {clock.time:g} s; time does "
+                "not go back: after a reset, attach the client anew, which begins a new episode"
+            )
+        if timestep and given + timestep == given:
+            raise NumberError(f"tick: time: {given:g} s is so late that a step does not count")
+        # Within rounding it is the time of the last tick.
+        return clock if abs(given - clock.time) <= self.slack else clock.at(given, timestep)
 
     def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
         """Run steps and take a tick, telling no follower: a part of `step`.

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from ssduck import checks
 from ssduck.entities import HANDLES, Entity, Sensor
 from ssduck.errors import (
     ArgumentError,
@@ -72,7 +73,8 @@ class World(Ticked, WorldSpellings):
         for member in self._members.listed:
             if member.sensor is not None and not member.sensor.powered:
                 self.snapshot.switch(member.id, on=False)
-        self.tick()
+        with self.lock:
+            self._take_tick()
 
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
         self.camera = camera
@@ -122,7 +124,8 @@ class World(Ticked, WorldSpellings):
 
         Bodies that you add, remove or move are seen at the next `tick()`. Each body gets a
         piece of PyBullet user data, by which a removed body is told from the next one of the
-        same number. Simulated time counts the steps that this world runs with `step`.
+        same number. Simulated time begins at 0. It goes on by the client's time step with each
+        `tick()`, which stands for a step of yours, and with each step that `step` and `run` run.
 
         Args:
             client: the client's number, or an object that holds it as `_client`.
@@ -148,18 +151,21 @@ class World(Ticked, WorldSpellings):
         Where a follower wants a tick on the way (a trigger is due, say), one is taken there, too.
         Ctrl-C ends it at a tick.
 
+        Args:
+            count: how many steps, 0 or more; a number of seconds is for `run`.
+
         Raises:
+            NumberError: it is no such number.
             SimulatorError: the simulator does not answer; the last tick stays.
             UnsupportedError: it is a what-if world.
         """
-        if count < 0:
-            raise ValueError(f"a simulation cannot run {count} steps")
+        left = checks.steps(count, "step", "run({})")
         while True:
-            run = min(count, self.steps_to_due())
-            self.advance(int(run))
+            run = int(min(left, self.steps_to_due()))
+            self.advance(run)
             self.tell()
-            count -= int(run)
-            if count <= 0:
+            left -= run
+            if left <= 0:
                 return self
 
     def run(

@@ -120,6 +120,13 @@ def run(*arguments, **others):
 
 # -- query: answers -----------------------------------------------------------------------
 
+# A question whose answer has more columns than a terminal has room for.
+WIDE = (
+    "SELECT id, x, y, z, mass, "
+    + ", ".join(f"to(z * {n}, 'z{n}')" for n in range(35))
+    + " FROM two;"
+)
+
 # (program, as a table, as JSON, as CSV)
 ANSWERS = [
     ("1+2*3-4/5.;", "6.2\n", 6.2, "value\n6.2\n"),
@@ -240,6 +247,23 @@ def test_a_table_is_folded_on_a_terminal_and_whole_elsewhere(here):
     assert max(map(len, folded.splitlines())) <= 40
     assert folded.count("long") == 120
     assert "small" in folded
+
+
+@pytest.mark.parametrize("width", [20, 80, 120])
+@pytest.mark.parametrize("question", [["--sql", "SELECT * FROM entities"], [WIDE]])
+def test_columns_that_do_not_fit_are_marked_and_counted(here, width, question):
+    """Whatever is left out is told of on the terminal; elsewhere nothing is."""
+    terminal = {"FORCE_COLOR": "1", "COLUMNS": str(width), "TERM": "xterm"}
+    told = re.sub(r"\x1b\[[\d;]*m", "", answer("query", "two.toml", *question, env=terminal))
+    lines = told.splitlines()
+    assert max(map(len, lines)) <= width
+    names = lines[0].split()
+    assert "…" in names
+    total, shown = map(int, re.search(r"(\d+) columns \((\d+) shown\)", lines[-1]).groups())
+    whole = answer("query", "two.toml", *question).splitlines()
+    assert (total, shown) == (len(whole[0].split()), len(names) - 1)
+    assert "rows" in " ".join(lines[-2:])
+    assert "…" not in "".join(whole)
 
 
 # -- query: where the program comes from --------------------------------------------------

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssduck.answers import answer_of, console_of_answers, readable, table_of
+from ssduck.answers import answer_of, console_of_answers, fitted, readable
 from ssduck.demos.drawing import save
 from ssduck.scenes import Scene, find_scene, shipped_scenes
 
@@ -207,7 +207,7 @@ def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql
     grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
     if with_sql and not question.sql and (sql := ss.explain(question.program)):
         grid.add_row("  as SQL", _compact(sql), style="dim")
-    grid.add_row("  answer", table_of(answer) if answer.named else readable(value))
+    grid.add_row("  answer", fitted(answer) if answer.named else readable(value))
     console.print(grid)
     return taken
 

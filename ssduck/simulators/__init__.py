@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from ssduck.geometry import Array, Indices, PlacedGeometry, cross
 from ssduck.scenes import Camera
+from ssduck.simulators.clock import Clock
 
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
 # The types of joints whose position is one number.
@@ -182,8 +183,15 @@ class Simulator(Protocol):
         """Simulated seconds that the next step takes; 0 where there are no steps."""
 
     @property
+    def clock(self) -> Clock:
+        """What counts the simulated time; another one with each step."""
+
+    def set_clock(self, clock: Clock) -> None:
+        """Go by another clock: of a simulation that others step, the ticks tell the time."""
+
+    @property
     def watched(self) -> bool:
-        """Whether others may add, remove and move bodies between two ticks."""
+        """Whether others may add, remove and move bodies between two ticks, and step it."""
 
     @property
     def disabled(self) -> frozenset[Body]:

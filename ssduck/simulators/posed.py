@@ -11,6 +11,7 @@ import numpy as np
 from ssduck.errors import UnsupportedError
 from ssduck.geometry import Array
 from ssduck.simulators import Body, Contact, Frames
+from ssduck.simulators.clock import Clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,11 @@ class Posed:
     called: str = "a what-if world"
     watched: bool = False
     timestep: float = 0.0
+
+    @property
+    def clock(self) -> Clock:
+        """A clock that stands still."""
+        return Clock(self.timestep, self.time)
 
     def describe(self) -> None:
         """None comes, none goes."""
@@ -64,7 +70,7 @@ class Posed:
             "world.what_if({name: pose}, joints={name: {joint: value}})"
         )
 
-    place = set_joints = drive = enable = show = remove = _refuse
+    set_clock = place = set_joints = drive = enable = show = remove = _refuse
     are_tied = tie = untie = _refuse
 
     def _perceive(self, *_: Any) -> NoReturn:

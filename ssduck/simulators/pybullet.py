@@ -27,15 +27,13 @@ from ssduck.geometry import (
     Array,
     Indices,
     compose,
-    invert,
-    multiply,
-    rotate,
-    rotation_matrices,
 )
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
-from ssduck.simulators.pybullet_bodies import Description, Pose, describe, xyzw
+from ssduck.simulators.clock import Clock
+from ssduck.simulators.pybullet_bodies import Description, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
+from ssduck.simulators.pybullet_frames import FramesReader
 from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
 from ssduck.simulators.pybullet_ties import tie, ties_of
@@ -70,6 +68,8 @@ class PyBulletSimulator:
 
     Attributes:
         filled: the same; where its motors hold joints is kept there.
+        clock: counts the simulated time: the steps that ssduck runs, and in a client of
+            the user's those that ticks tell of.
     """
 
     def __init__(
@@ -101,10 +101,8 @@ class PyBulletSimulator:
         # Why the client is not to be asked any more. PyBullet gives the number of one that is
         # gone to the next one, which is none of ours.
         self._lost: str | None = None
-        self._layout: tuple[tuple[Body, ...], _Layout] = ((), _Layout([], []))
-        self._timestep = self._clients_timestep()
-        self._steps = 0
-        self._time_before = self.filled.time
+        self._layout: tuple[tuple[Body, ...], FramesReader] = ((), FramesReader([], []))
+        self.clock = Clock(self._clients_timestep(), self.filled.time)
 
     # -- bodies ---------------------------------------------------------------------------
 
@@ -198,18 +196,22 @@ class PyBulletSimulator:
 
     @property
     def time(self) -> float:
-        """Simulated seconds: the steps that ssduck has run, in the client's time step."""
-        return self._time_before + self._steps * self._timestep
+        """Simulated seconds, as the clock has counted them."""
+        return self.clock.time
 
     @property
     def timestep(self) -> float:
         """Simulated seconds that the next step takes, as the client is set now."""
         return self._clients_timestep()
 
+    def set_clock(self, clock: Clock) -> None:
+        """Go by another clock from now on."""
+        self.clock = clock
+
     def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:
         """All frames of these bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
-            self._layout = bodies, _Layout(bodies, [self._known[b.handle].com for b in bodies])
+            self._layout = bodies, FramesReader(bodies, [self._known[b.handle].com for b in bodies])
         return self._call(lambda: self._layout[1].read(self.client, links_move))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
@@ -248,14 +250,16 @@ class PyBulletSimulator:
     def step(self, count: int) -> None:
         """Advance by that many steps."""
         timestep = self._clients_timestep()
-        if timestep != self._timestep:
-            self._time_before, self._steps, self._timestep = self.time, 0, timestep
 
         def run() -> None:
-            for _ in range(count):
-                # Ctrl-C is heard behind the call: what is counted before has been run.
-                self._steps += 1
-                pybullet.stepSimulation(self.client)
+            done = 0
+            try:
+                for _ in range(count):
+                    # Ctrl-C is heard behind the call: what is counted before has been run.
+                    done += 1
+                    pybullet.stepSimulation(self.client)
+            finally:
+                self.clock = self.clock.after(done, timestep)
 
         self._call(run)
 
@@ -466,81 +470,6 @@ def _warn_of_guesses(bodies: Sequence[Body]) -> None:
             "createCollisionShape is such a shape); bounding boxes are used instead",
             stacklevel=2,
         )
-
-
-class _Layout:
-    """How the frames of a fixed list of bodies are read: worked out once, used every tick."""
-
-    def __init__(self, bodies: Sequence[Body], com: Sequence[Pose]) -> None:
-        self._handles = [body.handle for body in bodies]
-        self._linked = [body.handle for body in bodies if len(body.links) > 1]
-        self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
-        counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
-        # By whether the links' velocities are read: how many numbers the answers have, and
-        # where each frame's are.
-        self._orders = {links_move: _order(counts, links_move) for links_move in (False, True)}
-        positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
-        orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
-        self._link_from_com = invert(positions, orientations)[1]
-        self._turned = bool(orientations[:, 1:].any())
-        self._origins = -positions  # from the centres of mass, in the link frames' axes
-        self._shifted = bool(positions.any())
-
-    def read(self, client: int, links_move: bool) -> Frames:
-        links = map(
-            pybullet.getLinkStates,
-            self._linked,
-            self._links,
-            repeat(int(links_move)),
-            repeat(1),  # with forward kinematics: without, links lag the base by a step
-            repeat(client),
-        )
-        # Through iterators in C: a loop in Python would cost as much as the calls.
-        answers = chain(
-            map(pybullet.getBasePositionAndOrientation, self._handles, repeat(client)),
-            map(pybullet.getBaseVelocity, self._handles, repeat(client)),
-            map(_pose_and_twist if links_move else _pose, _flatten(links)),
-            _UNKNOWN,
-        )
-        count, order = self._orders[links_move]
-        numbers = np.fromiter(_flatten(_flatten(answers)), np.float64, count)
-        states = numbers.take(order)
-        if self._turned:
-            states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
-        matrices = rotation_matrices(states[:, 3:7])
-        positions = states[:, :3]
-        if self._shifted:
-            positions = positions + rotate(matrices, self._origins)
-        return Frames(positions, matrices, states)
-
-
-# An answer like the others, of one number.
-_UNKNOWN = (((np.nan,),),)
-
-
-def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
-    """How many numbers the answers have, and where each frame's 13 are, (frames, 13).
-
-    The answers are the bases' poses, the bases' velocities, the links' states with or without
-    velocities, and an unknown number; a pose is x y z and the quaternion x y z w.
-    """
-    bases = len(counts)
-    total = int(counts.sum())
-    is_base = np.zeros(total, dtype=bool)
-    is_base[np.cumsum(counts) - counts] = True
-    width = 13 if links_move else 7
-    order = np.full((total, 13), -1, dtype=np.intp)  # from the end: the unknown one
-    order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
-    order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
-    links = 13 * bases + width * np.arange(total - bases)[:, None]
-    order[~is_base, :width] = links + np.arange(width)
-    answered = 13 * bases + width * (total - bases) + 1
-    return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
-
-
-def frames_of(client: int, body: Body, com: Pose) -> Frames:
-    """The frames of one body as they are now."""
-    return _Layout([body], [com]).read(client, links_move=True)
 
 
 def colours_of(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:

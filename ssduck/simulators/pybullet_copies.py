@@ -35,11 +35,11 @@ from ssduck.simulators import SETTABLE, Body, Frames, Simulator
 from ssduck.simulators.pybullet import (
     MOST_NAMED,
     PyBulletSimulator,
-    frames_of,
     new_client,
 )
 from ssduck.simulators.pybullet_bodies import Description, com_of, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
+from ssduck.simulators.pybullet_frames import frames_of
 from ssduck.simulators.pybullet_models import write_model, zero_poses
 from ssduck.simulators.pybullet_scenes import (
     Filled,

@@ -1,0 +1,302 @@
+"""The time of a client that its owner steps: it goes on with each tick, by the client's time step."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
+
+STEP = 1 / 240
+# The ball bounces up and down through this height, m.
+LOW = 0.3
+
+
+@pytest.fixture
+def bouncing(client):
+    """A ball that bounces on a floor, in a client that the test steps."""
+    pybullet.setGravity(0, 0, -9.81, client)
+    floor = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], physicsClientId=client
+    )
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    bodies = {
+        pybullet.createMultiBody(0, floor, physicsClientId=client): "floor",
+        pybullet.createMultiBody(1, ball, basePosition=[0, 0, 1], physicsClientId=client): "ball",
+    }
+    for body in bodies:
+        pybullet.changeDynamics(body, -1, restitution=0.9, physicsClientId=client)
+    world = ssduck.World.attach(client, names=bodies)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        ss.eval("""
+            floor = SELECT obj FROM sim WHERE id(this) == 'floor' AS value;
+            ball  = SELECT obj FROM sim WHERE id(this) == 'ball' AS value;
+        """)
+        yield ss, world
+
+
+def height(client):
+    return pybullet.getBasePositionAndOrientation(1, client)[0][2]
+
+
+def stepped(client, count=1):
+    for _ in range(count):
+        pybullet.stepSimulation(client)
+
+
+def test_each_tick_is_a_step_later(client, bouncing):
+    """Of intervals, changes and triggers a plain loop over PyBullet tells the times."""
+    ss, world = bouncing
+    fired = []
+    ss.add_trigger("z", "z(ball);", 0.1, lambda z: fired.append((world.time, z)))
+    times, heights = [0.0], [height(client)]
+    for step in range(1, 481):
+        stepped(client)
+        world.tick()
+        times.append(step * STEP)
+        heights.append(height(client))
+    assert world.time == 2.0
+    assert ss.eval("getTime();") == 2.0
+
+    low = np.array(heights) < LOW
+    edges = np.flatnonzero(low[1:] != low[:-1]) + 1
+    bounds = [*edges, 480] if low[-1] else [*edges]
+    intervals = [[times[a], times[b]] for a, b in zip(bounds[::2], bounds[1::2], strict=True)]
+    assert len(intervals) >= 2
+    assert ss.eval(f"holds(z(ball) < {LOW});") == intervals
+    assert ss.eval(f"changes(z(ball) < {LOW});") == [
+        [0.0, False],
+        *([times[edge], bool(low[edge])] for edge in edges),
+    ]
+    since = ss.eval(f"since(z(ball) >= {LOW});")
+    assert since == (None if low[-1] else times[edges[-1]])
+    assert ss.eval("heldFor(z(floor) < 0.3);") == 2.0
+    assert ss.eval("least(z(ball));") == [times[int(np.argmin(heights))], min(heights)]
+
+    due = [0, *(next(n for n in range(481) if n * STEP >= k / 10 - 1e-9) for k in range(1, 21))]
+    looked = [(times[n], heights[n]) for n in due]
+    assert fired == [
+        looked[0],
+        *(new for old, new in itertools.pairwise(looked) if new[1] != old[1]),
+    ]
+    assert ss.triggers()[0].evaluations == len(due)
+    told = ss.sql("SELECT DISTINCT tick, time FROM entities_history ORDER BY tick").fetchall()
+    assert [time for _, time in told] == times
+
+
+def test_where_something_rests_is_told_in_time(client, bouncing):
+    """`on` of a cube that was put down holds from its step on, not `[[0, 0]]`."""
+    ss, world = bouncing
+    for step in range(240):
+        if step == 120:
+            pybullet.resetBasePositionAndOrientation(1, [0, 0, 0.2], [0, 0, 0, 1], client)
+            pybullet.resetBaseVelocity(1, [0, 0, 0], [0, 0, 0], client)
+            pybullet.changeDynamics(1, -1, restitution=0, physicsClientId=client)
+        stepped(client)
+        world.tick()
+    (*_, (start, end)) = ss.eval("holds(on(floor, ball));")
+    assert (start, end) == (121 * STEP, 1.0)
+
+
+def test_the_clients_time_step_counts_as_it_is_set(client, bouncing):
+    _, world = bouncing
+    stepped(client, 4)
+    assert world.tick(steps=4).time == 4 * STEP
+    pybullet.setTimeStep(0.01, client)
+    stepped(client)
+    assert world.tick().time == pytest.approx(4 * STEP + 0.01)
+    assert world.tick(steps=10).time == pytest.approx(4 * STEP + 0.11)
+    pybullet.setPhysicsEngineParameter(fixedTimeStep=0.5, physicsClientId=client)
+    assert world.tick(steps=np.int64(2)).time == pytest.approx(4 * STEP + 1.11)
+
+
+def test_the_time_may_be_told(client, bouncing):
+    ss, world = bouncing
+    assert world.tick(time=0.25).time == 0.25
+    assert world.tick(time=np.float32(0.5)).time == 0.5
+    assert world.tick().time == 0.5 + STEP
+    assert world.tick(time=3).time == 3.0
+    assert ss.sql("SELECT DISTINCT time FROM ticks_history ORDER BY time").fetchall() == [
+        (0.0,),
+        (0.25,),
+        (0.5,),
+        (0.5 + STEP,),
+        (3.0,),
+    ]
+
+
+@pytest.mark.parametrize("again", [{"steps": 0}, {"time": 0.5}, {"time": 0.5 - STEP / 2e6}])
+def test_another_tick_of_the_same_time(client, bouncing, again):
+    """As a body that is moved by hand takes one: the later tick is in force at that time."""
+    ss, world = bouncing
+    world.tick(time=0.5)
+    pybullet.resetBasePositionAndOrientation(1, [0, 0, 0.3], [0, 0, 0, 1], client)
+    world.tick(**again)
+    assert world.time == 0.5
+    assert ss.eval("SELECT z FROM sim{0.5} WHERE id(this) == 'ball' AS value;") == 0.3
+    assert ss.eval("holds(z(ball) < 0.5);") == [[0.5, 0.5]]
+    world.tick(time=1)
+    assert ss.eval("holds(z(ball) < 0.5);") == [[0.5, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"time": 0.75}, NumberError, "0.75 s is before the last tick, 1 s.*attach .* anew"),
+        ({"time": 1.0 - STEP / 2}, NumberError, "is before the last tick"),
+        ({"time": -1}, NumberError, "is before the last tick"),
+        ({"time": math.nan}, NumberError, "nan is no finite number of seconds"),
+        ({"time": math.inf}, NumberError, "inf is no finite number of seconds"),
+        ({"time": 10**400}, NumberError, "is no finite number of seconds"),
+        ({"time": 1e300}, NumberError, "so late that a step does not count"),
+        ({"time": "2"}, NumberError, "'2' is no finite number of seconds"),
+        ({"time": True}, NumberError, "True is no finite number of seconds"),
+        ({"steps": -1}, NumberError, "cannot run -1 steps"),
+        ({"steps": 0.5}, NumberError, r"0.5 is no whole number of steps; .*tick\(time="),
+        ({"steps": 1.0}, NumberError, "1.0 is no whole number of steps"),
+        ({"steps": True}, NumberError, "True is no whole number of steps"),
+        ({"steps": "1"}, NumberError, "'1' is no whole number of steps"),
+        ({"steps": 10**13}, NumberError, "more than 1,000,000,000,000"),
+        ({"steps": 1, "time": 2.0}, ArgumentError, "exclude each other"),
+    ],
+)
+def test_times_that_a_tick_cannot_have(bouncing, arguments, error, message):
+    _, world = bouncing
+    world.tick(time=1)
+    number = world.snapshot.number
+    with pytest.raises(error, match=f"^tick: .*{message}") as raised:
+        world.tick(**arguments)
+    assert isinstance(raised.value, SelectScriptError)
+    assert (world.time, world.snapshot.number) == (1.0, number)
+
+
+def test_reading_a_table_takes_no_time(client, bouncing):
+    """Though its first reading takes a tick of its own."""
+    ss, world = bouncing
+    stepped(client, 3)
+    world.tick(steps=3)
+    for question in ("SELECT count(*) FROM contacts", "SELECT count(*) FROM joints"):
+        ss.sql(question)
+        assert world.time == 3 * STEP
+    assert world["ball"].links[0].name
+    world["ball"].move([0, 0, 0.5])
+    assert world.time == 3 * STEP
+
+
+def test_steps_of_the_world_and_of_its_owner(client, bouncing):
+    """Those of the world count as they are run, the owner's with his tick."""
+    _, world = bouncing
+    world.step(3)
+    stepped(client, 2)
+    world.tick(steps=2)
+    world.run(0.5)
+    assert world.time == 125 * STEP
+    world.step(0)
+    world.run(0.0)
+    assert world.time == 125 * STEP
+    stepped(client)
+    assert world.tick().time == 126 * STEP
+
+
+def test_a_sensors_period_is_of_that_time(client, bouncing):
+    _, world = bouncing
+    sensor = world.add_sensor(
+        "range_finder", "ball", orientation=[2**-0.5, 0, 2**-0.5, 0], max_range=5.0, period=0.1
+    )
+    measured = []
+    for _ in range(120):
+        stepped(client)
+        world.tick()
+        measured.append(sensor.reading.time)
+    assert sorted(set(measured)) == pytest.approx([STEP, *(0.1 * k + STEP for k in range(1, 5))])
+
+
+def test_a_record_has_the_times(client, bouncing, tmp_path):
+    ss, world = bouncing
+    with ss.record_to(tmp_path / "run"):
+        for _ in range(240):
+            stepped(client)
+            world.tick()
+    asked = "holds(z(ball) < 0.5);"
+    with ssduck.open(tmp_path / "run") as record:
+        record.eval("ball = SELECT obj FROM sim WHERE id(this) == 'ball' AS value;")
+        assert record.eval(asked) == ss.eval(asked)
+        assert record.call_variable("sim").time == 1.0
+
+
+def test_after_a_reset_the_client_is_attached_anew(client, bouncing, tmp_path):
+    """A reset alone removes bodies and leaves the time; a new world begins at 0."""
+    ss, world = bouncing
+    stepped(client, 240)
+    world.tick(steps=240)
+    pybullet.resetSimulation(client)
+    assert len(world.tick()) == 0
+    assert world.time == 241 * STEP
+    with pytest.raises(NumberError, match="attach the client anew"):
+        world.tick(time=0.0)
+    again = ss.add_variable("sim", ssduck.World.attach(client))
+    assert again.time == 0.0
+    assert ss.eval("getTime();") == 0.0
+    stepped(client)
+    assert again.tick().time == STEP
+
+
+def test_a_client_that_is_gone_takes_no_time(client, bouncing):
+    _, world = bouncing
+    world.tick()
+    pybullet.disconnect(client)
+    with pytest.raises(SimulatorError, match="disconnected"):
+        world.tick()
+    assert world.time == STEP
+
+
+def test_a_tick_that_fails_takes_no_time(client, bouncing, monkeypatch):
+    """The same tick again is not counted twice."""
+    _, world = bouncing
+
+    def fail(*_, **__):
+        raise SimulatorError("no answer")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(world.simulator, "read_frames", fail)
+        with pytest.raises(SimulatorError, match="no answer"):
+            world.tick()
+    assert world.simulator.time == world.time == 0.0
+    assert world.tick().time == STEP
+
+
+def test_a_tick_is_refused_while_a_query_runs(bouncing):
+    _, world = bouncing
+    with world.held(), pytest.raises(SelectScriptError, match="a query on 'sim' is running"):
+        world.tick()
+    assert world.simulator.time == 0.0
+
+
+def test_a_step_of_no_length(client, bouncing):
+    _, world = bouncing
+    pybullet.setTimeStep(0.0, client)
+    assert world.tick().time == 0.0
+    assert world.tick(time=1).time == 1.0
+
+
+def test_other_worlds_take_no_time_by_a_tick(tmp_path):
+    """Of a world that ssduck steps, of one that is not simulated, and of a record."""
+    with ssduck.load("chaos", recording=None) as ss:
+        world = ss.call_variable("chaos")
+        with ss.record_to(tmp_path / "run"):
+            world.step(2)
+        worlds = [world, world.what_if()]
+        with ssduck.open(tmp_path / "run") as record:
+            for each in (*worlds, record.call_variable("chaos")):
+                before = each.time
+                assert each.tick().time == before
+                for arguments in ({"steps": 1}, {"steps": 0}, {"time": 5.0}):
+                    with pytest.raises(ArgumentError, match="only step and run take its time"):
+                        each.tick(**arguments)
+                assert each.time == before
