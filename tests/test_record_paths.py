@@ -14,9 +14,8 @@ from ssduck.errors import RecordError, SqlError
 POSIX = pytest.mark.skipif(os.name != "posix", reason="such names are for POSIX")
 # `run1` is what `run[1]`, `run?` and `run*` would find as patterns.
 NAMES = [
-    *("run1", "run[1]", "run?", "run*", "**", "[!a]", "[", "{a,b}", "it's", 'a"b', "a%20b"),
-    *("a#b", "a;b", "a b", "a\nb", "ünï", "$x", "~x", "~", "-x", "x=1", "world=lab", "[*]"),
-    *(":memory:x", "md:x", "s3:x", "file:x"),
+    *("run1", "run[1]", "run?", "run*", "**", "[!a]", "[*]", "{a,b}", "it's", 'a"b', "a%20#;b"),
+    *("a\nb", "ünï", "$x", "~x", "world=lab", ":memory:x", "md:x"),
 ]
 
 
@@ -69,7 +68,7 @@ def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> 
 @POSIX
 @pytest.mark.parametrize("name", ["a\\b", "a\\", "a\0b", "a\\*"])
 def test_a_name_that_duckdb_does_not_take_is_an_error(client, tmp_path: Path, name: str) -> None:
-    with pytest.raises(SqlError, match="cannot be the path|is no path"):
+    with pytest.raises(SqlError, match="cannot be the path"):
         ssduck.Interpreter(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
     ss = ssduck.Interpreter()
