@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -207,8 +209,28 @@ class OpenedFolder:
 
 
 def _scan(files: Sequence[Path]) -> str:
-    names = ", ".join(exp.Literal.string(str(file.resolve())).sql("duckdb") for file in files)
+    names = ", ".join(exp.Literal.string(_exactly(file)).sql("duckdb") for file in files)
     return f"read_parquet([{names}], hive_partitioning = false)"
+
+
+def _exactly(file: Path) -> str:
+    """The path of one file as DuckDB takes it, which reads `*`, `?` and `[` as patterns.
+
+    Raises:
+        RecordError: the path has a backslash beside one of them: DuckDB takes it for a slash.
+    """
+    path = str(file.resolve())
+    if not _PATTERN.search(path):
+        return path
+    if "\\" in path and os.sep != "\\":
+        raise RecordError(
+            f"{path} cannot be read: DuckDB takes a backslash in such a name for a slash; rename "
+            "the folder"
+        )
+    return _PATTERN.sub(r"[\g<0>]", path)
+
+
+_PATTERN = re.compile(r"[*?[]")
 
 
 # -- DuckDB files -----------------------------------------------------------------------------

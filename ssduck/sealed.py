@@ -210,7 +210,7 @@ def _begun(path: Path, world: str, tables: Collection[str], recording: Recording
         return _claimed(path, world, tables, recording)
     except RecordError:
         raise
-    except OSError as error:
+    except (OSError, ValueError) as error:  # a null character is a ValueError
         raise RecordError(f"{path} cannot be written: {error}") from error
 
 

@@ -28,6 +28,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.limits import Limits, Meter
+from ssduck.messages import shown
 from ssduck.recorder import Recorder
 
 T = TypeVar("T")
@@ -41,6 +42,8 @@ AGAIN = 0.02
 _BY_ROW = 100
 # Of these types DuckDB gives the same values by column; of others, numpy has no such values.
 _BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
+# The name of a database that is in no file.
+MEMORY = ":memory:"
 # What an attached file with a record is called; no world can be.
 _ATTACHED = "ssduck record file"
 
@@ -65,9 +68,9 @@ class Connection:
         limits: Limits,
         recorders: list[Recorder],
     ) -> None:
-        self._path = path
+        self._path = path if path == MEMORY else _place_of(path)
         try:
-            self._connection = duckdb.connect(path)
+            self._connection = duckdb.connect(self._path)
         except duckdb.Error as error:
             raise SqlError(_unopened(path, error)) from error
         # Left open until Python ends, it would print complaints there.
@@ -104,7 +107,7 @@ class Connection:
     @property
     def is_file(self) -> bool:
         """Whether it is to a file."""
-        return self._path != ":memory:"
+        return self._path != MEMORY
 
     @property
     def is_open(self) -> bool:
@@ -129,7 +132,10 @@ class Connection:
         Raises:
             RecordError: it is no DuckDB file, or in use by another process.
         """
-        file = exp.Literal.string(str(path.resolve())).sql("duckdb")
+        try:
+            file = exp.Literal.string(_place_of(str(path))).sql("duckdb")
+        except SqlError as error:
+            raise RecordError(error.message) from error
         name = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
         try:
             self.run(f"ATTACH {file} AS {name} (READ_ONLY)")
@@ -312,6 +318,25 @@ def _end(listening: ctrl_c.Listening, timer: threading.Timer | None) -> None:
         timer.cancel()
         if timer.is_alive():
             timer.join()  # so that it does not interrupt what comes next
+
+
+def _place_of(path: str) -> str:
+    """The path of a file as DuckDB takes it: absolute, or `md:x` would be a service's.
+
+    Raises:
+        SqlError: the path has a character that DuckDB takes for another one, or none of a path.
+    """
+    begins_at_home = path == "~" or path.startswith("~/")
+    try:
+        place = str((Path(path).expanduser() if begins_at_home else Path(path)).absolute())
+    except (OSError, RuntimeError, ValueError) as error:
+        raise SqlError(f"{shown(path)} is no path of a file: {error}") from error
+    if "\0" in place or ("\\" in place and os.sep != "\\"):
+        raise SqlError(
+            f"{shown(path)} cannot be the path of a DuckDB file: DuckDB takes a backslash for a "
+            "slash, and knows no null character"
+        )
+    return place
 
 
 def _unopened(path: str, error: Exception) -> str:
