@@ -261,17 +261,34 @@ def invert(positions: Array, orientations: Array) -> tuple[Array, Array]:
     return -rotate(rotation_matrices(inverse), positions), inverse
 
 
+def quaternion_of(matrix: Array) -> Array:
+    """A rotation matrix (3, 3) as a unit quaternion."""
+    from scipy.spatial.transform import Rotation
+
+    turn: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
+    return turn
+
+
 # -- boxes ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedGeometry:
-    """A geometry that is fixed to a frame: which one, and where in it."""
+    """A geometry that is fixed to a frame.
+
+    Attributes:
+        frame: which frame.
+        geometry: the geometry.
+        position: in the frame, (3,).
+        orientation: in the frame, (4,).
+        exact: whether it is what the simulator has; else it is a box that stands in for that.
+    """
 
     frame: int
     geometry: Geometry
     position: Array
     orientation: Array
+    exact: bool = True
 
 
 @dataclass(frozen=True, eq=False)
