@@ -6,7 +6,7 @@ relations' formulas in it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import sqlglot
@@ -133,15 +133,29 @@ def looking_up() -> Iterator[Relation]:
     return (relation for relation in RELATIONS.values() if relation.tables)
 
 
-def dropped(world: str, *, described: bool) -> Iterator[str]:
+def formulas(names: Iterable[str], schema: str) -> Iterator[str]:
+    """The statements that make relations that look nothing up macros of a world's schema, too.
+
+    Args:
+        names: of the relations.
+        schema: that of the world.
+    """
+    for name in names:
+        yield RELATIONS[name].macro(schema, inside=True)
+        yield RELATIONS[name].comment(schema)
+
+
+def dropped(world: str, *, described: bool, formulas: Iterable[str] = ()) -> Iterator[str]:
     """The statements that take a world's views and macros out of its schema.
 
     Args:
         world: the schema.
         described: whether it has macros.
+        formulas: the relations that it has besides those that look things up.
     """
     names = [("VIEW", table) for table in TABLES]
     names += [("MACRO", relation.name) for relation in looking_up() if described]
+    names += [("MACRO", name) for name in formulas]
     for kind, name in names:
         place = exp.table_(name, db=world, quoted=True)
         yield exp.Drop(tables=[place], kind=kind, exists=True).sql("duckdb")
@@ -153,6 +167,7 @@ def _comments(schema: str, *, recorded: bool) -> Iterator[str]:
     """What the tables of a world hold."""
     for table, columns in TABLES.items():
         told = {column.name: column.comment for column in columns}
+        told |= {column.also: column.comment for column in columns if column.also}
         yield from _comments_on(schema, table, f"A row is {ROWS[table]}.", told)
         if table != "geometries":
             about = f"A row is {ROWS[table]}, at each recorded tick."

@@ -256,6 +256,14 @@ def invert(positions: Array, orientations: Array) -> tuple[Array, Array]:
     return -rotate(rotation_matrices(inverse), positions), inverse
 
 
+def quaternion_of(matrix: Array) -> Array:
+    """A rotation matrix (3, 3) as a unit quaternion."""
+    from scipy.spatial.transform import Rotation
+
+    turn: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
+    return turn
+
+
 # -- boxes ------------------------------------------------------------------------------------
 
 
@@ -269,6 +277,7 @@ class PlacedGeometry:
         position: (3,), in the frame, metres.
         orientation: (4,), in the frame, w, x, y, z.
         margin: how far around the shape the simulator takes others to touch it, metres.
+        exact: whether it is what the simulator has; else it is a box that stands in for that.
     """
 
     frame: int
@@ -276,6 +285,7 @@ class PlacedGeometry:
     position: Array
     orientation: Array
     margin: float = 0.0
+    exact: bool = True
 
 
 @dataclass(frozen=True, eq=False)

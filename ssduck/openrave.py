@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError, StateError
-from ssduck.geometry import Array, rotation_matrices
+from ssduck.geometry import Array, quaternion_of, rotation_matrices
 from ssduck.kinematics import pose_of
 from ssduck.simulators import SETTABLE
 
@@ -212,12 +212,9 @@ def _settable(entity: Entity) -> list[JointState]:
 
 def _quaternion(matrix: Array, name: str) -> Array:
     """A rotation matrix as w, x, y, z."""
-    from scipy.spatial.transform import Rotation
-
     if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 0.0:
         raise StateError(f"{name}: the matrix turns nothing: {matrix.tolist()}")
-    turn: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
-    return turn
+    return quaternion_of(matrix)
 
 
 def _named(world: World, name: str, *kinds: str) -> Entity | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Literal, TypeAlias
 
@@ -90,6 +91,8 @@ class Relation:
             of a recorded tick.
         of_lists: of one that has another meaning for two lists, that formula.
         far: what it yields of entities whose boxes are apart: at least as much, or 0.
+        also: second names, for a name that raw SQL has to quote.
+        second_of: of what is called by a second name, the first one.
     """
 
     name: str
@@ -108,6 +111,8 @@ class Relation:
     then: str = ""
     of_lists: str = ""
     far: Literal["", "more", "nothing"] = ""
+    also: tuple[str, ...] = ()
+    second_of: str = ""
 
     @property
     def usage(self) -> str:
@@ -117,7 +122,16 @@ class Relation:
     @property
     def help(self) -> str:
         """What `help('name')` tells after the name."""
-        return f"{self.about}\nUsage: {self.usage}"
+        return " ".join(filter(None, (self.about, self.others))) + f"\nUsage: {self.usage}"
+
+    @property
+    def others(self) -> str:
+        """A sentence about its other names; nothing if it has none."""
+        if self.second_of:
+            return f"The same as {self.second_of}, which raw SQL has to quote."
+        if self.also:
+            return f"Also called {', '.join(self.also)}, which raw SQL need not quote."
+        return ""
 
     @property
     def required(self) -> int:
@@ -208,6 +222,24 @@ class Relation:
             f"name of the world that is meant before it, world.{self.name}(…)"
         )
         return exp.Anonymous(this="error", expressions=[exp.Literal.string(reason)])
+
+
+def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
+    """Relations by their names; each second name is of a relation that differs in that only.
+
+    Raises:
+        ValueError: two have the same name.
+    """
+    found: dict[str, Relation] = {}
+    for relation in relations:
+        seconds = (
+            replace(relation, name=n, also=(), second_of=relation.name) for n in relation.also
+        )
+        for own in (relation, *seconds):
+            if own.name in found:
+                raise ValueError(f"there are two relations {own.name!r}")
+            found[own.name] = own
+    return found
 
 
 # DuckDB has functions of texts that are called so; they go on being there.

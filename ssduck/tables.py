@@ -37,15 +37,28 @@ _ARROW: dict[ColumnType, pa.DataType] = {
 
 
 class Column(NamedTuple):
-    """A column of a table: its name, its type, and what it means, with the unit."""
+    """A column of a table.
+
+    Attributes:
+        name: of the column.
+        type: of its values.
+        comment: what it means, with the unit.
+        also: its second name in the views of SQL, where the first one, or that of a neighbour of
+            the same meaning, has to be quoted there; else nothing.
+    """
 
     name: str
     type: ColumnType
     comment: str
+    also: str = ""
 
 
-def _reals(names: str, comment: str) -> tuple[Column, ...]:
-    return tuple(Column(name, "real", comment) for name in names.split())
+def _reals(names: str, comment: str, also: str = "") -> tuple[Column, ...]:
+    seconds = [f"{also}_{name[-1]}" if also else "" for name in names.split()]
+    return tuple(
+        Column(name, "real", comment, second)
+        for name, second in zip(names.split(), seconds, strict=True)
+    )
 
 
 _TICK = (
@@ -135,12 +148,12 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("link_a", "integer", "number of its link"),
         Column("b", "integer", "id of the other entity"),
         Column("link_b", "integer", "number of its link"),
-        *_reals("ax ay az", "point on a, m"),
-        *_reals("bx by bz", "point on b, m"),
-        *_reals("nx ny nz", "unit normal, from b to a"),
+        *_reals("ax ay az", "point on a, m", "point_a"),
+        *_reals("bx by bz", "point on b, m", "point_b"),
+        *_reals("nx ny nz", "unit normal, from b to a", "normal"),
         Column("depth", "real", "penetration, m"),
         Column("force", "real", "normal force, N"),
-        *_reals("fx fy fz", "force on a, friction included, N"),
+        *_reals("fx fy fz", "force on a, friction included, N", "force"),
     ),
     "sensings": (
         *_TICK,
@@ -152,6 +165,11 @@ TABLES: dict[str, tuple[Column, ...]] = {
     ),
     "ticks": (*_TICK, Column("wall_time", "real", "seconds since 1970")),
 }
+
+
+def second_names(table: str) -> dict[str, str]:
+    """The columns of a table that have a second name, with that."""
+    return {column.name: column.also for column in TABLES.get(table, ()) if column.also}
 
 
 class LiveTable:
@@ -220,7 +238,7 @@ class LiveTable:
         unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
         self.whole = not any(unknown)
         arrays = []
-        for name, kind, _ in self.columns:
+        for name, kind, *_ in self.columns:
             if name not in self._numbers:
                 arrays.append(self._others[name])
             elif name in self._row and unknown[self._row[name]]:

@@ -27,13 +27,13 @@ from ssduck.families.ode import OF_ODE
 from ssduck.families.places import OF_PLACES
 from ssduck.families.sensors import OF_SENSORS
 from ssduck.families.shapes import OF_SHAPES, boxes_within
-from ssduck.relations import Relation
+from ssduck.relations import Relation, by_name
 
-RELATIONS: dict[str, Relation] = {
-    relation.name: relation
+RELATIONS: dict[str, Relation] = by_name(
+    relation
     for family in (OF_ENTITIES, OF_SHAPES, OF_CONTACTS, OF_PLACES, OF_ODE, OF_SENSORS)
     for relation in family
-}
+)
 
 # Whether the boxes of a and b are at most d apart along each axis.
 BOXES_WITHIN = sqlglot.parse_one(boxes_within("d"), dialect="duckdb")

@@ -77,11 +77,13 @@ print(ss.statistics()["kitchen"])  # how many pairs that took, and how many call
 A relation is a function of entities in SelectScript (`above(table, this)`) and a function of rows
 of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In raw SQL:
 
-- `position` and `on` are written in quotes, `"on"(a, b)`, for they are words of SQL's.
+- `on`, `position` and `time` are words of SQL's: they are written in quotes, `"on"(a, b)`, or by
+  their second names, `onTop(a, b)`, `positionOf(e)`, `timeOf(e)`, which SelectScript knows, too.
 - An alias must not be the name of a column: `FROM entities x` hides the row `x` behind the column.
 - A point is a struct: `inSphere(e, {'x': 0, 'y': 0, 'z': 1}, 0.5)`.
-- What looks something up (shapes, contacts, sensings) is for one world, for a row does not tell
-  which one it is of. With several worlds, write the one that is meant before it:
+- Every relation may have its world before it: `kitchen.above(a, b)`. What looks something up
+  (shapes, contacts, sensings) is for one world, for a row does not tell which one it is of. With
+  several worlds, write the one that is meant:
   `FROM kitchen.entities a, kitchen.entities b WHERE kitchen.collides(a, b)`.
 - `contains` of two texts is DuckDB's own; of a list or a map, write `list_contains` or
   `map_contains`.
@@ -108,7 +110,8 @@ def relation_lines(relation: Relation) -> Iterator[str]:
     unit = f" Unit: {relation.unit}." if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.symmetric else ""
     asked = f" Asks the narrow phase {relation.asked}." if relation.asked else ""
-    yield f"{relation.about}{unit}{symmetric}{asked}\n"
+    others = f" {relation.others}" if relation.others else ""
+    yield f"{relation.about}{unit}{symmetric}{asked}{others}\n"
     for parameter in relation.parameters:
         yield f"- `{parameter.name}`: {parameter.meaning}"
 
@@ -117,7 +120,8 @@ def relations_page() -> str:
     """The page of the relations, the plain functions and the result forms."""
     lines = [RELATIONS_HEAD.rstrip()]
     for relation in RELATIONS.values():
-        lines += relation_lines(relation)
+        if not relation.second_of:
+            lines += relation_lines(relation)
     lines += ["\n## Functions of plain values\n", "| function | what it does |", "|---|---|"]
     for function in BUILTINS.values():
         about, usage = function.help.split("\nUsage: ")
@@ -135,8 +139,12 @@ def merged(columns: tuple[Column, ...]) -> Iterator[tuple[str, str, str]]:
     for index, column in enumerate(columns):
         names.append(column.name)
         following = columns[index + 1] if index + 1 < len(columns) else None
-        if following is None or following[1:] != column[1:]:
-            yield " ".join(names), column.type, column.comment
+        if following is None or following[1:3] != column[1:3]:
+            seconds = " ".join(
+                c.also for c in columns[index + 1 - len(names) : index + 1] if c.also
+            )
+            also = f"; also {seconds}" if seconds else ""
+            yield " ".join(names), column.type, column.comment + also
             names = []
 
 

@@ -104,6 +104,7 @@ class Database:
             schemas = list(self._worlds.by_schema)
             only = schemas[0] if len(self.worlds) == 1 else None
             self._schemas.describe(schemas, only, self.records)
+            self._schemas.make_formulas(sql, schemas)
             return self.connection.table(sql, parameters)
 
     @contextmanager

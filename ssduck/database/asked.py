@@ -11,6 +11,7 @@ from ssduck.catalog import TABLE_MACROS, looking_up
 from ssduck.database.bound import Bound
 from ssduck.errors import LimitError, Span
 from ssduck.tables import TABLES
+from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
 # The tables that a word in a statement stands for: a table's name, or that of a relation that
@@ -21,6 +22,15 @@ _TABLES_OF = {
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
+# Relations that look nothing up are macros of a world's schema once a text names one so.
+_OF_NO_TABLE = {
+    relation.name.lower(): relation.name for relation in RELATIONS.values() if not relation.tables
+}
+_BETWEEN = r"(?:\s|/\*.*?\*/|--[^\n]*)*"
+_BEHIND_A_SCHEMA = re.compile(
+    rf'\.{_BETWEEN}"?({"|".join(_OF_NO_TABLE)})"?{_BETWEEN}\(',
+    re.IGNORECASE | re.ASCII | re.DOTALL,
+)
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 # What lets tables of another world than the first go without its name.
 _CHANGES_THE_FIRST = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
@@ -67,6 +77,11 @@ class Asked:
             for number, own in enumerate(bound)
             if number == 0 or any(schema.casefold() in text for schema in own.schemas)
         ]
+
+
+def behind_a_schema(sql: str) -> set[str]:
+    """The relations that look nothing up and that a text may call with a schema before them."""
+    return {_OF_NO_TABLE[name.lower()] for name in _BEHIND_A_SCHEMA.findall(sql)}
 
 
 def check_length(sql: str) -> None:

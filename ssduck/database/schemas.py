@@ -6,18 +6,26 @@ from collections.abc import Collection, Sequence
 
 from sqlglot import exp
 
-from ssduck.catalog import described, dropped
+from ssduck.catalog import described, dropped, formulas
+from ssduck.database.asked import behind_a_schema
 from ssduck.database.bound import Bound, Kept
 from ssduck.database.connection import Connection
-from ssduck.history import History, history_name, model_name, not_recorded
+from ssduck.history import History, history_name, model_name, not_recorded, quoted
 from ssduck.models import MODELS
 from ssduck.recording import RECORDABLE
-from ssduck.tables import TABLES
+from ssduck.tables import TABLES, second_names
 
-_HISTORIES = tuple(map(history_name, ("ticks", *RECORDABLE)))
+_HISTORIES = {history_name(table): table for table in ("ticks", *RECORDABLE)}
 _MODELS = tuple(map(model_name, MODELS))
 # What refers to a world's buffers, as a regular expression in SQL.
 _LOST = exp.Literal.string(r'"world \d+: ').sql("duckdb")
+
+# What a file keeps that may call relations.
+_KEPT_TEXTS = (
+    "SELECT sql FROM duckdb_views() WHERE NOT internal AND NOT temporary UNION ALL "
+    "SELECT macro_definition FROM duckdb_functions() "
+    "WHERE NOT internal AND macro_definition IS NOT NULL AND database_name <> 'temp'"
+)
 
 
 class Schemas:
@@ -31,6 +39,9 @@ class Schemas:
         self._connection = connection
         # Those whose relations and tables users' SQL was told of; None: not even the others.
         self._told_of: set[str] | None = None
+        # The relations that look nothing up of which each schema has macros.
+        self._formulas: dict[str, set[str]] = {}
+        self._is_searched = False
 
     def make(self, name: str, bound: Bound) -> None:
         """Make that of a world, or make it anew, with views of its tables."""
@@ -40,9 +51,7 @@ class Schemas:
             rows = exp.select("*").from_(exp.table_(bound.live(table), quoted=True))
             if table in bound.world.snapshot.untold:
                 _refuse(rows, bound.world.snapshot.untold[table])
-            view = exp.table_(table, db=name, quoted=True)
-            create = exp.Create(this=view, kind="VIEW", replace=True, expression=rows)
-            self._connection.run(create.sql("duckdb"))
+            self._make_view(name, table, _told_twice(table, rows.sql("duckdb")))
         self.make_history(name, bound)
 
     def make_history(self, name: str, bound: Bound) -> None:
@@ -59,6 +68,7 @@ class Schemas:
                 refused = exp.select("*").from_(exp.table_(bound.live(table), quoted=True))
                 _refuse(refused, not_recorded(table, bound.world.name))
                 rows = refused.sql("duckdb")
+            rows = _told_twice(table, rows)
             self._make_view(name, history_name(table), rows)
         for table, rows in kept.history.models().items() if kept is not None else ():
             self._make_view(name, table, rows)
@@ -80,9 +90,32 @@ class Schemas:
                 self._connection.run(statement)
             self._told_of = set(names)
 
+    def make_formulas(self, sql: str, names: Sequence[str]) -> None:
+        """Make the relations that look nothing up functions of a schema, where SQL calls them so.
+
+        All of them in all schemas would take longer than a statement. What a file has kept may
+        call them, too.
+
+        Args:
+            sql: a statement that is to run.
+            names: of all schemas of worlds.
+        """
+        called = behind_a_schema(sql)
+        if self._connection.is_file and not self._is_searched:
+            self._is_searched = True
+            for (kept,) in self._connection.own_rows(_KEPT_TEXTS):
+                called |= behind_a_schema(kept)
+        for name in names if called else ():
+            known = self._formulas.setdefault(name, set())
+            for statement in formulas(sorted(called - known), name):
+                self._connection.run(statement)
+            known |= called
+
     def leave(self, schema: str, kept: Kept | None) -> None:
         """Leave one without what needs ssduck."""
-        for statement in dropped(schema, described=schema in (self._told_of or ())):
+        described = schema in (self._told_of or ())
+        own = self._formulas.pop(schema, ())
+        for statement in dropped(schema, described=described, formulas=own):
             self._connection.run(statement)
         if not self._connection.is_file:
             return
@@ -91,7 +124,8 @@ class Schemas:
             history = None
         for name in (*_HISTORIES, *_MODELS):
             if history is not None and name in history.views:
-                self._make_view(schema, name, f"SELECT * FROM {history.place(name)}")  # noqa: S608
+                rows = f"SELECT * FROM {history.place(name)}"  # noqa: S608
+                self._make_view(schema, name, _told_twice(_HISTORIES.get(name, ""), rows))
             else:
                 view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
                 self._connection.run(f"DROP VIEW IF EXISTS {view}")
@@ -105,6 +139,15 @@ class Schemas:
         for schema, name in lost:
             view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
             self._connection.run(f"DROP VIEW {view}")
+
+
+def _told_twice(table: str, rows: str) -> str:
+    """A SELECT of a table's rows with the second names of its columns at the end, if any have."""
+    seconds = second_names(table)
+    if not seconds:
+        return rows
+    told = ", ".join(f"{quoted(name)} AS {quoted(second)}" for name, second in seconds.items())
+    return f"SELECT *, {told} FROM ({rows}) AS rows"  # noqa: S608
 
 
 def _refuse(rows: exp.Select, why: str) -> None:

@@ -12,13 +12,15 @@ _SLICE = (
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 
 
-def _sliced(name: str, formula: str, about: str, unit: str) -> Relation:
+def _sliced(name: str, formula: str, about: str, unit: str, also: tuple[str, ...] = ()) -> Relation:
     """A list of an entity, whole or from start to stop as Python slices."""
     part = (
         f"list_slice({formula}, CASE WHEN start < 0 THEN start ELSE start + 1 END, "
         "CASE WHEN stop < 0 THEN stop - 1 ELSE stop END)"
     )
-    return Relation(name, ENTITY + _SLICE, "list", formula, about, sliced=part, unit=unit)
+    return Relation(
+        name, ENTITY + _SLICE, "list", formula, about, sliced=part, unit=unit, also=also
+    )
 
 
 OF_ENTITIES: tuple[Relation, ...] = (
@@ -35,6 +37,7 @@ OF_ENTITIES: tuple[Relation, ...] = (
         "object.time",
         "Returns the simulated time of the tick that object is of.",
         "s",
+        also=("timeOf",),
     ),
     of_entity("obj", "entity", "object.name", "Returns the object itself."),
     *(
@@ -61,6 +64,7 @@ OF_ENTITIES: tuple[Relation, ...] = (
         "Returns [x, y, z] of the object's link frame in the world, or that list from start "
         "to stop.",
         "m",
+        also=("positionOf",),
     ),
     *(
         of_entity(

@@ -16,9 +16,12 @@ def of_entity(
     unit: str = "",
     element: ValueType = "real",
     then: str = "",
+    also: tuple[str, ...] = (),
 ) -> Relation:
     """A relation of one entity."""
-    return Relation(name, ENTITY, result, formula, about, unit=unit, element=element, then=then)
+    return Relation(
+        name, ENTITY, result, formula, about, unit=unit, element=element, then=then, also=also
+    )
 
 
 def told(what: str, a: str, b: str = "") -> str:

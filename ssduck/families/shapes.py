@@ -61,6 +61,7 @@ def on_shapes(
     element: ValueType = "real",
     candidates: Candidates | None = None,
     far: Literal["", "more", "nothing"] = "",
+    also: tuple[str, ...] = (),
 ) -> Relation:
     """A relation of the shapes of two entities."""
     return Relation(
@@ -77,6 +78,7 @@ def on_shapes(
         asked=asked,
         candidates=candidates,
         far=far,
+        also=also,
     )
 
 
@@ -183,8 +185,9 @@ OF_SHAPES: tuple[Relation, ...] = (
             "of the box of b is over the convex hull of the footprint of a.",
             asked="on pairs whose boxes are at most 1 mm and the largest margins apart",
             candidates=Candidates("reaching", "0.001"),
+            also=also,
         )
-        for name in ("on", "supports")
+        for name, also in (("on", ("onTop",)), ("supports", ()))
     ),
     on_shapes(
         "inside",

@@ -6,7 +6,7 @@ the link frame is `com`. It does not tell all: see `_Reader.shapes`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ssduck.errors import ArgumentError
 from ssduck.geometry import (
+    IDENTITY,
     Array,
     Geometry,
     PlacedGeometry,
@@ -26,8 +28,13 @@ from ssduck.geometry import (
 )
 from ssduck.simulators import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet_console import pybullet
+from ssduck.simulators.pybullet_saved import SavedShapes
 
 Pose: TypeAlias = tuple[Array, Array]
+# Shapes of a link; None for what PyBullet does not tell.
+Shapes: TypeAlias = list[PlacedGeometry] | None
+# Shapes that a caller knows, in link frames, by link (the base is 0) and number; None for all.
+GivenShapes: TypeAlias = Mapping[tuple[int, int | None], Sequence[Geometry]]
 
 # The joint types by PyBullet's numbers; a point-to-point joint cannot come from a model file.
 _JOINT_TYPES = {
@@ -40,6 +47,8 @@ _JOINT_TYPES = {
 # What getDynamicsInfo says of a body of links, which is what model files make.
 _MULTI_BODY = 2
 _SOFT_BODY = 3
+# So far apart are numbers that are the same in single floats.
+_SINGLE = 1e-6
 # PyBullet's box of a link without shapes is smaller; it has a diagonal of 2 mm times sqrt(3).
 _BARE = 3.5e-3
 # Directions in which no corner of a mesh shares its extreme with others.
@@ -61,9 +70,29 @@ class Description:
     exact: bool
 
 
-def describe(client: int, handle: int, name: str | None, kind: Kind | None) -> Description:
-    """Read a body; `name` and `kind` say what the body itself would be asked for otherwise."""
-    return _Reader(client, handle).described(name, kind)
+def describe(
+    client: int,
+    handle: int,
+    name: str | None,
+    kind: Kind | None,
+    saved: SavedShapes | None = None,
+    given: GivenShapes | None = None,
+) -> Description:
+    """Read a body.
+
+    Args:
+        client: the client that has it.
+        handle: its number.
+        name: instead of its own.
+        kind: instead of what its joints say.
+        saved: the shapes that PyBullet does not tell, of this body and others.
+        given: the shapes that the caller knows.
+
+    Raises:
+        ArgumentError: a shape is given that it does not have.
+    """
+    saved = saved or SavedShapes(client, [handle])
+    return _Reader(client, handle, saved, given or {}).described(name, kind)
 
 
 def joint_of(info: tuple[Any, ...]) -> Joint:
@@ -115,9 +144,11 @@ def _com(dynamics: Sequence[Any]) -> Pose:
 class _Reader:
     """One body of a client, while it is read."""
 
-    def __init__(self, client: int, handle: int) -> None:
+    def __init__(self, client: int, handle: int, saved: SavedShapes, given: GivenShapes) -> None:
         self.client = client
         self.handle = handle
+        self.saved = saved
+        self.given = given
         self.link_name, self.name = (
             text.decode(errors="replace") for text in pybullet.getBodyInfo(handle, client)
         )
@@ -126,7 +157,6 @@ class _Reader:
         self.dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, count)]
         self.type = self.dynamics[0][10]
         self.com = _com(self.dynamics)
-        self.exact = True
 
     def described(self, name: str | None, kind: Kind | None) -> Description:
         joints = tuple(map(self._joint, self.infos))
@@ -145,7 +175,7 @@ class _Reader:
             joints=joints,
             shapes=tuple(shape for link in range(len(names)) for shape in self.shapes(link)),
         )
-        return Description(body, self.com, self.exact)
+        return Description(body, self.com, all(shape.exact for shape in body.shapes))
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
         """A joint, its axis in the frame of its link."""
@@ -161,25 +191,85 @@ class _Reader:
     def shapes(self, link: int) -> Iterator[PlacedGeometry]:
         """The collision shapes of a link in its link frame (link 0 is the base).
 
-        PyBullet gives back no triangles; of rigid and soft bodies no shapes at all; and asked
-        for a capsule between two points of an MJCF file it crashes. A link that may have one,
-        which is then drawn as a capsule too, is taken to have the shapes that are drawn. If
-        their box is not its own, that box is used.
-        """
-        if self.type == _MULTI_BODY and link not in self._drawn_capsules:
-            entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
-            known = [self._shape(link, index, entry) for index, entry in enumerate(entries)]
-            exact = [shape for some in known if some is not None for shape in some]
-            complete = None not in known and (len(known) > 0 or self._is_bare(link))
-        else:
-            exact = self._drawn(link)
-            complete = self._agree(exact, link)
-            exact = exact if complete else []
-        yield from exact
-        if not complete:
-            yield self._stand_in(link)
+        What the caller gave comes first, then what PyBullet tells, then what it saves. Where all
+        of these leave a shape unknown, the box of the link stands in for all of its shapes.
 
-    def _shape(self, link: int, index: int, entry: tuple[Any, ...]) -> list[PlacedGeometry] | None:
+        Raises:
+            ArgumentError: a shape is given that the link does not have.
+        """
+        if (link, None) in self.given:
+            shapes: Shapes = self._placed(link, self.given[link, None])
+        else:
+            shapes = self._known(link)
+        if shapes is None:
+            yield self._stand_in(link)
+        else:
+            yield from shapes
+
+    def _known(self, link: int) -> Shapes:
+        """The shapes of a link with the single ones that were given; None if one is unknown."""
+        entries = self._entries(link)
+        numbers = {number for at, number in self.given if at == link and number is not None}
+        if numbers:
+            count = 0 if entries is None else len(entries)
+            self._check_numbers(link, numbers, count)
+            entries = [
+                self._placed(link, self.given[link, number]) if number in numbers else entry
+                for number, entry in enumerate(entries or ())
+            ]
+        if entries is None or None in entries:
+            return None
+        return [shape for entry in entries if entry is not None for shape in entry]
+
+    def _check_numbers(self, link: int, numbers: set[int], count: int) -> None:
+        for number in numbers:
+            if not 0 <= number < count:
+                has = f"{count} shapes, from 0" if count else "none that are told apart"
+                raise ArgumentError(
+                    f"shapes: body {self.handle}, link {link - 1} has no shape {number}: it has "
+                    f"{has}; ({self.handle}, {link - 1}) stands for all shapes of the link"
+                )
+
+    def _placed(self, link: int, geometries: Iterable[Geometry]) -> list[PlacedGeometry]:
+        """Geometries in the frame of a link."""
+        return [PlacedGeometry(link, own, np.zeros(3), IDENTITY) for own in geometries]
+
+    def _entries(self, link: int) -> list[Shapes] | None:
+        """The shapes of a link one by one, as far as they are known; None if nothing is.
+
+        PyBullet gives back no triangles; of rigid and soft bodies no shapes at all; and asked
+        for a capsule between two points of an MJCF file it crashes. A link that may have one is
+        drawn as a capsule, too: of that and of what PyBullet does not tell, it is read what it
+        saves. What is drawn has more digits, and is taken where both are the same.
+        """
+        entries: list[Shapes] | None = None
+        if self.type == _MULTI_BODY and link not in self._drawn_capsules:
+            told = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
+            entries = [self._shape(link, index, entry) for index, entry in enumerate(told)]
+            if None not in entries and (entries or self._is_bare(link)):
+                return entries
+        saved = self._saved(link)
+        if saved is not None:
+            drawn = self._drawn(link)
+            return [[own] for own in (drawn if _are_alike(drawn, saved) else saved)]
+        if entries is None:
+            drawn = self._drawn(link)
+            return [[own] for own in drawn] if self._agree(drawn, link) else None
+        return entries or None
+
+    def _saved(self, link: int) -> Shapes:
+        """The shapes of a link as PyBullet saves them; None if it does not."""
+        saved = None if self.type == _SOFT_BODY else self.saved.of(self.handle, link)
+        if saved is None:
+            return None
+        com = self._com_of(link)
+        found = []
+        for geometry, position, orientation in saved:
+            place, turn = compose(*com, position[None], orientation[None])
+            found.append(PlacedGeometry(link, geometry, place[0], turn[0]))
+        return found
+
+    def _shape(self, link: int, index: int, entry: tuple[Any, ...]) -> Shapes:
         """What PyBullet tells of a shape: in general one; None if it does not tell."""
         com = self._com_of(link)
         local = np.array([entry[5]]), wxyz(np.array([entry[6]]))
@@ -301,9 +391,8 @@ class _Reader:
         world = low + corners * (high - low)
         # Row vectors times R are those turned by the inverse of R.
         local = (world - position) @ rotation_matrices(orientation)[0]
-        self.exact = False
         com = self._com_of(link)
-        return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0])
+        return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0], exact=False)
 
     def _is_bare(self, link: int) -> bool:
         """Whether a link has no shapes: its box is but a margin of 1 mm around its mass."""
@@ -321,6 +410,22 @@ class _Reader:
         else:
             pose = pybullet.getLinkState(self.handle, link - 1, 0, 1, self.client)
         return np.array([pose[0]]), wxyz(np.array([pose[1]]))
+
+
+def _are_alike(some: Sequence[PlacedGeometry], others: Sequence[PlacedGeometry]) -> bool:
+    """Whether primitives are the same shapes in the same places, but for single floats."""
+    if len(some) != len(others):
+        return False
+    for one, other in zip(some, others, strict=True):
+        sizes = np.array([one.geometry.size, other.geometry.size])
+        turns = rotation_matrices(np.array([one.orientation, other.orientation]))
+        # Of what is round only the axis counts, either way; of a sphere nothing.
+        axes = {"sphere": 0, "cylinder": 1, "capsule": 1}.get(one.geometry.type, 3)
+        off = 1.0 - np.abs(np.einsum("ij,ij->j", *turns)[3 - axes :]).min(initial=1.0)
+        apart = max(np.abs(sizes[0] - sizes[1]).max(), np.abs(one.position - other.position).max())
+        if one.geometry.type != other.geometry.type or max(apart, off) > _SINGLE:
+            return False
+    return True
 
 
 def primitive_of(kind: int, size: Sequence[float]) -> Geometry | None:
