@@ -225,6 +225,7 @@ class Query(Node):
     order: tuple[Key, ...] = ()
     limit: Node | None = None
     adapter: Adapter | None = None
+    distinct: bool = False
 
 
 @dataclass(frozen=True, eq=False)
