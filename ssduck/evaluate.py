@@ -301,6 +301,8 @@ class Compiler:
                     holds = self.condition(operand)
                     return lambda frame: not holds(frame)
                 inner = self.thunk(operand)
+                if sign == "IS NULL":
+                    return lambda frame: inner(frame) is None
                 return lambda frame: apply_unary(sign, inner(frame), node.span)
             case Binary():
                 return self._binary(node)

@@ -22,6 +22,7 @@ from ssduck.over_time import FORMS
 from ssduck.past import Past, past_of
 from ssduck.relations import Relation
 from ssduck.sources import within
+from ssduck.sql_habits import instead_of
 from ssduck.temporal import ValueHistory, aged, history_of, kept
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Node
@@ -58,8 +59,10 @@ class Names:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
+        instead = instead_of(name) if isinstance(name, str) else ""
         raise UnknownNameError(
-            f"there is no variable {shown(name)}", suggestions=nearest(name, self.names())
+            f"there is no variable {shown(name)}" + (f"; {instead}" if instead else ""),
+            suggestions=() if instead else nearest(name, self.names()),
         )
 
     def has_variable(self, name: str) -> bool:

@@ -39,6 +39,7 @@ from ssduck.plan import Binding, Names, Output, Plan, Shape
 from ssduck.recursion import searched
 from ssduck.resolve import resolve
 from ssduck.rows import Rest
+from ssduck.sql_habits import instead_of
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
 from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import INTEGER, Tag
@@ -446,8 +447,11 @@ def _conjuncts(node: Node | None) -> Iterator[Node]:
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     """The error for a function that is not there."""
+    instead = instead_of(node.name)
+    near = nearest(node.name, known)
+    is_same = any(name.casefold() == node.name.casefold() for name in near)
     return UnknownNameError(
-        f"there is no function {shown(node.name)}",
+        f"there is no function {shown(node.name)}" + (f"; {instead}" if instead else ""),
         span=node.name_span,
-        suggestions=nearest(node.name, known),
+        suggestions=near if is_same or not instead else (),
     )
