@@ -116,6 +116,10 @@ class SelectScriptError(Exception):
         return f"    {line}\n    {indent}{'^' * width}"
 
 
+class ProgramWarning(UserWarning):
+    """What in a program has a meaning, and is probably a mistake: what, where, what was meant."""
+
+
 class ParseError(SelectScriptError, ValueError):
     """The text is no SelectScript program."""
 

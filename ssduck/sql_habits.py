@@ -63,9 +63,25 @@ CLAUSES = frozenset(
 
 # What these words of SQL begin is no statement here.
 STATEMENTS = frozenset(
-    (*("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"),)
-    + ("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL", "WITH", "TOP")
+    (
+        *("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"),
+        *("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL", "WITH", "TOP"),
+    )
 )
+# These are words of SQL wherever they are names.
+_NAMES = frozenset(
+    (
+        *("ANY", "SOME", "EXISTS", "NULL", "NONE", "NIL", "ALL", "DISTINCT", "CAST", "TRY_CAST"),
+        *("CONVERT", "COALESCE", "IFNULL", "NVL", "NULLIF", "CONCAT", "LEN", "LENGTH", "POWER"),
+        *("CEILING", "MEAN", "AVERAGE", "UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM"),
+        *("STARTS_WITH", "NOTNULL", "ISNULL"),
+    )
+)
+
+
+def instead_of_name(name: str) -> str:
+    """What to write instead of a name that nothing has; empty if it is no word of SQL."""
+    return HABITS[name.upper()] if name.upper() in _NAMES else ""
 
 
 def instead_of(word: str) -> str:

@@ -39,7 +39,7 @@ from ssduck.plan import Binding, Names, Output, Plan, Shape
 from ssduck.recursion import searched
 from ssduck.resolve import resolve
 from ssduck.rows import Rest
-from ssduck.sql_habits import instead_of
+from ssduck.sql_habits import instead_of_name
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
 from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import INTEGER, Tag
@@ -447,7 +447,7 @@ def _conjuncts(node: Node | None) -> Iterator[Node]:
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     """The error for a function that is not there."""
-    instead = instead_of(node.name)
+    instead = instead_of_name(node.name)
     near = nearest(node.name, known)
     is_same = any(name.casefold() == node.name.casefold() for name in near)
     return UnknownNameError(
