@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from ssduck.changes import Changed
     from ssduck.entities import Entity, KinBody, Robot, Sensor
     from ssduck.episode import Episode
-    from ssduck.errors import SelectScriptError
+    from ssduck.errors import ProgramWarning, SelectScriptError
     from ssduck.grids import OccupancyGrid
     from ssduck.interpreter import Interpreter
     from ssduck.limits import Limits
@@ -29,6 +29,7 @@ __all__ = [
     "Limits",
     "OccupancyGrid",
     "Past",
+    "ProgramWarning",
     "Recording",
     "Robot",
     "SelectScriptError",
@@ -51,6 +52,7 @@ _HOMES = {
     "Limits": "limits",
     "OccupancyGrid": "grids",
     "Past": "past",
+    "ProgramWarning": "errors",
     "Recording": "recording",
     "Robot": "entities",
     "SelectScriptError": "errors",

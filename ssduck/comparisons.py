@@ -66,6 +66,22 @@ def membership(context: Context, left: SqlValue, right: SqlValue) -> SqlValue:
     return SqlValue(exp.func("list_contains", right.sql, context.certain(left).sql), FLAG)
 
 
+def likeness(left: SqlValue, right: SqlValue) -> SqlValue:
+    """Whether a text is as a pattern says."""
+    if any(value.tag.type != "text" or value.tag.nullable for value in (left, right)):
+        raise NotSqlError
+    return SqlValue(
+        exp.paren(exp.Like(this=wrapped(left.sql), expression=wrapped(right.sql))), FLAG
+    )
+
+
+def missing(value: SqlValue) -> SqlValue:
+    """Whether a value is nothing."""
+    if not value.tag.is_sql or value.tag.type in ("any", "record") or value.risky:
+        raise NotSqlError
+    return SqlValue(exp.paren(exp.Is(this=wrapped(value.sql), expression=exp.Null())), FLAG)
+
+
 def truth(value: SqlValue) -> exp.Expr:
     """A value as a condition: numbers are true unless 0, texts and lists unless empty."""
     zero = exp.Literal.number(0)

@@ -7,7 +7,7 @@ builtin exception that a Python user expects (`LookupError` for an unknown name,
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 # Longer messages and lines of a program are cut: whoever sees one is to read it.
@@ -44,6 +44,9 @@ class SelectScriptError(Exception):
         text: the program's text, where there is one.
         span: the offending part of it: `text[span.start:span.end]`.
         suggestions: the nearest right names, best first.
+
+    Args:
+        instead: what to write instead, given the program's text.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class SelectScriptError(Exception):
         text: str | None = None,
         span: Span | None = None,
         suggestions: Iterable[str] = (),
+        instead: Callable[[str], str] | None = None,
     ) -> None:
         if len(message) > MOST_OF_MESSAGE:
             message = f"{message[:MOST_OF_MESSAGE]}…"
@@ -61,11 +65,14 @@ class SelectScriptError(Exception):
         self.text = text
         self.span = span
         self.suggestions = tuple(suggestions)
+        self._instead = instead
 
     def locate(self, text: str) -> None:
         """Tell it the program in which it arose, unless it knows one already."""
         if self.text is None:
             self.text = text
+            if self._instead is not None:
+                self.message += f"; write {self._instead(text)}"
 
     @property
     def line(self) -> int | None:
@@ -107,6 +114,10 @@ class SelectScriptError(Exception):
         # A tab keeps its place, so that the mark stands under what it marks.
         indent = "".join("\t" if letter == "\t" else " " for letter in before)
         return f"    {line}\n    {indent}{'^' * width}"
+
+
+class ProgramWarning(UserWarning):
+    """What in a program has a meaning, and is probably a mistake: what, where, what was meant."""
 
 
 class ParseError(SelectScriptError, ValueError):

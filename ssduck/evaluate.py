@@ -10,19 +10,18 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 
+from ssduck.aggregate_arguments import argument_check
 from ssduck.deferred import Deferred
 from ssduck.dependencies import OVER_TIME, aliases_of, free_aliases, is_impure
 from ssduck.errors import (
     ArgumentError,
     SelectScriptError,
-    Span,
-    UnknownNameError,
     UnsupportedError,
-    nearest,
 )
 from ssduck.keys import NUMPYS, written
 from ssduck.limits import Meter
-from ssduck.messages import bounded, shown, unusable
+from ssduck.messages import unusable
+from ssduck.missing import is_a_key, no_element, no_name
 from ssduck.operators import (
     CHAINS,
     GROWING,
@@ -220,6 +219,7 @@ class Compiler:
         of_state: parts that are the same for all rows of a state.
         memorize: whether a user's function called twice alike in a row is called once; not
             where variables change between the calls.
+        query: whose parts they are.
     """
 
     def __init__(
@@ -230,7 +230,9 @@ class Compiler:
         of_state: Collection[Node] = (),
         *,
         memorize: bool = False,
+        query: Query | None = None,
     ) -> None:
+        self._query = query
         self._scope = scope
         self._known = known or {}
         self._constants = constants
@@ -299,6 +301,8 @@ class Compiler:
                     holds = self.condition(operand)
                     return lambda frame: not holds(frame)
                 inner = self.thunk(operand)
+                if sign == "IS NULL":
+                    return lambda frame: inner(frame) is None
                 return lambda frame: apply_unary(sign, inner(frame), node.span)
             case Binary():
                 return self._binary(node)
@@ -351,7 +355,7 @@ class Compiler:
             try:
                 return frame.elements[alias]
             except KeyError:
-                raise _no_element(alias, frame, node.span) from None
+                raise no_element(alias, frame.elements, node.span) from None
 
         return element
 
@@ -366,11 +370,7 @@ class Compiler:
             if name in frame.local or frame.scope.has_variable(name):
                 return _variable(frame, name)
             if isinstance(element, dict):
-                keys = [key for key in element if isinstance(key, str)]
-                raise UnknownNameError(
-                    f"there is no key, variable or function {shown(name)}",
-                    suggestions=nearest(name, [*keys, *frame.scope.names()]),
-                )
+                raise no_name(name, element, frame.scope.names())
             frame.scope.check_call(call)
             return frame.scope.call(call, [element], frame)
 
@@ -383,6 +383,7 @@ class Compiler:
         thunks = [self.thunk(argument) for argument in node.arguments]
 
         function = self._scope.builtin(node.name)
+        check = argument_check(node, self._query)
         if self.calls_once(node):  # what a name means does not change while a query runs
             function = self._scope.function(node.name)
 
@@ -390,6 +391,7 @@ class Compiler:
             arguments = [thunk(frame) for thunk in thunks]
             try:
                 if function is not None:
+                    check(arguments)
                     return function(arguments)
                 return frame.scope.call(node, arguments, frame)
             except SelectScriptError as error:
@@ -571,9 +573,7 @@ def _variable(frame: Frame, name: str) -> Any:
     if not frame.scope.has_variable(name):
         element = frame.elements.get(None)
         if isinstance(element, dict) and name in element:
-            raise UnknownNameError(
-                f"there is no variable {shown(name)}; write this.{bounded(name)}"
-            )
+            raise is_a_key(name)
     value = frame.scope.variable(name)
     # Outside all queries it is passed on as it is.
     return resolved(value, frame) if isinstance(value, Deferred) and frame.elements else value
@@ -590,19 +590,3 @@ def resolved(deferred: Deferred, frame: Frame) -> Any:
     except SelectScriptError as error:
         error.locate(deferred.text)
         raise
-
-
-def _no_element(alias: str | None, frame: Frame, span: Span) -> SelectScriptError:
-    names = [name for name in frame.elements if name is not None]
-    if alias is not None:
-        return UnknownNameError(
-            f"there is no source {shown(alias)} here",
-            span=span,
-            suggestions=nearest(alias, names) or names[:3],
-        )
-    if names:
-        told = ", ".join(f"{name}.this" for name in names)
-        return ArgumentError(f"'this' alone is ambiguous here; write one of {told}", span=span)
-    return UnknownNameError(
-        "there is no 'this' here: it is the element of a query's only source", span=span
-    )

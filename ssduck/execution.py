@@ -5,8 +5,9 @@ A program that fails leaves the variables as they were, and its error says where
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -15,8 +16,15 @@ from weakref import WeakKeyDictionary
 from ssduck.database import Database
 from ssduck.deferred import Deferred
 from ssduck.dialects import in_dialect
+from ssduck.doubts import Doubts
 from ssduck.entities import Entity
-from ssduck.errors import ArgumentError, EvaluationError, LimitError, SelectScriptError
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    LimitError,
+    ProgramWarning,
+    SelectScriptError,
+)
 from ssduck.evaluate import Frame
 from ssduck.explain import told
 from ssduck.intervals import RELATIONS_OF_INTERVALS, are_intervals
@@ -32,6 +40,10 @@ from ssduck.temporal import seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS
+from ssduck.world import World
+
+# A warning is of the line that runs the program.
+_ABOVE = 6
 
 
 class Execution(Names, ABC):
@@ -41,10 +53,20 @@ class Execution(Names, ABC):
         database: where queries run.
         limits: what programs may use.
         row_by_row: whether every query runs row by row in Python.
+        strict: whether what is probably a mistake is an error.
+
+    Attributes:
+        strict: as given; it may be set at any time.
     """
 
-    def __init__(self, database: Database, limits: Limits, *, row_by_row: bool) -> None:
+    def __init__(
+        self, database: Database, limits: Limits, *, row_by_row: bool, strict: bool = False
+    ) -> None:
         super().__init__(database)
+        self.strict = strict
+        self._doubts = Doubts(
+            self._value_or_none, self.is_function, lambda: self.worlds, self._recorded_names
+        )
         self._limits = limits
         self._planner = Planner(database, self, limits, row_by_row=row_by_row)
         self._over_time = OverTime()
@@ -80,10 +102,31 @@ class Execution(Names, ABC):
 
     def _valued(self, program: Program, frame: Frame) -> Any:
         value = None
+        if program.doubts:
+            self._tell(
+                ArgumentError(d.message, text=program.text, span=d.span) for d in program.doubts
+            )
         for node in program.statements:
             self.meter.step()
+            self._tell(self._doubts.found(program.text, node, frame.local))
             value = frame.value(node)
         return value
+
+    def _tell(self, doubts: Iterable[SelectScriptError]) -> None:
+        """Warn of what is probably a mistake, once; in strict interpreters it is an error."""
+        for doubt in doubts:
+            if self.strict:
+                raise doubt
+            if self._doubts.is_new(doubt):
+                warnings.warn(str(doubt), ProgramWarning, stacklevel=_ABOVE)
+
+    def _recorded_names(self, world: World) -> set[str]:
+        """The names of all entities that are kept of a world."""
+        try:
+            members = self._database.record_of(world).members
+        except SelectScriptError:  # nothing is kept of it
+            return set()
+        return {member.name for member in members.values()}
 
     # -- what a program becomes -------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from sqlglot import exp
 from ssduck import subqueries, tree
 from ssduck.arithmetic import arithmetic
 from ssduck.calls import call
-from ssduck.comparisons import COMPARISONS, comparison, membership, truth
+from ssduck.comparisons import COMPARISONS, comparison, likeness, membership, missing, truth
 from ssduck.dependencies import IMPURE, OVER_TIME, free_aliases, is_impure
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.lists import concatenation, indexed, list_of
@@ -186,6 +186,8 @@ class Expressions:
                 return call(self, node)
             case Unary(operator="NOT", operand=operand):
                 return SqlValue(exp.Not(this=wrapped(truth(self.value(operand)))), FLAG)
+            case Unary(operator="IS NULL", operand=operand):
+                return missing(self.value(operand))
             case Unary(operator=sign, operand=operand):
                 inner = self.number(operand)
                 if sign == "+":
@@ -273,6 +275,8 @@ class Expressions:
             return comparison(self.context, sign, left_value, right_value)
         if sign == "IN":
             return membership(self.context, left_value, right_value)
+        if sign == "LIKE":
+            return likeness(left_value, right_value)
         if sign == "+" and left_value.tag.type == right_value.tag.type == "text":
             joined = exp.DPipe(this=wrapped(left_value.sql), expression=wrapped(right_value.sql))
             return SqlValue(exp.paren(joined), TEXT)

@@ -217,7 +217,7 @@ class Hierarchy:
                 made.append(self._apart(path) if recursion.memorizes else self._rows(path))
             return Paths(made)
 
-        return self._clauses.arranged(found, lambda path: path[-1].frame, formed, limit)
+        return self._clauses.arranged(found, lambda path: path[-1].frame, formed, limit, outer)
 
     def _number(self, node: Node | None, what: str, outer: Frame) -> int | None:
         return None if node is None else checked_count(self._numbers[node](outer), what, node)

@@ -8,6 +8,7 @@ it is evaluated in Python on the rows that come back (`ssduck.queries`).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -16,10 +17,8 @@ from weakref import WeakKeyDictionary
 from ssduck.adapters import Adapter, find
 from ssduck.database import Database
 from ssduck.dependencies import aliases_of, sees_outside
-from ssduck.errors import (
-    ArgumentError,
-    UnknownNameError,
-)
+from ssduck.doubts import hides
+from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError
 from ssduck.evaluate import Frame
 from ssduck.execution import Execution
 from ssduck.forms import Form, form_of
@@ -55,6 +54,9 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         limits: what programs and SQL may use; for what comes from elsewhere,
             `Limits.strict()`.
         row_by_row: whether every query runs row by row in Python, to compare with.
+        strict: whether what is probably a mistake in a program (a name that no entity bears, a
+            variable that hides a function) is an error, and no `ProgramWarning`. The attribute
+            of that name may be set at any time.
         recording: what is kept of the ticks of each world, None for nothing; by default the
             entities at each tick, in memory those of the last 60 s, in a file all of them. See
             `record`.
@@ -67,6 +69,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         tracer: Callable[[str], None] | None = None,
         limits: Limits | None = None,
         row_by_row: bool = False,
+        strict: bool = False,
         recording: Recording | Literal["default"] | None = "default",
     ) -> None:
         limits = limits or Limits()
@@ -74,7 +77,10 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         if recording == "default":
             recording = Recording(seconds=KEPT) if database == ":memory:" else Recording()
         super().__init__(
-            Database(database, tracer, limits, recording), limits, row_by_row=row_by_row
+            Database(database, tracer, limits, recording),
+            limits,
+            row_by_row=row_by_row,
+            strict=strict,
         )
         self._own: list[World] = []
         self._selects: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
@@ -163,9 +169,14 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
             The value.
 
         Raises:
-            ArgumentError: the name cannot be a variable's, or a schema's.
+            ArgumentError: the name cannot be a variable's, or a schema's; in a strict
+                interpreter, it is a function's.
         """
         check_name(name, "a variable")
+        if self.is_function(name) and not self.has_variable(name):
+            if self.strict:
+                raise ArgumentError(hides(name))
+            warnings.warn(hides(name), ProgramWarning, stacklevel=2)
         with self._lock:
             if isinstance(value, World):
                 self._database.bind(name, value)

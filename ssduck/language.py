@@ -8,15 +8,17 @@ no database and no variable: names are looked up when a program runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
-from typing import ClassVar, NoReturn, TypeVar
+from typing import ClassVar
 
 from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
 from sqlglot.tokens import Tokenizer
 
-from ssduck.errors import ParseError, Span, nearest
+from ssduck.comments import last_opening, without_dashes
+from ssduck.cursor import LEVEL_OF, RESERVED, is_kind, is_word, span_of
+from ssduck.errors import ParseError, Span
+from ssduck.sql_forms import SqlForms
 from ssduck.tree import (
     Adapter,
     Aged,
@@ -39,11 +41,6 @@ from ssduck.tree import (
     Unary,
 )
 
-T = TypeVar("T")
-
-# Parsing and evaluating recurse; deeper programs than this get an error, not a crash.
-MAXIMUM_DEPTH = 60
-
 
 class SelectScriptTokenizer(Tokenizer):
     """sqlglot's tokenizer with SelectScript's quotes, comments and operators.
@@ -54,45 +51,17 @@ class SelectScriptTokenizer(Tokenizer):
     QUOTES: ClassVar[list[str | tuple[str, str]]] = ["'", '"']
     IDENTIFIERS: ClassVar[list[str | tuple[str, str]]] = []
     COMMENTS: ClassVar[list[str | tuple[str, str]]] = ["//", "#", ("/*", "*/")]
-    STRING_ESCAPES: ClassVar[list[str]] = ["\\"]
+    STRING_ESCAPES: ClassVar[list[str]] = ["\\", "'", '"']  # a quote is doubled, too
     KEYWORDS: ClassVar[dict[str, TokenType]] = {
         "==": TokenType.EQ,
         "!=": TokenType.NEQ,
         ">=": TokenType.GTE,
         "<=": TokenType.LTE,
+        "<>": TokenType.NEQ,
+        "||": TokenType.DPIPE,
+        "&&": TokenType.DAMP,
+        "::": TokenType.DCOLON,
     }
-
-
-# Loosest first; each level is left-associative.
-LEVELS: tuple[tuple[str, ...], ...] = (
-    ("OR",),
-    ("XOR",),
-    ("AND",),
-    ("NOT",),
-    ("IN",),
-    ("==",),
-    ("!=",),
-    (">=",),
-    (">",),
-    ("<=",),
-    ("<",),
-    ("+", "-"),
-    ("*", "/", "%"),
-    ("^",),
-)
-
-LEVEL_OF = {operator: level for level, operators in enumerate(LEVELS) for operator in operators}
-
-CLAUSES = frozenset(
-    (
-        *("SELECT", "FROM", "WHERE", "START", "WITH", "CONNECT", "BY", "STOP"),
-        *("NO", "CYCLE", "UNIQUE", "MEMORIZE", "MAXIMUM", "GROUP", "HAVING", "ORDER"),
-        *("ASC", "ASCENDING", "DESC", "DESCENDING", "LIMIT", "AS"),
-    )
-)
-OPERATOR_WORDS = ("OR", "XOR", "AND", "NOT", "IN")
-# These never begin an expression, so a name spelled so would be unreachable.
-RESERVED = frozenset((*OPERATOR_WORDS, "FROM", "WHERE", "SELECT", "AS"))
 
 
 def is_reserved(name: str) -> bool:
@@ -118,90 +87,22 @@ def parse(text: str) -> Program:
 
 def _tokenize(text: str) -> list[Token]:
     try:
-        return SelectScriptTokenizer().tokenize(text)
+        return SelectScriptTokenizer().tokenize(without_dashes(text))
     except TokenError as error:
         # The only thing that this tokenizer refuses is a text or a comment without an end.
         message = "a text or a comment is opened here and never closed"
-        span = Span(_last_opening(text), len(text))
+        span = Span(last_opening(text), len(text))
         raise ParseError(message, text=text, span=span) from error
 
 
-class _Parser:
+class _Parser(SqlForms):
     def __init__(self, text: str) -> None:
-        self.text = text
-        self.tokens = _tokenize(text)
-        self.index = 0
-        self.depth = 0
-
-    # -- tokens ---------------------------------------------------------------------------
-
-    @property
-    def token(self) -> Token | None:
-        return self.tokens[self.index] if self.index < len(self.tokens) else None
-
-    def ahead(self, offset: int = 1) -> Token | None:
-        index = self.index + offset
-        return self.tokens[index] if index < len(self.tokens) else None
-
-    def at(self, kind: TokenType) -> bool:
-        return self.token is not None and self.token.token_type == kind
-
-    def at_word(self, *words: str) -> bool:
-        return _is_word(self.token, *words)
-
-    def take(self, kind: TokenType) -> Token | None:
-        if not self.at(kind):
-            return None
-        self.index += 1
-        return self.tokens[self.index - 1]
-
-    def take_words(self, *words: str) -> bool:
-        """Take a run of keywords (`GROUP BY`), or nothing."""
-        if all(_is_word(self.ahead(offset), word) for offset, word in enumerate(words)):
-            self.index += len(words)
-            return True
-        return False
-
-    def expect(self, kind: TokenType, what: str) -> Token:
-        taken = self.take(kind)
-        if taken is None:
-            self.fail(f"expected {what}")
-        return taken
-
-    def expect_word(self, word: str) -> None:
-        if not self.take_words(word):
-            self.fail(f"expected {word}")
-
-    def expect_name(self, what: str) -> Token:
-        if self.token is not None and self.token.text.upper() in RESERVED:
-            self.fail(f"expected {what}")
-        return self.expect(TokenType.VAR, what)
-
-    def here(self) -> Span:
-        """The place of the current token; behind the text once that is used up."""
-        if self.token is None:
-            return Span(len(self.text.rstrip()), len(self.text.rstrip()) + 1)
-        return _span(self.token)
-
-    def since(self, start: Span) -> Span:
-        return Span(start.start, _span(self.tokens[self.index - 1]).end)
-
-    def fail(self, message: str) -> NoReturn:
-        token = self.token
-        found = "the end of the text" if token is None else repr(self.text[_slice(token)])
-        names = () if token is None else nearest(token.text, CLAUSES, 1)
-        known = token is not None and token.text.upper() in CLAUSES
-        raise ParseError(
-            f"{message}, found {found}",
-            text=self.text,
-            span=self.here(),
-            suggestions=() if known else names,
-        )
+        super().__init__(text, _tokenize(text))
 
     # -- statements -----------------------------------------------------------------------
 
     def program(self) -> Program:
-        explain = _is(self.ahead(), TokenType.VAR) and self.take_words("EXPLAIN")
+        explain = is_kind(self.ahead(), TokenType.VAR) and self.take_words("EXPLAIN")
         statements = []
         while self.token is not None:
             if self.take(TokenType.SEMICOLON):
@@ -209,7 +110,7 @@ class _Parser:
             statements.append(self.statement())
             if self.token is not None:
                 self.expect(TokenType.SEMICOLON, "';'")
-        return Program(self.text, tuple(statements), explain)
+        return Program(self.text, tuple(statements), explain, tuple(self.doubts))
 
     def statement(self) -> Node:
         self.descend()
@@ -227,19 +128,19 @@ class _Parser:
         if not self.at(TokenType.VAR):
             return False
         offset = 1
-        if _is(self.ahead(offset), TokenType.L_BRACE):
+        if is_kind(self.ahead(offset), TokenType.L_BRACE):
             depth = 0
             while token := self.ahead(offset):
-                depth += _is(token, TokenType.L_BRACE) - _is(token, TokenType.R_BRACE)
+                depth += is_kind(token, TokenType.L_BRACE) - is_kind(token, TokenType.R_BRACE)
                 offset += 1
                 if depth == 0:
                     break
         token = self.ahead(offset)
-        return _is(token, TokenType.EQ) and token is not None and token.text == "="
+        return is_kind(token, TokenType.EQ) and token is not None and token.text == "="
 
     def assignment(self) -> Assignment:
         start = self.here()
-        name = self.expect_name("a variable's name")
+        name = self.expect_own_name("a variable's name")
         horizon: Node | None = None
         opening = self.here()
         if self.take(TokenType.L_BRACE):
@@ -253,7 +154,7 @@ class _Parser:
 
     def plain_assignment(self, what: str) -> Assignment:
         """An assignment to what has no history."""
-        if _is(self.ahead(), TokenType.L_BRACE):
+        if is_kind(self.ahead(), TokenType.L_BRACE):
             self.index += 1
             self.fail(f"expected '=' ({what} has no history)")
         return self.assignment()
@@ -266,22 +167,29 @@ class _Parser:
     def query(self) -> Query:
         start = self.here()
         self.descend()
+        compares, self.compares = self.compares, False
+        is_listed, self.is_listed = self.is_listed, True
         self.expect_word("SELECT")
+        distinct = self.takes_distinct()
         star = self.at(TokenType.STAR)
-        items = () if self.take(TokenType.STAR) else self.separated(self.expression)
+        items = () if self.take(TokenType.STAR) else self.separated(self.item)
         if star and not self.at_word("FROM"):
             self.fail("expected FROM after *")
-        self.expect_word("FROM")
+        if not self.take_words("FROM"):
+            self.fail("expected FROM (a column is named by AS)")
+        self.is_listed = is_listed
         sources = self.separated(self.source)
-        where = self.expression() if self.take_words("WHERE") else None
+        self.is_listed = True
+        where = self.condition() if self.take_words("WHERE") else None
         recursion = self.recursion()
         group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
-        having = self.expression() if self.take_words("HAVING") else None
+        having = self.condition() if self.take_words("HAVING") else None
         order = self.separated(self.key) if self.take_words("ORDER", "BY") else ()
         limit = self.expression() if self.take_words("LIMIT") else None
         adapter = self.adapter() if self.take_words("AS") else None
         self.depth -= 1
-        return Query(
+        self.compares, self.is_listed = compares, is_listed
+        query = Query(
             self.since(start),
             items,
             sources,
@@ -292,23 +200,26 @@ class _Parser:
             order,
             limit,
             adapter,
+            distinct,
         )
-
-    def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
-        parts = [part()]
-        while self.take(TokenType.COMMA):
-            parts.append(part())
-        return tuple(parts)
+        self.note_condition(where)
+        self.note_condition(having)
+        self.note_keys(query)
+        return query
 
     def source(self) -> Source:
         start = self.here()
         alias = None
         if self.at_assignment():
-            alias = self.expect_name("a source's name").text
+            alias = self.expect_own_name("a source's name").text
             if self.at(TokenType.L_BRACE):
                 self.fail("expected '=' (a source has no history)")
             self.index += 1
+        is_listed, self.is_listed = self.is_listed, True
         value = self.query() if self.at_word("SELECT") else self.expression()
+        self.is_listed = is_listed
+        if alias is None:
+            alias = self.alias_behind(is_listed=is_listed)
         if alias is None and isinstance(value, Name | Aged):
             alias = value.name
         return Source(self.since(start), alias, value)
@@ -339,14 +250,14 @@ class _Parser:
         step = self.separated(self.state)
         if not self.take_words("STOP", "WITH"):
             self.fail("expected STOP WITH")
-        stop = self.expression()
+        stop = self.condition()
         return Recursion(
             self.since(start), initial, no_cycle, unique, memorizes, memorize, maximum, step, stop
         )
 
     def adapter(self) -> Adapter:
         start = self.here()
-        name = self.expect_name("the name of a result form").text
+        name = self.form_name()
         arguments: list[Node] = []
         named: list[Assignment] = []
         if self.take(TokenType.L_PAREN):
@@ -368,13 +279,6 @@ class _Parser:
         self.depth -= 1
         return node
 
-    def descend(self) -> None:
-        self.depth += 1
-        if self.depth > MAXIMUM_DEPTH:
-            raise ParseError(
-                f"nested deeper than {MAXIMUM_DEPTH} levels", text=self.text, span=self.here()
-            )
-
     def operation(self, loosest: int) -> Node:
         """Operators of the level `loosest` and tighter ones, by precedence climbing."""
         start = self.here()
@@ -385,21 +289,37 @@ class _Parser:
             left: Node = Unary(self.since(start), "NOT", operand)
         else:
             left = self.unary()
-        while (level := self.operator_level()) >= loosest:
-            operator = self.tokens[self.index].text.upper()
+        while (level := self.operator_level(left)) >= loosest:
+            if self.condition_level() >= 0:
+                left = self.conditioned(start, left)
+                continue
+            word = self.tokens[self.index].text.upper()
+            operator = {"<>": "!=", "=": "=="}.get(word, word)
             self.index += 1
-            right = self.operation(level + 1)
+            place = self.here()
+            right = self.members() if operator == "IN" else self.operation(level + 1)
+            self.note_chain(operator, (left, start, right, place))
             left = Binary(self.since(start), operator, left, right)
         return left
 
-    def operator_level(self) -> int:
-        """The level of the operator that comes next, -1 if none does."""
+    def operator_level(self, left: Node) -> int:
+        """The level of the operator that comes next, -1 if none does.
+
+        Args:
+            left: what is on its left side; a name is not compared by a single `=`.
+        """
         token = self.token
         if token is None or token.token_type == TokenType.STRING:
             return -1
         if token.token_type == TokenType.EQ and token.text == "=":
+            if self.compares and not isinstance(left, Name):
+                return LEVEL_OF["=="]
             self.fail("expected '==' to compare ('=' assigns)")
         operator = token.text.upper()
+        if (level := self.condition_level()) >= 0:
+            return level
+        if operator == "<>":
+            return LEVEL_OF["!="]
         return -1 if operator == "NOT" else LEVEL_OF.get(operator, -1)
 
     def unary(self) -> Node:
@@ -427,7 +347,7 @@ class _Parser:
             else:
                 self.expect(TokenType.DOT, "'.'")
                 key = self.expect_name("a key")
-                indices = (Literal(_span(key), key.text),)
+                indices = (Literal(span_of(key), key.text),)
             node = Index(self.since(start), node, indices)
         self.depth = depth
         return node
@@ -442,11 +362,13 @@ class _Parser:
         if self.take(TokenType.STRING):
             return Literal(start, token.text)
         if self.take(TokenType.L_PAREN):
+            is_listed, self.is_listed = self.is_listed, False
             node = self.statement()
+            self.is_listed = is_listed
             self.expect(TokenType.R_PAREN, "')'")
             return node
         if self.take(TokenType.L_BRACKET):
-            items = () if self.at(TokenType.R_BRACKET) else self.separated(self.statement)
+            items = () if self.at(TokenType.R_BRACKET) else self.parts()
             self.expect(TokenType.R_BRACKET, "']'")
             return ListOf(self.since(start), items)
         if self.take(TokenType.DOT) and (digits := self.take(TokenType.NUMBER)):
@@ -458,7 +380,9 @@ class _Parser:
         try:
             return int(text) if text.isdigit() else float(text)
         except ValueError:
-            raise ParseError(f"{text!r} is no number", text=self.text, span=_span(token)) from None
+            raise ParseError(
+                f"{text!r} is no number", text=self.text, span=span_of(token)
+            ) from None
 
     def word(self) -> Node:
         start = self.here()
@@ -470,68 +394,45 @@ class _Parser:
             return Literal(start, False)
         if self.take_words("THIS"):
             return This(start, None)
-        if self.at_word("IF") and _is(self.ahead(), TokenType.L_PAREN):
+        if self.begins_case():
+            return self.case()
+        if self.at_word("IF") and is_kind(self.ahead(), TokenType.L_PAREN):
             return self.choice()
         name = self.expect_name("an expression")
-        if self.at(TokenType.DOT) and _is_word(self.ahead(), "THIS"):
+        if self.at(TokenType.DOT) and is_word(self.ahead(), "THIS"):
             self.index += 2
             return This(self.since(start), name.text)
         if self.take(TokenType.L_PAREN):
-            arguments = () if self.at(TokenType.R_PAREN) else self.separated(self.statement)
+            of_all = self.of_all(name.text)
+            called = name.text
+            if of_all is not None:
+                arguments: tuple[Node, ...] = (of_all,)
+                called = called.lower()
+            else:
+                arguments = () if self.at(TokenType.R_PAREN) else self.parts()
             self.expect(TokenType.R_PAREN, "')'")
-            return Call(self.since(start), name.text, arguments, start)
+            return Call(self.since(start), called, arguments, start)
         if self.take(TokenType.L_BRACE):
             age = None if self.at(TokenType.R_BRACE) else self.expression()
             self.expect(TokenType.R_BRACE, "'}'")
             return Aged(self.since(start), name.text, age)
         return Name(start, name.text)
 
+    def parts(self) -> tuple[Node, ...]:
+        """Statements with commas between them, in brackets."""
+        is_listed, self.is_listed = self.is_listed, True
+        found = self.separated(self.statement)
+        self.is_listed = is_listed
+        return found
+
     def choice(self) -> If:
         start = self.here()
         self.index += 2
         condition = self.statement()
         self.expect(TokenType.SEMICOLON, "';' after the condition")
-        then = self.separated(self.statement)
+        then = self.parts()
         otherwise: tuple[Node, ...] = ()
         if self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
-            otherwise = self.separated(self.statement)
+            otherwise = self.parts()
         self.expect(TokenType.R_PAREN, "')'")
         return If(self.since(start), condition, then, otherwise)
-
-
-def _last_opening(text: str) -> int:
-    """Where the text or comment begins that is never closed."""
-    index = 0
-    while index < len(text):
-        closing = next(
-            (end for begin, end in _DELIMITERS.items() if text.startswith(begin, index)), None
-        )
-        if closing is None:
-            index += 1
-            continue
-        begin, index = index, index + (2 if closing == "*/" else 1)
-        while index < len(text) and not text.startswith(closing, index):
-            index += 2 if text[index] == "\\" and closing in ("'", '"') else 1
-        if index >= len(text) and closing != "\n":
-            return begin
-        index += len(closing)
-    return 0
-
-
-_DELIMITERS = {"'": "'", '"': '"', "/*": "*/", "//": "\n", "#": "\n"}
-
-
-def _is(token: Token | None, kind: TokenType) -> bool:
-    return token is not None and token.token_type == kind
-
-
-def _is_word(token: Token | None, *words: str) -> bool:
-    return token is not None and token.token_type == TokenType.VAR and token.text.upper() in words
-
-
-def _slice(token: Token) -> slice:
-    return slice(token.start, token.end + 1)
-
-
-def _span(token: Token) -> Span:
-    return Span(token.start, token.end + 1)

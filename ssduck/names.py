@@ -22,6 +22,7 @@ from ssduck.over_time import FORMS
 from ssduck.past import Past, past_of
 from ssduck.relations import Relation
 from ssduck.sources import within
+from ssduck.sql_habits import instead_of_name
 from ssduck.temporal import ValueHistory, aged, history_of, kept
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Node
@@ -58,13 +59,22 @@ class Names:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
+        instead = instead_of_name(name) if isinstance(name, str) else ""
         raise UnknownNameError(
-            f"there is no variable {shown(name)}", suggestions=nearest(name, self.names())
+            f"there is no variable {shown(name)}" + (f"; {instead}" if instead else ""),
+            suggestions=() if instead else nearest(name, self.names()),
         )
 
     def has_variable(self, name: str) -> bool:
         """Whether there is a variable of that name."""
         return name in self._variables
+
+    def is_function(self, name: str) -> bool:
+        """Whether there is a function, or a relation, of that name."""
+        return name in RELATIONS or name in self._functions
+
+    def _value_or_none(self, name: str) -> Any:
+        return self.variable(name) if self.has_variable(name) else None
 
     def names(self) -> list[str]:
         """The names of all variables and functions."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import islice
 from typing import Any
 
@@ -15,7 +17,23 @@ from ssduck.tree import Node
 MOST_BITS = 1_000_000
 MOST_ELEMENTS = 10_000_000
 
+
+def _is_like(text: Any, pattern: Any) -> bool:
+    """Whether a text is as a pattern says: `%` for any letters, `_` for any one."""
+    if not isinstance(text, str) or not isinstance(pattern, str):
+        raise TypeError
+    return _pattern(pattern).fullmatch(text) is not None
+
+
+@lru_cache(maxsize=256)
+def _pattern(pattern: str) -> re.Pattern[str]:
+    parts = {"%": ".*", "_": "."}
+    letters = "".join(parts.get(letter) or re.escape(letter) for letter in pattern)
+    return re.compile(letters, re.DOTALL)
+
+
 OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+    "LIKE": _is_like,
     "XOR": lambda left, right: bool(left) != bool(right),
     "IN": lambda left, right: left in right,
     "==": operator.eq,

@@ -11,6 +11,7 @@ from typing import Any
 
 from sqlglot import exp
 
+from ssduck.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.database import Database, Statement
 from ssduck.dependencies import (
     aliases_of,
@@ -77,7 +78,9 @@ class Planned:
         self._clauses: Clauses | None = None
         if plan.outputs is None:
             known = {node: self._column(output) for node, output in plan.known.items()}
-            compiler = Compiler(scope, known, plan.once, memorize=not is_impure(plan.query))
+            compiler = Compiler(
+                scope, known, plan.once, memorize=not is_impure(plan.query), query=plan.query
+            )
             self._clauses = Clauses(plan.rest, compiler)
 
     @property
@@ -343,11 +346,22 @@ class RowByRow:
             _constants(query, changing(query) | waiting, of_past=of_past),
             _constants(query, (changing(query) - states(query)) | waiting, of_past=of_past),
             memorize=not is_impure(query),
+            query=query,
         )
         hierarchical = query.recursion is not None
         conditions = () if query.where is None or hierarchical else (query.where,)
+        selected = [column.node for column in resolved.columns]
+        check_one_group(query, selected)
         rest = Rest(
-            resolved.columns, conditions, query.order, query.group, query.having, query.limit
+            resolved.columns,
+            conditions,
+            query.order,
+            query.group,
+            query.having,
+            query.limit,
+            is_one_group(query),
+            is_aggregated(query, selected),
+            query.distinct,
         )
         self._clauses = Clauses(rest, compiler)
         self._search: Hierarchy | None = None

@@ -56,7 +56,7 @@ def searched(
     """
     recursion = query.recursion
     assert recursion is not None
-    if recursion.unique or query.group or query.order:
+    if recursion.unique or query.group or query.order or query.having is not None:
         raise NotSqlError
     if not all(isinstance(column.name, str) for column in columns):
         raise NotSqlError

@@ -13,13 +13,13 @@ from functools import cmp_to_key
 from itertools import islice, product
 from typing import Any, TypeAlias
 
-from ssduck.dependencies import free_aliases
+from ssduck.aggregates import OfGroup, over_rows
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
-from ssduck.evaluate import Compiler, Frame, Thunk
-from ssduck.functions import AGGREGATES
+from ssduck.evaluate import Compiler, Frame
+from ssduck.keys import hashable
 from ssduck.messages import shown, unusable
 from ssduck.operators import apply, truth
-from ssduck.tree import Call, Given, Key, Node, Query
+from ssduck.tree import Key, Node
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,9 @@ class Rest:
         group: keys to group by.
         having: what every group must fulfil.
         limit: how many rows, or groups.
+        is_one_group: whether all rows are one group.
+        is_aggregated: whether a group gives one row.
+        distinct: whether what is equal is selected once.
     """
 
     columns: tuple[Column, ...]
@@ -90,6 +93,9 @@ class Rest:
     group: tuple[Node, ...] = ()
     having: Node | None = None
     limit: Node | None = None
+    is_one_group: bool = False
+    is_aggregated: bool = False
+    distinct: bool = False
 
 
 class Clauses:
@@ -104,9 +110,14 @@ class Clauses:
         self._rest = rest
         self._conditions = [compiler.condition(node) for node in rest.conditions]
         self.items = Items(rest.columns, compiler)
-        self._order = [(compiler.thunk(key.value), key) for key in rest.order]
+        of_rows = [k for k in rest.order if not rest.group or not over_rows(k.value)]
+        self._order = [(compiler.thunk(key.value), key) for key in of_rows]
         self._group = [(compiler.thunk(node), node) for node in rest.group]
-        self._having = None if rest.having is None else _Having(rest.having, compiler)
+        self._group_order: list[tuple[OfGroup, Key]] = []
+        if len(of_rows) < len(rest.order):
+            self._group_order = [(OfGroup(key.value, compiler), key) for key in rest.order]
+        self._having = None if rest.having is None else OfGroup(rest.having, compiler)
+        self._aggregated = _Aggregated(rest.columns, compiler) if rest.is_aggregated else None
         self._limit = None if rest.limit is None else compiler.thunk(rest.limit)
 
     def holds(self, frame: Frame) -> bool:
@@ -117,10 +128,13 @@ class Clauses:
         """What is selected of rows."""
         limit = self.count(outer)
         kept: Iterable[Frame] = filter(self.holds, rows) if self._conditions else rows
-        if limit is not None and not self._order and not self._group:
+        rest = self._rest
+        if limit is not None and not (
+            rest.order or rest.group or rest.is_one_group or rest.distinct
+        ):
             kept = islice(kept, limit)
-        found = list(kept)
-        return self.arranged(found, lambda row: row, self.items.rows, limit)
+        made = self._distinct if rest.distinct else self.items.rows
+        return self.arranged(list(kept), lambda row: row, made, limit, outer)
 
     def arranged(
         self,
@@ -128,6 +142,7 @@ class Clauses:
         row: Callable[[Any], Frame],
         made: Callable[[list[Any]], Selected],
         limit: int | None,
+        outer: Frame,
     ) -> Selected:
         """Rows or paths in their order, in their groups, as many as are wanted.
 
@@ -136,35 +151,66 @@ class Clauses:
             row: the frame that a key is evaluated in.
             made: makes what is selected of rows or paths.
             limit: how many, or how many groups.
+            outer: what is around the query.
         """
         if self._order:
-            found = self._sorted(found, row)
+            found = _sorted(
+                found, lambda entry: [key(row(entry)) for key, _ in self._order], self._order
+            )
         if not self._group:
-            return made(found[:limit])
+            return self._of_all(found, row, made, limit, outer)
         groups: dict[str, list[Any]] = {}
         for entry in found:
             frame = row(entry)
             key = ", ".join(printed(thunk(frame), node) for thunk, node in self._group)
             groups.setdefault(key, []).append(entry)
-        wanted = [
-            (key, entries)
-            for key, entries in groups.items()
-            if self._having is None or self._having([row(entry) for entry in entries])
-        ]
-        return Groups({key: made(entries) for key, entries in wanted[:limit]})
+        frames = {key: [row(entry) for entry in entries] for key, entries in groups.items()}
+        wanted = [key for key in groups if self._is_wanted(frames[key], outer)]
+        if self._group_order:
+            order = self._group_order
+            wanted = _sorted(wanted, lambda k: [key(frames[k], outer) for key, _ in order], order)
+        aggregated = self._aggregated
+        if aggregated is not None:
+            return Groups({key: aggregated.row(frames[key], outer) for key in wanted[:limit]})
+        return Groups({key: made(groups[key]) for key in wanted[:limit]})
 
-    def _sorted(self, found: list[Any], row: Callable[[Any], Frame]) -> list[Any]:
-        """By the keys; what has equal keys stays in its order."""
-        keyed = [(tuple(thunk(row(entry)) for thunk, _ in self._order), entry) for entry in found]
+    def _of_all(
+        self,
+        found: list[Any],
+        row: Callable[[Any], Frame],
+        made: Callable[[list[Any]], Selected],
+        limit: int | None,
+        outer: Frame,
+    ) -> Selected:
+        """What is selected of all rows or paths, where there are no groups, or one."""
+        if self._rest.is_one_group:
+            frames = [row(entry) for entry in found]
+            is_wanted = self._is_wanted(frames, outer)
+            if self._aggregated is not None:
+                return self._aggregated.row(frames, outer, is_there=is_wanted and limit != 0)
+            found = found if is_wanted else []
+        if not self._rest.distinct:
+            return made(found[:limit])
+        selected = made(found)
+        assert isinstance(selected, Rows)
+        names = selected.names[:limit] if isinstance(selected.names, list) else selected.names
+        return Rows(selected.values[:limit], names)
 
-        def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
-            for (_, key), a, b in zip(self._order, left[0], right[0], strict=True):
-                if truth(apply("!=", a, b, key.value.span), key.value):
-                    less = truth(apply("<", a, b, key.value.span), key.value)
-                    return -1 if less != key.descending else 1
-            return 0
+    def _is_wanted(self, rows: list[Frame], outer: Frame) -> bool:
+        """Whether HAVING holds of a group."""
+        if self._having is None or self._rest.having is None:
+            return True
+        return truth(self._having(rows, outer), self._rest.having)
 
-        return [entry for _, entry in sorted(keyed, key=cmp_to_key(compare))]
+    def _distinct(self, frames: list[Frame]) -> Rows:
+        """The rows of these frames, of equal ones the first."""
+        rows = self.items.rows(frames)
+        several = rows.names if isinstance(rows.names, list) else [rows.names] * len(frames)
+        first: dict[Any, tuple[Any, Any]] = {}
+        for names, values in zip(several, rows.values, strict=True):
+            first.setdefault(hashable([*names, *values]), (names, values))
+        kept = list(first.values())
+        return self.items.gathered([names for names, _ in kept], [values for _, values in kept])
 
     def count(self, outer: Frame) -> int | None:
         """How many rows, paths or groups are wanted; None for all."""
@@ -208,42 +254,42 @@ class Items:
         return Rows(values, self._fixed if fixed else names)
 
 
-def aggregates(having: Node) -> list[Call]:
-    """The calls in HAVING that are over all rows of a group."""
-    if isinstance(having, Query):
-        return []
-    match having:
-        case Call(name=name, arguments=(argument,)) if (
-            name in AGGREGATES and not isinstance(argument, Query) and free_aliases(argument)
-        ):
-            return [having]
-    return [call for child in having.children() for call in aggregates(child)]
+class _Aggregated:
+    """The selected columns as functions of the rows of a group."""
+
+    def __init__(self, columns: Sequence[Column], compiler: Compiler) -> None:
+        self._items = [OfGroup(column.node, compiler) for column in columns]
+        self._names = [
+            column.name if isinstance(column.name, str) else OfGroup(column.name, compiler)
+            for column in columns
+        ]
+        self._fixed = tuple(name for name in self._names if isinstance(name, str))
+
+    def row(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
+        """The row of a group; none where HAVING leaves it out."""
+        if not is_there:
+            return Rows([], self._fixed)
+        values = [tuple(item(frames, outer) for item in self._items)]
+        if len(self._fixed) == len(self._names):
+            return Rows(values, self._fixed)
+        names = tuple(n if isinstance(n, str) else n(frames, outer) for n in self._names)
+        return Rows(values, [names])
 
 
-class _Having:
-    """A condition on a group.
+def _sorted(
+    found: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, Key]]
+) -> list[Any]:
+    """By keys; what has equal keys stays in its order."""
+    keyed = [(keys_of(entry), entry) for entry in found]
 
-    An aggregate of what depends on a row is over all rows of the group; everything else is
-    that of the group's first row.
-    """
+    def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
+        for (_, key), a, b in zip(order, left[0], right[0], strict=True):
+            if truth(apply("!=", a, b, key.value.span), key.value):
+                less = truth(apply("<", a, b, key.value.span), key.value)
+                return -1 if less != key.descending else 1
+        return 0
 
-    def __init__(self, node: Node, compiler: Compiler) -> None:
-        self._aggregates: list[tuple[str, str, Thunk]] = []
-
-        given: dict[Node, Node] = {}
-        for call in aggregates(node):
-            name = f"aggregate {len(self._aggregates)}"
-            self._aggregates.append((name, call.name, compiler.thunk(call.arguments[0])))
-            given[call] = Given(call.span, name)
-        self._condition = compiler.condition(node.replaced(given.get))
-
-    def __call__(self, rows: list[Frame]) -> bool:
-        first = rows[0]
-        given = dict(first.given)
-        for name, function, argument in self._aggregates:
-            given[name] = AGGREGATES[function]([[argument(row) for row in rows]])
-        frame = Frame(first.scope, first.elements, first.local, given, first.columns, first.kept)
-        return self._condition(frame)
+    return [entry for _, entry in sorted(keyed, key=cmp_to_key(compare))]
 
 
 def checked_count(value: Any, what: str, node: Node) -> int:

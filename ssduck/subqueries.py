@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from sqlglot import exp
 
 from ssduck import tree
+from ssduck.aggregates import is_grouped
 from ssduck.comparisons import comparison
 from ssduck.dependencies import aliases_of, is_impure
 from ssduck.elements import (
@@ -313,7 +314,7 @@ def _form(query: Query) -> str:
 
 
 def _rows(around: Expressions, query: Query) -> Rows:
-    if query.recursion or query.group or query.having or is_impure(query):
+    if query.recursion or query.distinct or is_grouped(query) or is_impure(query):
         raise NotSqlError
     check_sources(query)
     aliases = aliases_of(query)
@@ -539,4 +540,4 @@ def _derived_element(
 
 def is_inline(node: Node) -> bool:
     """Whether a source may be a part of the statement rather than a value."""
-    return isinstance(node, Query) and node.recursion is None and not node.group
+    return isinstance(node, Query) and node.recursion is None and not is_grouped(node)

@@ -16,6 +16,7 @@ from typing import Literal
 from sqlglot import exp
 
 from ssduck import subqueries, tree
+from ssduck.aggregates import check_one_group, is_aggregated, is_one_group, over_rows
 from ssduck.dependencies import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
@@ -37,7 +38,8 @@ from ssduck.pairing import implied, joined, sides_of
 from ssduck.plan import Binding, Names, Output, Plan, Shape
 from ssduck.recursion import searched
 from ssduck.resolve import resolve
-from ssduck.rows import Rest, aggregates
+from ssduck.rows import Rest
+from ssduck.sql_habits import instead_of_name
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue
 from ssduck.tree import Binary, Call, Key, Node, Query, This
 from ssduck.types import INTEGER, Tag
@@ -110,17 +112,24 @@ class _Translator:
             self._pairs(node) or self._condition(node) for node in _conjuncts(self.query.where)
         ]
         left = [n for n, c in zip(_conjuncts(self.query.where), conditions, strict=True) if not c]
-        for column in self.selected:
-            self._item(column.node)
-            if isinstance(column.name, Node):
-                self._item(column.name)
+        selected = [column.node for column in self.selected]
+        names = [column.name for column in self.selected if isinstance(column.name, Node)]
+        aggregated = is_aggregated(self.query, selected)
+        check_one_group(self.query, selected)
+        for node in (*selected, *names):
+            if aggregated:
+                self._of_group(node)
+            else:
+                self._item(node)
         for node in self.query.group:
             self._item(node)
-        self._having()
+        if self.query.having is not None:
+            self._of_group(self.query.having)
         found = [condition for condition in conditions if condition is not None]
         found.extend(self._together())
         order, keys = self._order(found)
-        limit = self._limit(left=bool(left or keys))
+        one_group = is_one_group(self.query)
+        limit = self._limit(left=bool(left or keys or one_group or self.query.distinct))
         plan.rest = Rest(
             self.selected,
             tuple(left),
@@ -128,6 +137,9 @@ class _Translator:
             self.query.group,
             self.query.having,
             None if limit is not None else self.query.limit,
+            one_group,
+            aggregated,
+            self.query.distinct,
         )
         self._finish(
             self._select(found, order, limit),
@@ -279,24 +291,32 @@ class _Translator:
         except NotSqlError:
             self._leave(node)
 
-    def _having(self) -> None:
-        if self.query.having is None:
-            return
-        groups = aggregates(self.query.having)
-        for call in groups:
+    def _of_group(self, node: Node) -> None:
+        """A part of a group: what its aggregates are of are columns, if they can be."""
+        calls = over_rows(node)
+        for call in calls:
             self._item(call.arguments[0])
-        self._leave(self.query.having, but=groups)
+        if not calls:
+            self._item(node)
+        elif node not in calls:
+            self._leave(node, but=calls)
 
     def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[Key, ...]]:
         """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
         ordered: list[exp.Expr] = []
         left: tuple[Key, ...] = ()
+        of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
         try:
+            if of_groups:
+                raise NotSqlError
             ordered.extend(subqueries.ordered(self.sql, self.query.order))
         except NotSqlError:
             left = self.query.order
             for key in left:
-                self._item(key.value)
+                if of_groups:
+                    self._of_group(key.value)
+                else:
+                    self._item(key.value)
         # A scan keeps its order; a join, and be it with the row of parameters or with what a
         # nested query sees, need not.
         inline = any(not shape.given for shape in self.result.shapes)
@@ -344,7 +364,9 @@ class _Translator:
     ) -> exp.Select:
         plan = self.result
         dynamic = len(plan.names) < len(self.selected)
-        if plan.left or plan.once or plan.rest.group or dynamic:
+        rest = plan.rest
+        in_python = rest.group or rest.is_one_group or rest.distinct
+        if plan.left or plan.once or in_python or dynamic:
             for shape in plan.shapes:
                 value = self.sql.rows[shape.alias]
                 try:
@@ -395,7 +417,8 @@ class _Translator:
         """Leave a part to Python: fetch the largest parts of it that SQL can do."""
         if node in but:
             return
-        if self.sql.is_constant(node):
+        but = [part for part in but if part in node.walk()]
+        if not but and self.sql.is_constant(node):
             self.result.once.append(node)
             return
         if isinstance(node, Call) and node.name not in RELATIONS:
@@ -424,8 +447,11 @@ def _conjuncts(node: Node | None) -> Iterator[Node]:
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     """The error for a function that is not there."""
+    instead = instead_of_name(node.name)
+    near = nearest(node.name, known)
+    is_same = any(name.casefold() == node.name.casefold() for name in near)
     return UnknownNameError(
-        f"there is no function {shown(node.name)}",
+        f"there is no function {shown(node.name)}" + (f"; {instead}" if instead else ""),
         span=node.name_span,
-        suggestions=nearest(node.name, known),
+        suggestions=near if is_same or not instead else (),
     )

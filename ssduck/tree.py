@@ -135,7 +135,7 @@ class Index(Node):
 
 @dataclass(frozen=True, eq=False)
 class Unary(Node):
-    """`-x`, `+x`, `NOT x`."""
+    """`-x`, `+x`, `NOT x`; `x IS NULL`, whose operator is `IS NULL`."""
 
     operator: str
     operand: Node
@@ -225,12 +225,27 @@ class Query(Node):
     order: tuple[Key, ...] = ()
     limit: Node | None = None
     adapter: Adapter | None = None
+    distinct: bool = False
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What is probably a mistake, though it has a meaning.
+
+    Attributes:
+        span: where it is.
+        message: why, and what to write instead.
+    """
+
+    span: Span
+    message: str
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A parsed text: its statements in order."""
+    """A parsed text: its statements in order, and what in it is probably a mistake."""
 
     text: str
     statements: tuple[Node, ...]
     explain: bool = False
+    doubts: tuple[Doubt, ...] = ()

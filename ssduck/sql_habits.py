@@ -1,0 +1,96 @@
+"""What users of SQL write that the language has no word for, and what to write instead."""
+
+from __future__ import annotations
+
+_JOIN = "sources stand behind FROM with commas, what joins them in WHERE: FROM a=x, b=y WHERE …"
+_SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
+_COMPARE = "write (SELECT … AS list), and IN, min or max of it"
+_RAW = "that is SQL's alone: ask it of the tables, by ss.sql or ssduck query --sql"
+_MOST = "write LIMIT n behind ORDER BY"
+_CAST = "write int(x), float(x) or str(x)"
+_MISSING = "there is no word for nothing; write x IS NULL, or x IS NOT NULL"
+_INSTEAD = "write IF(x IS NULL; 0; x)"
+_TEXTS = "a text is compared as it is written; a part of it is found by 'part' IN text, or by LIKE"
+
+_INSTEAD_OF: dict[tuple[str, ...], str] = {
+    ("JOIN", "INNER", "LEFT", "RIGHT", "FULL", "OUTER", "CROSS", "NATURAL", "ON", "USING"): _JOIN,
+    ("UNION", "INTERSECT", "EXCEPT", "MINUS"): _SETS,
+    ("ANY", "SOME"): _COMPARE,
+    ("EXISTS",): "write [] != (SELECT … AS list)",
+    ("OFFSET", "SKIP"): "LIMIT n gives the first n rows; there is no OFFSET",
+    ("FETCH", "TOP", "FIRST"): _MOST,
+    ("NULLS",): "leave out the rows without a value: WHERE x IS NOT NULL",
+    ("QUALIFY", "WINDOW", "OVER", "PARTITION", "ROLLUP", "CUBE", "PIVOT", "LATERAL"): _RAW,
+    ("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"): _RAW,
+    ("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL"): _RAW,
+    ("WITH",): "name what a query gives: found = SELECT … AS list; SELECT … FROM found",
+    ("VALUES",): "write a list: FROM [[1, 2], [3, 4]]",
+    ("ILIKE", "GLOB", "SIMILAR", "REGEXP", "RLIKE", "ESCAPE", "COLLATE"): _TEXTS,
+    ("UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM", "STARTS_WITH"): _TEXTS,
+    ("CAST", "TRY_CAST", "CONVERT"): _CAST,
+    ("NULL", "NONE", "NIL"): _MISSING,
+    ("COALESCE", "IFNULL", "NVL"): _INSTEAD,
+    ("NULLIF",): "write IF(…; …; …)",
+    ("CONCAT",): "texts are joined by +",
+    ("LEN", "LENGTH"): "write count(list); a text's letters are counted in Python",
+    ("POWER",): "write pow(x, y) or x ^ y",
+    ("CEILING",): "write ceil(x)",
+    ("MEAN", "AVERAGE"): "write avg(x)",
+    ("ALL",): "leave ALL out: all rows are selected, unless DISTINCT is written",
+    ("DISTINCT",): "write SELECT DISTINCT x, without brackets, or uniq(x) in GROUP BY's queries",
+    ("WHEN", "THEN", "ELSE", "END"): "write CASE WHEN … THEN … ELSE … END, or IF(…; …; …)",
+    ("NOTNULL", "ISNULL"): "write x IS NOT NULL, or x IS NULL",
+    ("AND",): "a condition stands on both sides of AND",
+    ("IS",): "write x IS NULL, or == to compare",
+    ("!",): "write NOT",
+    ("&", "&&"): "write AND",
+    ("|", "||"): "write OR between conditions; texts are joined by +",
+    (":", "::"): _CAST,
+    ("`",): "names are written without quotes",
+    ("~", "~~"): "write LIKE",
+    ("{",): "no braces here; a world's past is kitchen{12.5}",
+    ("?", "$"): "values come in as variables: ss.add_variable('name', value)",
+}
+
+HABITS = {word: told for words, told in _INSTEAD_OF.items() for word in words}
+
+# The clauses behind FROM, in their order.
+ORDER = "WHERE, START WITH … CONNECT BY … STOP WITH, GROUP BY, HAVING, ORDER BY, LIMIT, AS"
+CLAUSES = frozenset(
+    ("FROM", "WHERE", "START", "CONNECT", "STOP", "GROUP", "HAVING", "ORDER", "LIMIT")
+)
+
+
+# What these words of SQL begin is no statement here.
+STATEMENTS = frozenset(
+    (
+        *("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"),
+        *("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL", "WITH", "TOP"),
+    )
+)
+# These are words of SQL wherever they are names.
+_NAMES = frozenset(
+    (
+        *("ANY", "SOME", "EXISTS", "NULL", "NONE", "NIL", "ALL", "DISTINCT", "CAST", "TRY_CAST"),
+        *("CONVERT", "COALESCE", "IFNULL", "NVL", "NULLIF", "CONCAT", "LEN", "LENGTH", "POWER"),
+        *("CEILING", "MEAN", "AVERAGE", "UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM"),
+        *("STARTS_WITH", "NOTNULL", "ISNULL"),
+    )
+)
+
+
+def instead_of_name(name: str) -> str:
+    """What to write instead of a name that nothing has; empty if it is no word of SQL."""
+    return HABITS[name.upper()] if name.upper() in _NAMES else ""
+
+
+def instead_of(word: str) -> str:
+    """What to write instead of a word or a sign of SQL; empty if it is none.
+
+    Args:
+        word: as it is written; case does not matter.
+    """
+    word = word.upper()
+    if word in CLAUSES:
+        return f"the clauses behind FROM stand in this order: {ORDER}"
+    return HABITS.get(word, "")
