@@ -16,7 +16,7 @@ from ssduck.broad import meeting
 from ssduck.colliding import Question, Sorts, pair_number
 from ssduck.errors import ArgumentError
 from ssduck.geometry import Array
-from ssduck.narrow import Narrow
+from ssduck.narrow import COLLIDES, Narrow
 from ssduck.relations import MOST_IDS
 from ssduck.solids import PlacedSolids
 
@@ -154,7 +154,7 @@ class Shapes:
             return True
         return False if self._narrow.is_known(i) and self._narrow.is_known(j) else None
 
-    def collides(self, a: int, b: int, deeper: float) -> bool | None:
+    def collides(self, a: int, b: int, deeper: float = COLLIDES) -> bool | None:
         """Whether they are deeper in each other, m.
 
         Raises:

@@ -85,7 +85,7 @@ HOLLOWS = {
     "cup": lambda r, wall: cup(r * 1.1, wall, 2 * r),
     "frame": lambda r, wall: tube(r * 1.5, wall, wall, sides=4),
     "profile": lambda r, _: profile(r),
-    "shell": lambda r, wall: shell(r, wall),
+    "shell": shell,
     "bowl": lambda r, _: bowl(r * 1.1),
 }
 
