@@ -31,10 +31,11 @@ from ssduck.geometry import (
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.pybullet_bodies import Description, describe, xyzw
+from ssduck.simulators.pybullet_bodies import Description, GivenShapes, Pose, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_frames import FramesReader
 from ssduck.simulators.pybullet_rays import cast_rays
+from ssduck.simulators.pybullet_saved import SavedShapes
 from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
 from ssduck.simulators.pybullet_ties import tie, ties_of
 
@@ -64,6 +65,7 @@ class PyBulletSimulator:
         names: names of the bodies that are there now by PyBullet body number, instead of those
             of the models.
         kinds: kinds of these bodies, instead of robot for what has movable joints.
+        shapes: of these bodies, those that the caller knows.
         filled: what else is known of them if ssduck put them there.
 
     Attributes:
@@ -79,6 +81,7 @@ class PyBulletSimulator:
         owned: bool,
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
+        shapes: Mapping[int, GivenShapes] | None = None,
         filled: Filled | None = None,
     ) -> None:
         self.client = client
@@ -87,6 +90,7 @@ class PyBulletSimulator:
         self.filled = filled or Filled()
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
+        self._given = dict(shapes or {})
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
         # Of hidden bodies: link, number among its visual shapes, colour.
@@ -121,15 +125,17 @@ class PyBulletSimulator:
             return None
         known = dict(zip(*self._listed, strict=True))
         kept = {h for h, tag in zip(handles, tags, strict=True) if known.get(h) == tag}
+        unknown = [handle for handle in handles if handle not in kept]
+        saved = SavedShapes(self.client, unknown)
         with captured():  # PyBullet mutters about shapes that it does not tell
-            new = self._call(lambda: {h: self._read(h) for h in handles if h not in kept})
+            new = self._call(lambda: {handle: self._read(handle, saved) for handle in unknown})
         _warn_of_guesses([one.body for one in new.values() if not one.exact])
         gone = [one.body for handle, one in self._known.items() if handle not in kept]
         self._forget(gone)
         self._known = {handle: self._known[handle] for handle in kept} | new
         self._listed = handles, self._call(lambda: self._tags_of(handles))
         # They were said of the bodies of that time, not of later ones of the same numbers.
-        self._names, self._kinds, self._described = {}, {}, True
+        self._names, self._kinds, self._given, self._described = {}, {}, {}, True
         self._begin_absent()
         return [one.body for one in new.values()], gone
 
@@ -185,9 +191,14 @@ class PyBulletSimulator:
         none = repeat(-1)
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
-    def _read(self, handle: int) -> Description:
+    def _read(self, handle: int, saved: SavedShapes) -> Description:
         read = self.filled.described.pop(handle, None) or describe(
-            self.client, handle, self._names.get(handle), self._kinds.get(handle)
+            self.client,
+            handle,
+            self._names.get(handle),
+            self._kinds.get(handle),
+            saved,
+            self._given.get(handle),
         )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return read

@@ -421,7 +421,8 @@ def _are_alike(some: Sequence[PlacedGeometry], others: Sequence[PlacedGeometry])
         turns = rotation_matrices(np.array([one.orientation, other.orientation]))
         # Of what is round only the axis counts, either way; of a sphere nothing.
         axes = {"sphere": 0, "cylinder": 1, "capsule": 1}.get(one.geometry.type, 3)
-        off = 1.0 - np.abs(np.einsum("ij,ij->j", *turns)[3 - axes :]).min(initial=1.0)
+        along = np.abs(np.einsum("ij,ij->j", *turns)[3 - axes :]).min(initial=1.0)
+        off = np.sqrt(max(2.0 - 2.0 * along, 0.0))  # as an angle
         apart = max(np.abs(sizes[0] - sizes[1]).max(), np.abs(one.position - other.position).max())
         if one.geometry.type != other.geometry.type or max(apart, off) > _SINGLE:
             return False

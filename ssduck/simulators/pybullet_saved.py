@@ -45,6 +45,8 @@ _POINTER = np.dtype("<u8")
 # In front of each block: its code, length, address in memory, structure, how many of these.
 _BLOCK = struct.Struct("<4siQii")
 _HEAD = 12
+# The first of the frictions by which links are told from each other: none has such a one.
+_FIRST_TAG = 2**50
 # What getDynamicsInfo tells of a link: where its friction is.
 _FRICTION = 1
 
@@ -113,7 +115,7 @@ class SavedShapes:
         ]
         frictions = [pybullet.getDynamicsInfo(*end, self._client)[_FRICTION] for end in links]
         try:
-            for tag, end in enumerate(links, 1):
+            for tag, end in enumerate(links, _FIRST_TAG):
                 pybullet.changeDynamics(
                     *end, lateralFriction=float(tag), physicsClientId=self._client
                 )
@@ -125,7 +127,10 @@ class SavedShapes:
                 )
         if data is None:
             return None
-        tags = {float(tag): (handle, link + 1) for tag, (handle, link) in enumerate(links, 1)}
+        tags = {
+            float(tag): (handle, link + 1)
+            for tag, (handle, link) in enumerate(links, _FIRST_TAG)
+        }
         return _File(data), tags
 
 
