@@ -91,14 +91,25 @@ class Result:
         return self._table
 
     def df(self) -> pd.DataFrame:
-        """As a pandas data frame; pandas must be installed."""
+        """As a pandas data frame.
+
+        Raises:
+            UnsupportedError: pandas is not installed, and how to install it.
+        """
+        from ssduck.adapters.optional import library
+
+        library("pandas", "pandas")
         return self._table.to_pandas()
 
     def pl(self) -> pl.DataFrame:
-        """As a polars data frame; polars must be installed."""
-        import polars as pl
+        """As a polars data frame.
 
-        return cast("pl.DataFrame", pl.from_arrow(self._table))
+        Raises:
+            UnsupportedError: polars is not installed, and how to install it.
+        """
+        from ssduck.adapters.optional import library
+
+        return cast("pl.DataFrame", library("polars", "polars").from_arrow(self._table))
 
     def __len__(self) -> int:
         return int(self._table.num_rows)
