@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import os
 import re
 import signal
@@ -29,7 +28,7 @@ from ssduck.answers import (
     print_line,
     print_table,
 )
-from ssduck.cli_records import episodes, export, is_record, opened_or_loaded, record
+from ssduck.cli_records import episodes, export, is_record, opened_or_loaded, record, whole_steps
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 
 if TYPE_CHECKING:
@@ -305,7 +304,7 @@ def query(
         if is_record(scene):
             raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
         description = find_scene(scene)
-        steps = steps if seconds is None else _whole_steps(seconds / description.timestep)
+        steps = steps if seconds is None else whole_steps(seconds, description.timestep)
     # What a program prints is not its answer.
     with opened_or_loaded(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
         if steps:
@@ -316,12 +315,6 @@ def query(
 
 for command in (record, export, episodes):
     app.command()(command)
-
-
-def _whole_steps(count: float) -> int:
-    if not math.isfinite(count):
-        raise typer.BadParameter("--seconds: that is too long")
-    return round(count)
 
 
 @app.command()

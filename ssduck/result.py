@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pyarrow as pa
 
+from ssduck import checks
+
 if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
@@ -75,7 +77,12 @@ class Result:
         return self.fetchmany(self._table.num_rows)
 
     def fetchmany(self, size: int = 1) -> list[tuple[Any, ...]]:
-        """The next rows, at most that many."""
+        """The next rows, at most that many.
+
+        Raises:
+            NumberError: that is no whole number, 0 or more.
+        """
+        size = checks.whole(size, "fetchmany: size", least=0)
         part = self._table.slice(self._fetched, size)
         self._fetched += part.num_rows
         columns = [values_of(column) for column in part.columns]
