@@ -7,20 +7,24 @@ a number is none.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Sequence
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 
-from ssduck.errors import ArgumentError, NumberError, nearest
+from ssduck.errors import ArgumentError, NumberError
 from ssduck.messages import shown
 
 # More steps than that take years: the number is a mistake.
 MOST_STEPS = 10**12
+# Pictures are at most that wide and high, pixels.
+MOST_PIXELS = 8192
 
 
-def whole(value: Any, what: str, *, least: int, most: int | None = None) -> int:
+def whole(
+    value: Any, what: str, *, least: int, most: int | None = None, kind: str | None = None
+) -> int:
     """A whole number within bounds, both included.
 
     Args:
@@ -28,6 +32,7 @@ def whole(value: Any, what: str, *, least: int, most: int | None = None) -> int:
         what: which argument of which function it is; the message begins with it.
         least: the lower bound.
         most: the upper bound; None for none.
+        kind: what the message says that it is not, in place of a number within these bounds.
 
     Raises:
         NumberError: it is no whole number, or not within the bounds.
@@ -35,7 +40,7 @@ def whole(value: Any, what: str, *, least: int, most: int | None = None) -> int:
     if is_whole(value) and least <= value and (most is None or value <= most):
         return int(value)
     bounds = f"{least} or more" if most is None else f"from {least} to {most:,}"
-    raise NumberError(f"{what}: {shown(value)} is no whole number, {bounds}")
+    raise NumberError(f"{what}: {shown(value)} is no {kind or f'whole number, {bounds}'}")
 
 
 def steps(value: Any, what: str, of_seconds: str) -> int:
@@ -57,6 +62,18 @@ def steps(value: Any, what: str, of_seconds: str) -> int:
     if value > MOST_STEPS:
         raise NumberError(f"{what}: {shown(int(value))} steps are more than {MOST_STEPS:,}")
     return int(value)
+
+
+def steps_in(seconds: float, timestep: float, what: str) -> int:
+    """How many steps of a length, s, a time is, rounded to the nearest number.
+
+    Raises:
+        NumberError: more than a simulation can run.
+    """
+    count = seconds / timestep + 0.5
+    if not count < MOST_STEPS:
+        raise NumberError(f"{what}: {seconds:g} s are more than {MOST_STEPS:,} steps")
+    return math.floor(count)
 
 
 def finite(value: Any, what: str, unit: str) -> float:
@@ -95,40 +112,35 @@ def positive(value: Any, what: str, kind: str) -> float:
     return number
 
 
-def flag(value: Any, what: str) -> bool:
-    """True or False.
+def picture_size(width: Any, height: Any, what: str) -> tuple[int, int]:
+    """The width and height of a picture, pixels.
 
     Raises:
-        ArgumentError: it is neither.
+        NumberError: one is no whole number, less than 1 or more than `MOST_PIXELS`.
     """
-    if not isinstance(value, bool | np.bool_):
+    sizes = (("width", width), ("height", height))
+    wide, high = (
+        whole(value, f"{what}: {name}", least=1, most=MOST_PIXELS) for name, value in sizes
+    )
+    return wide, high
+
+
+def flag(value: Any, what: str) -> bool:
+    """True or False; 1 and 0 stand for them.
+
+    Raises:
+        ArgumentError: it is none of these.
+    """
+    if not isinstance(value, bool | np.bool_) and not (is_whole(value) and value in (0, 1)):
         raise ArgumentError(f"{what}: {shown(value)} is not True or False")
     return bool(value)
 
 
-def text(value: Any, what: str) -> str:
-    """A text that is not empty.
-
-    Raises:
-        ArgumentError: it is none.
-    """
-    if not isinstance(value, str) or not value:
-        raise ArgumentError(f"{what}: {shown(value)} is no name; give a text")
-    return value
-
-
-def one_of(value: Any, choices: Collection[str], what: str) -> str:
-    """One of some texts.
-
-    Raises:
-        ArgumentError: it is none of them, with the nearest ones.
-    """
-    if not isinstance(value, str) or value not in choices:
-        listed = ", ".join(map(repr, choices))
-        raise ArgumentError(
-            f"{what}: {shown(value)} is none of {listed}", suggestions=nearest(value, choices)
-        )
-    return value
+def numbers(values: Any) -> bool:
+    """Whether these are real numbers in a list, a tuple or an array of one dimension."""
+    if isinstance(values, np.ndarray):
+        return values.ndim == 1 and values.dtype.kind in "iuf"
+    return isinstance(values, Sequence) and all(map(is_real, values))
 
 
 def _is_time(value: Any) -> bool:

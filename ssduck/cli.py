@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import os
 import re
 import signal
@@ -29,7 +28,7 @@ from ssduck.answers import (
     print_line,
     print_table,
 )
-from ssduck.cli_records import episodes, export, is_record, opened_or_loaded, record
+from ssduck.cli_records import episodes, export, is_record, opened_or_loaded, record, whole_steps
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 
 if TYPE_CHECKING:
@@ -173,7 +172,11 @@ def demo(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="The folder that pictures go to.", show_default="this folder"),
+        typer.Option(
+            "--out",
+            help="The folder that pictures and files go to, beside what is there.",
+            show_default="demo-NAME; of a scene this folder",
+        ),
     ] = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, help="Decides what is drawn by chance.")
@@ -209,19 +212,18 @@ def demo(
     if output is not None and (out is not None or not picture):
         other = "--no-picture" if out is None else "--out"
         raise typer.BadParameter(f"--output and {other} exclude each other")
-    folder = _made(out or Path())
     if name not in NAMES or name == "kitchen":
-        _ask_scene(name, folder, output, picture=picture, with_sql=sql)
-    elif output is not None or not picture or not sql:
+        folder = _made(out or Path()) if picture else None
+        _ask_scene(name, folder, output, with_sql=sql)
+        return
+    if output is not None or not picture or not sql:
         raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
-    elif not run_of(name)(folder, print_line, seed=seed):
+    if not run_of(name)(_made(out or Path(f"demo-{name}")), print_line, seed=seed):
         raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
 
 
-def _ask_scene(
-    name: str, folder: Path, output: Path | None, *, picture: bool, with_sql: bool
-) -> None:
-    """Show a scene by questions.
+def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql: bool) -> None:
+    """Show a scene by questions; its picture goes into a folder, if at all, or to a file.
 
     Raises:
         UnknownNameError: it is neither a scene nor, as it seems, meant to be one.
@@ -236,8 +238,7 @@ def _ask_scene(
         message = f"there is no demonstration {name!r}: {', '.join(NAMES)}; and {error.message}"
         names = dict.fromkeys((*nearest(name, NAMES), *error.suggestions))
         raise UnknownNameError(message, suggestions=tuple(names)) from error
-    target = (output or folder / f"{scene.name}.png") if picture else None
-    ask(scene, print_line, picture=target, with_sql=with_sql)
+    ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
 
 
 def _made(folder: Path) -> Path:
@@ -303,7 +304,7 @@ def query(
         if is_record(scene):
             raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
         description = find_scene(scene)
-        steps = steps if seconds is None else _whole_steps(seconds / description.timestep)
+        steps = steps if seconds is None else whole_steps(seconds, description.timestep)
     # What a program prints is not its answer.
     with opened_or_loaded(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
         if steps:
@@ -314,12 +315,6 @@ def query(
 
 for command in (record, export, episodes):
     app.command()(command)
-
-
-def _whole_steps(count: float) -> int:
-    if not math.isfinite(count):
-        raise typer.BadParameter("--seconds: that is too long")
-    return round(count)
 
 
 @app.command()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 import sys
 import threading
@@ -68,9 +67,7 @@ def record(
     from ssduck.scenes import find_scene
 
     description = find_scene(scene)
-    if not math.isfinite(seconds / description.timestep):
-        raise typer.BadParameter("--seconds: that is too long")
-    steps = round(seconds / description.timestep)
+    steps = whole_steps(seconds, description.timestep)
     recording = Recording(
         tables=tuple(tables or RECORDABLE),
         entities=None if entities is None else tuple(entities),
@@ -90,6 +87,16 @@ def record(
     if pressed.is_set():
         sys.stderr.write("interrupted: what was recorded until then is whole\n")
         raise typer.Exit(130)
+
+
+def whole_steps(seconds: float, timestep: float) -> int:
+    """How many steps of a scene that is; `--seconds` is told of if it is too long."""
+    from ssduck.checks import MOST_STEPS
+
+    count = seconds / timestep
+    if not count < MOST_STEPS:
+        raise typer.BadParameter("--seconds: that is too long")
+    return round(count)
 
 
 def _run(world: World, steps: int, pressed: threading.Event) -> None:

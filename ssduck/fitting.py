@@ -42,20 +42,23 @@ class Column:
     @property
     def natural(self) -> int:
         """The width at which nothing is folded or elided."""
-        return max(map(cell_len, (*self.head, *self.cells)), default=0)
+        widths: list[int] = list(map(cell_len, (*self.head, *self.cells)))
+        return max(widths, default=0)
 
     @property
     def foldable(self) -> int:
         """The width down to which it may be folded: no word is broken."""
         texts = (*self.head, *self.cells)
         words = (word for text in texts for word in ([text] if self.numeric else text.split()))
-        return max(min(self.natural, NARROWEST), *map(cell_len, words), 0)
+        widths: list[int] = [min(self.natural, NARROWEST), *map(cell_len, words)]
+        return max(widths)
 
     @property
     def elidable(self) -> int:
         """The width down to which it may be elided: numbers stay whole."""
         numbers = map(cell_len, self.cells) if self.numeric else ()
-        return max((min(self.natural, NARROWEST), *numbers))
+        widths: list[int] = [min(self.natural, NARROWEST), *numbers]
+        return max(widths)
 
 
 @dataclass(frozen=True)

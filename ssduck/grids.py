@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck import ros_maps
+from ssduck import checks, ros_maps
 from ssduck.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 Cells: TypeAlias = npt.NDArray[Any]
 Height: TypeAlias = float | tuple[float, float]
 
+# So many cells are a mistake, or too much for the memory of most machines.
+MOST_CELLS = 100_000_000
 # A picture for a notebook is at least that large, pixels.
 SHOWN = 400
 # From nothing over much to most: red, green, blue.
@@ -64,7 +66,15 @@ class Grid:
         return self.origin, tuple(upper)
 
     def centres(self, axis: int) -> npt.NDArray[np.float64]:
-        """The coordinates of the cells' centres along an axis, m."""
+        """The coordinates of the cells' centres along an axis, m.
+
+        Args:
+            axis: 0 for x, 1 for y, 2 for z.
+
+        Raises:
+            NumberError: the grid has no such axis.
+        """
+        axis = checks.whole(axis, "centres: axis", least=0, most=len(self.shape) - 1)
         steps: npt.NDArray[np.float64] = np.arange(self.shape[axis], dtype=np.float64) + 0.5
         return self.origin[axis] + steps * self.resolution
 
@@ -79,7 +89,8 @@ class Grid:
         """
         if len(point) != len(self.origin):
             raise ArgumentError(f"a point of this grid has {len(self.origin)} coordinates")
-        steps = (np.array(point) - self.origin) / self.resolution
+        given = [checks.finite(part, "at: a coordinate", "metres") for part in point]
+        steps = (np.array(given) - self.origin) / self.resolution
         if not ((steps >= 0.0) & (steps < self.shape)).all():
             raise ArgumentError(f"{list(point)} is not in the grid, which spans {self.bounds}")
         return self.cells[tuple(steps.astype(np.intp))].item()
@@ -216,6 +227,8 @@ class OccupancyGrid(Grid):
         Raises:
             ArgumentError: it is no such map, or is turned, or has cells that are unknown.
         """
+        if unknown is not None:
+            unknown = checks.flag(unknown, "load: unknown")
         return cls(*ros_maps.load(Path(path), unknown=unknown))
 
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
 
+from ssduck import checks
 from ssduck.adapters import Adapter, find
 from ssduck.database import Database
 from ssduck.dependencies import aliases_of, sees_outside
@@ -72,6 +74,13 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         strict: bool = False,
         recording: Recording | Literal["default"] | None = "default",
     ) -> None:
+        row_by_row = checks.flag(row_by_row, "Interpreter: row_by_row")
+        if not isinstance(limits, Limits | None):
+            raise ArgumentError(f"Interpreter: limits: {shown(limits)} is no Limits")
+        if not isinstance(database, str | PathLike):
+            raise ArgumentError(f"Interpreter: database: {shown(database)} is no path")
+        if not isinstance(recording, Recording | None) and recording != "default":
+            raise ArgumentError(f"Interpreter: recording: {shown(recording)} is no Recording")
         limits = limits or Limits()
         database = str(database)
         if recording == "default":
@@ -144,6 +153,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         Raises:
             SelectScriptError: as `eval` does.
         """
+        rows = checks.whole(rows, "show: rows", least=0)
         return Shown(self.eval(program), rows)
 
     def explain(self, program: str | Compiled) -> str:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from ssduck import checks
 from ssduck.errors import ArgumentError, StateError, UnknownNameError, nearest
 from ssduck.geometry import (
     Array,
@@ -24,6 +25,7 @@ from ssduck.geometry import (
     rotate,
     rotation_matrices,
 )
+from ssduck.messages import shown
 from ssduck.simulators import SETTABLE, Body, Frames, Joint, Motor
 
 Pose: TypeAlias = tuple[Array, Array]
@@ -53,12 +55,12 @@ def finite(values: Sequence[float], count: int, what: str) -> Array:
         StateError: they are not; it begins with `what`.
     """
     try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+        array = np.asarray(values if checks.numbers(values) else (), dtype=np.float64)
+    except OverflowError:  # a whole number beyond all floats
         array = np.zeros(0)
     if array.shape != (count,) or not np.isfinite(array).all():
-        shown = list(values) if isinstance(values, Sequence | np.ndarray) else values
-        raise StateError(f"{what}: expected {count} finite numbers, found {shown!r}")
+        found = list(values) if isinstance(values, np.ndarray) else values
+        raise StateError(f"{what}: expected {count} finite numbers, found {shown(found)}")
     return array
 
 
@@ -91,6 +93,7 @@ def positions_of(values: JointValues, body: Body, name: str) -> dict[int, float]
     """
     joints = {joint.name: joint for joint in body.joints}
     if not isinstance(values, Mapping):
+        _check_sequence(values, name)
         settable = [joint.name for joint in body.joints if joint.type in SETTABLE]
         if len(values) != len(settable):
             raise ArgumentError(
@@ -112,6 +115,11 @@ def motors_of(
     name: str,
 ) -> dict[int, Motor]:
     """What motors are to do, by the numbers of the links that they move; see `Entity.drive`."""
+    for values, what in ((velocities, "velocities"), (efforts, "efforts")):
+        if not isinstance(values, Mapping | None):
+            raise ArgumentError(
+                f"{name}: {what} are given by the joints' names, in a dict, not as {shown(values)}"
+            )
     joints = {joint.name: joint for joint in body.joints}
     places = positions_of(positions, body, name) if positions is not None else {}
     speeds = {
@@ -138,6 +146,15 @@ def motors_of(
         )
         for link in sorted(places.keys() | speeds.keys())
     }
+
+
+def _check_sequence(values: Any, name: str) -> None:
+    """Complain of what are no joint values in order."""
+    if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+        raise ArgumentError(
+            f"{name}: joint values are given in a list, or by the joints' names in a dict, not as "
+            f"{shown(values)}"
+        )
 
 
 def _bounded(value: float, joint: Joint, what: str, name: str) -> float:

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ssduck.errors import ArgumentError, LimitError
+from ssduck import checks
+from ssduck.errors import LimitError, NumberError
+from ssduck.messages import shown
 
 # So many rows, calls or paths are counted before the clock is looked at.
 _STRIDE = 8
@@ -37,8 +39,16 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("seconds", "rows", "memory", "depth"):
             value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not value > 0):
-                raise ArgumentError(f"limits: {name} is to be more than 0, not {value!r}")
+            if value is None and name != "depth":
+                continue
+            is_one = checks.is_real(value) if name == "seconds" else checks.is_whole(value)
+            if not is_one or not value > 0:
+                kind = "" if name == "seconds" else ", and a whole number"
+                raise NumberError(f"limits: {name} is to be more than 0{kind}, not {shown(value)}")
+        if self.seconds is not None:
+            object.__setattr__(self, "seconds", checks.as_float(self.seconds))
+        for name in ("eval", "files"):
+            object.__setattr__(self, name, checks.flag(getattr(self, name), f"limits: {name}"))
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:

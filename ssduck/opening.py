@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from ssduck import checks
 from ssduck.interpreter import Interpreter
 from ssduck.opened import chosen_runs, runs, world_of
 from ssduck.recording import Recording
@@ -62,7 +63,10 @@ def open_record(
     Raises:
         RecordError: there is no such record, it is damaged, of a newer version, or in use by
             another process.
+        NumberError: the episode is no whole number, 0 or more.
     """
+    if episode is not None:
+        episode = checks.whole(episode, "open: episode", least=0)
     interpreter = Interpreter(recording=None)
     database = interpreter._database  # noqa: SLF001  # records are read in it
     try:

@@ -10,14 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from ssduck import checks
 from ssduck.errors import ArgumentError, StateError
 from ssduck.geometry import Array, quaternion_of, rotation_matrices
 from ssduck.kinematics import pose_of
+from ssduck.messages import shown
 from ssduck.simulators import SETTABLE
 
 if TYPE_CHECKING:
@@ -84,11 +86,14 @@ class EntitySpellings:
         Raises:
             StateError: it is neither.
         """
-        given = np.asarray(transform, dtype=np.float64)
+        try:
+            given = np.asarray(transform, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            given = np.zeros(0)
         if given.shape == (4, 4):
             self.move(given[:3, 3], _quaternion(given[:3, :3], self.name))
         else:
-            position, orientation = pose_of(given.tolist(), self.name)
+            position, orientation = pose_of(cast("Sequence[float]", transform), self.name)
             self.move(position, orientation)
 
     def GetDOFValues(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
@@ -104,15 +109,18 @@ class EntitySpellings:
             ArgumentError: an index is none's, or there are too many values or too few.
         """
         if dofindices is None:
-            self.move(joints=list(values))
+            self.move(joints=values)
             return
+        if not (checks.numbers(values) and checks.numbers(dofindices)):
+            told = f"{shown(dofindices)} and {shown(values)}"
+            raise ArgumentError(f"{self.name}: indices and values are numbers in lists, not {told}")
         names = [joint.name for joint in _settable(self)]
         if len(dofindices) != len(values):
             raise ArgumentError(f"{self.name}: {len(dofindices)} indices, {len(values)} values")
         for index in dofindices:
-            if not 0 <= index < len(names):
+            if not checks.is_whole(index) or not 0 <= index < len(names):
                 raise ArgumentError(
-                    f"{self.name} has no joint {index}; it has {len(names)}, counted from 0"
+                    f"{self.name} has no joint {shown(index)}; it has {len(names)}, counted from 0"
                 )
         self.move(joints={names[i]: value for i, value in zip(dofindices, values, strict=True)})
 
@@ -193,6 +201,7 @@ class WorldSpellings:
 
     def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
         """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
+        options = checks.whole(options, "CloneSelf: options", least=0)
         world: World = self.excerpt(self if options & CLONE_BODIES else ())
         return world
 

@@ -6,10 +6,12 @@ a part of ssduck, so that there is nothing to load.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ssduck.errors import ArgumentError, nearest
+from ssduck.grids import MOST_CELLS
 from ssduck.messages import shown
 
 if TYPE_CHECKING:
@@ -57,12 +59,16 @@ class OccupancyGridMap:
             raise ArgumentError(f"occupancygridmap: {shown(command)}: {error}") from error
 
     def _set_translation(self, x: float, y: float, z: float) -> str:
+        if not all(map(math.isfinite, (x, y, z))):
+            raise ValueError("a corner has finite coordinates")
         self._corner = (x, y, z)
         return ""
 
     def _set_size(self, nx: float, ny: float, size: float) -> str:
-        if not (nx >= 1 and ny >= 1 and size > 0.0):
+        if not (nx >= 1 and ny >= 1 and 0.0 < size < math.inf):
             raise ValueError("there is a cell at least, and it is wider than 0 m")
+        if not (nx * ny <= MOST_CELLS and nx.is_integer() and ny.is_integer()):
+            raise ValueError(f"there are whole numbers of cells, {MOST_CELLS:,} at most")
         self._size = (int(nx), int(ny), size)
         return ""
 

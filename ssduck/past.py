@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from ssduck import checks
 from ssduck.entities import Entity, Moment
 from ssduck.errors import EvaluationError
+from ssduck.messages import shown
 from ssduck.past_world import PastWorld
 from ssduck.record import ROUNDING, Record, place_at
 from ssduck.world import World
@@ -120,7 +122,13 @@ class Past:
                 yield there.entity(self.id)
 
     def at(self, tick: int) -> PastWorld:
-        """The entities at one of the ticks."""
+        """The entities at one of the ticks, by its number.
+
+        Raises:
+            EvaluationError: it is none of them.
+        """
+        if not checks.is_whole(tick) or not self.first <= tick <= self.last:
+            raise EvaluationError(f"{shown(tick)} is none of the ticks {self.first} to {self.last}")
         return self.record.at(tick)
 
     def __getitem__(self, name: str) -> Entity:

@@ -6,7 +6,8 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ssduck.errors import ArgumentError, nearest
+from ssduck import checks
+from ssduck.errors import ArgumentError, NumberError, nearest
 from ssduck.layout import Member
 from ssduck.messages import shown
 
@@ -66,11 +67,17 @@ class Recording:
             object.__setattr__(self, "tables", ("entities", *self.tables))
         for name in ("every", "ticks"):
             value = getattr(self, name)
-            if value is not None and (type(value) is not int or value < 1):
-                raise ArgumentError(f"{name} is to be a whole number above 0, not {shown(value)}")
-        is_number = isinstance(self.seconds, int | float) and not isinstance(self.seconds, bool)
-        if self.seconds is not None and not (is_number and 0.0 < self.seconds < math.inf):
-            raise ArgumentError(f"seconds is to be a number above 0, not {shown(self.seconds)}")
+            if value is None and name == "ticks":
+                continue
+            if not checks.is_whole(value) or value < 1:
+                raise NumberError(f"{name} is to be a whole number above 0, not {shown(value)}")
+            object.__setattr__(self, name, int(value))
+        if self.seconds is not None:
+            seconds = checks.as_float(self.seconds)
+            if seconds is None or not 0.0 < seconds < math.inf:
+                raise NumberError(f"seconds is to be a number above 0, not {shown(self.seconds)}")
+            object.__setattr__(self, "seconds", seconds)
+        object.__setattr__(self, "changed", checks.flag(self.changed, "changed"))
 
     @property
     def is_bounded(self) -> bool:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pyarrow as pa
 
+from ssduck import checks
+
 if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
@@ -75,7 +77,12 @@ class Result:
         return self.fetchmany(self._table.num_rows)
 
     def fetchmany(self, size: int = 1) -> list[tuple[Any, ...]]:
-        """The next rows, at most that many."""
+        """The next rows, at most that many.
+
+        Raises:
+            NumberError: that is no whole number, 0 or more.
+        """
+        size = checks.whole(size, "fetchmany: size", least=0)
         part = self._table.slice(self._fetched, size)
         self._fetched += part.num_rows
         columns = [values_of(column) for column in part.columns]
@@ -91,14 +98,25 @@ class Result:
         return self._table
 
     def df(self) -> pd.DataFrame:
-        """As a pandas data frame; pandas must be installed."""
+        """As a pandas data frame.
+
+        Raises:
+            UnsupportedError: pandas is not installed, and how to install it.
+        """
+        from ssduck.adapters.optional import library
+
+        library("pandas", "pandas")
         return self._table.to_pandas()
 
     def pl(self) -> pl.DataFrame:
-        """As a polars data frame; polars must be installed."""
-        import polars as pl
+        """As a polars data frame.
 
-        return cast("pl.DataFrame", pl.from_arrow(self._table))
+        Raises:
+            UnsupportedError: polars is not installed, and how to install it.
+        """
+        from ssduck.adapters.optional import library
+
+        return cast("pl.DataFrame", library("polars", "polars").from_arrow(self._table))
 
     def __len__(self) -> int:
         return int(self._table.num_rows)

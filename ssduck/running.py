@@ -11,9 +11,11 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from numbers import Integral, Real
 from typing import Any, Literal, TypeAlias
 
+import numpy as np
+
+from ssduck import checks
 from ssduck.errors import ArgumentError
 from ssduck.messages import shown
 from ssduck.world import World
@@ -35,11 +37,10 @@ def run(
     every: int | None = None,
 ) -> None:
     """Run worlds for so much simulated time; the arguments are those of `World.run`."""
-    seconds = duration(seconds, "run: seconds")
+    seconds = checks.seconds(seconds, "run: seconds")
     speed = _speed(realtime)
-    is_count = isinstance(every, Integral) and not isinstance(every, bool) and every >= 1
-    if every is not None and not is_count:
-        raise ArgumentError(f"run: every: {shown(every)} is no number of steps; 1 or more")
+    if every is not None:
+        every = checks.whole(every, "run: every", least=1, kind="number of steps; 1 or more")
     period = every if speed is None or every is not None else speed / PICTURES
     lanes = [_Lane(world, seconds, period) for world in worlds]
     began = time.monotonic()
@@ -70,7 +71,7 @@ class _Lane:
         self._timestep = world.timestep
         if not self._timestep:
             world.step()  # refuses
-        self.total = math.floor(seconds / self._timestep + 0.5)
+        self.total = checks.steps_in(seconds, self._timestep, "run: seconds")
         self._done = 0
         self._period = period
         if isinstance(period, float):
@@ -94,33 +95,18 @@ class _Lane:
             self._done = goal
 
 
-def duration(seconds: Any, what: str) -> float:
-    """A time that is not negative.
-
-    Raises:
-        ArgumentError: it is none, and what it is for.
-    """
-    is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
-    if not is_number or not 0.0 <= seconds < math.inf:
-        raise ArgumentError(f"{what}: {shown(seconds)} is no time; seconds, 0 or more")
-    return float(seconds)
-
-
 def _speed(realtime: Any) -> float | None:
     """How many times as fast as the clock; None for as fast as can be."""
-    if isinstance(realtime, bool):
+    if isinstance(realtime, bool | np.bool_):
         return 1.0 if realtime else None
-    if not isinstance(realtime, Real) or not 0.0 < float(realtime) < math.inf:
-        raise ArgumentError(
-            f"run: realtime: {shown(realtime)} is no speed; True, or a number above 0"
-        )
-    return float(realtime)
+    return checks.positive(realtime, "run: realtime", "speed; True, or a number above 0")
 
 
 @contextmanager
 def _bar(seconds: float, lanes: int, progress: bool | str) -> Iterator[Watch | None]:
     """A bar on standard error, and who is to be told of seconds that were run; or nobody."""
-    if progress not in {True, False, "always"}:
+    is_flag = checks.is_whole(progress) and progress in (0, 1)
+    if not is_flag and not isinstance(progress, bool | np.bool_) and progress != "always":
         raise ArgumentError(f"run: progress: {shown(progress)} is none of True, False, 'always'")
     if not progress:
         yield None

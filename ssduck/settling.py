@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 from weakref import WeakKeyDictionary
 
+from ssduck import checks
 from ssduck.changes import bag, changed, copied, is_true, likeness, rows_of
 from ssduck.errors import ArgumentError, nearest
 from ssduck.messages import shown
-from ssduck.running import duration
 from ssduck.world import World
 
 When: TypeAlias = Literal["change", "rising", "falling"]
@@ -39,7 +39,7 @@ class Terms:
         if not isinstance(self.name, str) or not self.name:
             raise ArgumentError(f"add_trigger: name: {shown(self.name)} is no name; give a text")
         for name in ("interval", "debounce"):
-            seconds = duration(getattr(self, name), f"add_trigger: {name}")
+            seconds = checks.seconds(getattr(self, name), f"add_trigger: {name}")
             object.__setattr__(self, name, seconds)  # for good from here on
         if self.when not in get_args(When):
             raise ArgumentError(
@@ -48,12 +48,10 @@ class Terms:
             )
         if not isinstance(self.rows, bool):
             raise ArgumentError(f"add_trigger: rows: {shown(self.rows)} is not True or False")
-        queue = self.queue
-        is_size = isinstance(queue, int) and not isinstance(queue, bool) and queue >= 1
-        if queue is not None and not is_size:
-            raise ArgumentError(
-                f"add_trigger: queue: {shown(queue)} is no size; 1 or more, or None for none"
-            )
+        if self.queue is not None:
+            kind = "size; 1 or more, or None for none"
+            queue = checks.whole(self.queue, "add_trigger: queue", least=1, kind=kind)
+            object.__setattr__(self, "queue", queue)
 
 
 class Settling:

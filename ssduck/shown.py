@@ -6,6 +6,7 @@ import html
 from dataclasses import replace
 from typing import Any
 
+from ssduck import checks
 from ssduck.answers import Answer, answer_of, fitted, lines_of, readable, terminal_width
 from ssduck.fitting import Fitted
 
@@ -22,9 +23,13 @@ class Shown:
     Args:
         value: the rows: a list of dicts, say.
         rows: how many are shown at most.
+
+    Raises:
+        NumberError: that is no whole number, 0 or more.
     """
 
     def __init__(self, value: Any, rows: int = MOST_ROWS) -> None:
+        rows = checks.whole(rows, "show: rows", least=0)
         answer = answer_of(value)
         self._count = len(answer.rows)
         self._answer: Answer = replace(answer, rows=list(answer.rows)[:rows])

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
+from ssduck import checks
 from ssduck.deferred import Deferred
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.keys import plain
@@ -231,13 +232,9 @@ def seconds_of(value: Any, what: str = "an age") -> float:
     Raises:
         ArgumentError: it is no finite number.
     """
-    number = plain(value)
-    if isinstance(number, bool) or not isinstance(number, int | float):
+    seconds = checks.as_float(plain(value))
+    if seconds is None:
         raise ArgumentError(f"{what} is a number of seconds, not {shown(value)}")
-    try:
-        seconds = float(number)
-    except OverflowError:
-        seconds = math.inf
     if not math.isfinite(seconds):
         raise ArgumentError(f"{what} is a finite number of seconds, not {shown(value)}")
     return seconds

@@ -34,6 +34,7 @@ from ssduck.kinematics import (
     pose_of,
     positions_of,
 )
+from ssduck.messages import shown
 from ssduck.narrow import TOUCHES
 from ssduck.openrave import WorldSpellings
 from ssduck.scenes import Camera, Scene, SensorSpec
@@ -213,7 +214,20 @@ class World(Ticked, WorldSpellings):
         *,
         shadow: bool = True,
     ) -> npt.NDArray[np.uint8]:
-        """A colour picture of the simulation as it is now, (height, width, 3)."""
+        """A colour picture of the simulation as it is now, (height, width, 3).
+
+        Args:
+            width: pixels, 1 to 8192.
+            height: pixels, 1 to 8192.
+            camera: what it is seen by; by default the scene's.
+            shadow: whether things throw shadows.
+
+        Raises:
+            NumberError: the width or the height is no such number.
+            UnsupportedError: it is a what-if world, or a recorded one.
+        """
+        width, height = checks.picture_size(width, height, "render")
+        shadow = checks.flag(shadow, "render: shadow")
         with self.lock:
             return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
 
@@ -221,13 +235,14 @@ class World(Ticked, WorldSpellings):
         self, width: int = 960, height: int = 720, camera: Camera | None = None
     ) -> Indices:
         """What each pixel of that picture shows, (height, width): an entity's id; 0 for nothing."""
+        width, height = checks.picture_size(width, height, "segmentation")
         with self.lock:
-            shown = self._simulator.segment(camera or self.camera, width, height)
-            ids = np.zeros(int(shown.max(initial=-1)) + 2, dtype=np.intp)
+            seen = self._simulator.segment(camera or self.camera, width, height)
+            ids = np.zeros(int(seen.max(initial=-1)) + 2, dtype=np.intp)
             for member in self._members.listed:
                 if member.body is not None and member.body.handle < len(ids) - 1:
                     ids[member.body.handle] = member.id
-        return ids[shown]  # nothing is -1: the last one
+        return ids[seen]  # nothing is -1: the last one
 
     # -- what if --------------------------------------------------------------------------
 
@@ -354,8 +369,15 @@ class World(Ticked, WorldSpellings):
         )
 
     def entity(self, id: int) -> Entity:
-        """The handle of an entity that is there, by its id."""
-        member = self.snapshot.members[self.snapshot.rows[id]]
+        """The handle of an entity that is there, by its id.
+
+        Raises:
+            UnknownNameError: there is none of that id.
+        """
+        row = self.snapshot.rows.get(id) if checks.is_whole(id) else None
+        if row is None:
+            raise UnknownNameError(f"world {self.name!r} has no entity of the id {shown(id)}")
+        member = self.snapshot.members[row]
         return HANDLES[member.kind](self, id, member.name, member.kind)
 
     def __repr__(self) -> str:
@@ -401,7 +423,7 @@ class World(Ticked, WorldSpellings):
                 "position": _plain(position),
                 "orientation": _plain(orientation),
                 **({} if link is None else {"link": link}),
-                **settings,
+                **{key: _plain(value) for key, value in settings.items()},
             }
             member = self._members.add_sensor(type, host, name, values)
             assert member.sensor is not None
@@ -434,6 +456,7 @@ class World(Ticked, WorldSpellings):
             self._check_not_held()
             if sensor not in self:
                 raise sensor.removed()
+            on = checks.flag(on, "power: on")
             if on != self.snapshot.sensing.is_on(sensor.id):
                 self.snapshot.switch(sensor.id, on=on)
 
@@ -500,6 +523,7 @@ class World(Ticked, WorldSpellings):
         """Tie a body to a link that touches it, and take a tick; see `Entity.hold`."""
         with self.lock:
             self._check_not_held()
+            touching = checks.whole(touching, "hold: touching", least=1)
             body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
             number = 0 if link is None else link_of(body, link, entity.name)
             if self._simulator.are_tied(body, held):
@@ -538,10 +562,12 @@ class World(Ticked, WorldSpellings):
 
     def enable(self, entity: Entity, on: bool) -> None:
         """Let a body take part in collisions, or not, and take a tick."""
+        on = checks.flag(on, "enabled")
         self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
 
     def show(self, entity: Entity, on: bool) -> None:
         """Let a body be drawn, or not, and take a tick."""
+        on = checks.flag(on, "visible")
         self._change(entity, "show", lambda body: self._simulator.show(body, on))
 
     def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:
@@ -561,6 +587,9 @@ class World(Ticked, WorldSpellings):
         return entity.body_of(member, verb)
 
 
-def _plain(values: Any) -> Any:
-    """Numbers of an array or a sequence as a list, whatever they are."""
-    return values.tolist() if isinstance(values, np.ndarray) else list(values)
+def _plain(value: Any) -> Any:
+    """Numpy's numbers as Python's, and a sequence as a list; whatever else it is as it is."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    is_list = isinstance(value, Sequence) and not isinstance(value, str)
+    return [_plain(part) for part in value] if is_list else value

@@ -30,6 +30,8 @@ from ssduck.demos import (
 )
 from ssduck.demos.grid import Grid, free_cells, shortest_way
 from ssduck.demos.placing import Placing
+from ssduck.demos.results import keep
+from ssduck.errors import SelectScriptError
 
 
 def ssduck_(*arguments):
@@ -324,6 +326,51 @@ def test_maps_of_the_kitchen(tmp_path):
     assert sizes["near_roomba"] < sizes["kitchen"]
 
 
+@pytest.mark.parametrize("out", [[], ["--out", "together"]])
+def test_demonstrations_overwrite_nothing(tmp_path, monkeypatch, out):
+    """Neither what another one made nor a user's file; one that is run again finds its own."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "together" if out else tmp_path
+    folder.mkdir(exist_ok=True)
+    (folder / "kitchen.png").write_text("mine")
+    (folder / "near_roomba").mkdir()
+    contents = []
+    for name in ("kitchen", "map", "environment", "prolog") * 2:
+        result = (
+            ssduck_("demo", name, "--no-sql", *out)
+            if name == "kitchen"
+            else (ssduck_("demo", name, *out))
+        )
+        assert (result.exit_code, result.stderr) == (0, "")
+        found = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        for before in contents:
+            assert before.items() <= found.items()
+        contents.append(found)
+    assert contents[-1] == contents[3]  # the second round made nothing new
+    assert (folder / "kitchen.png").read_text() == "mine"
+    assert not any((folder / "near_roomba").iterdir())
+    pictures = folder if out else tmp_path / "demo-map"
+    assert (pictures / ("kitchen_3.png" if out else "kitchen.png")).is_file()
+
+
+def test_what_is_kept_beside_what_is_there(tmp_path):
+    def write(text):
+        return lambda path: (path.write_text(text), path.with_suffix(".other").write_text("o"))
+
+    target = tmp_path / "it.txt"
+    assert keep(target, write("a")) == target
+    assert keep(target, write("a")) == target
+    assert keep(target, write("b")) == tmp_path / "it_2.txt"
+    assert keep(target, write("c")) == tmp_path / "it_3.txt"
+    assert keep(target, write("b")) == tmp_path / "it_2.txt"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *("it.other", "it.txt", "it_2.other", "it_2.txt", "it_3.other", "it_3.txt")
+    ]
+    assert target.read_text() == "a"
+    with pytest.raises(SelectScriptError, match="cannot be written: No such file"):
+        keep(tmp_path / "no" / "it.txt", write("a"))
+
+
 ENGINES = [
     pytest.param(
         "SWI-Prolog", marks=pytest.mark.skipif(not shutil.which("swipl"), reason="no swipl")
@@ -359,3 +406,24 @@ def test_other_answers_are_told(tmp_path, monkeypatch):
     told = []
     assert not prolog.run(tmp_path, told.append, seed=0)
     assert "SelectScript says ['kitchen']" in told
+
+
+def test_without_an_engine_only_selectscript_answers(tmp_path, monkeypatch):
+    monkeypatch.setattr(prolog.shutil, "which", lambda _: None)
+    monkeypatch.setattr(prolog, "find_spec", lambda _: None)
+    result = ssduck_("demo", "prolog", "--out", str(tmp_path))
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "swipl" in result.stdout
+    assert "pip install clingo" in result.stdout
+    assert "X = cup_58a2, cup_905a" in result.stdout
+    assert "says the same" not in result.stdout  # nobody else was asked
+    assert (tmp_path / "kitchen.pl").is_file()
+
+
+def test_a_prolog_that_fails_is_told_of(tmp_path, monkeypatch, write):
+    broken = write("bin/swipl", "#!/bin/sh\necho no library >&2\nexit 3\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("PATH", str(broken.parent), prepend=":")
+    result = ssduck_("demo", "prolog", "--out", str(tmp_path))
+    assert result.exit_code == 1
+    assert "error: swipl failed: no library" in result.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -45,6 +46,67 @@ def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out.strip()
     for shown in blocks("text").get(page, ()):
         assert shown.strip() in printed
+
+
+# What README's first command does not install; `python` runs a text without it.
+EXTRAS = ("clingo", "coal", "hypothesis", "matplotlib", "networkx", "pandas", "polars", "pydot")
+BARE = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {EXTRAS}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Missing())
+"""
+
+
+def run_bare(text, folder):
+    """Run Python without the extras, in a process of its own: its output, or its last words."""
+    done = subprocess.run(
+        [sys.executable, "-c", BARE + text],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_readme_runs_as_its_first_command_leaves_it(tmp_path):
+    """Without pandas and other extras; and once more in the same folder."""
+    text = "\n".join(blocks("python")["README.md"])
+    for _ in range(2):
+        run_bare(text, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("call", "extra"),
+    [
+        ("ss.sql('SELECT 1').df()", "pandas"),
+        ("ss.sql('SELECT 1').pl()", "polars"),
+        ("ss.eval('SELECT this FROM [1] AS df;')", "pandas"),
+        ("ss.eval('SELECT this FROM [1] AS polars;')", "polars"),
+        ("ss.eval('SELECT this FROM [1] AS table;').df()", "pandas"),
+    ],
+)
+def test_a_library_that_is_missing_is_named(tmp_path, call, extra):
+    told = run_bare(
+        f"""
+import ssduck
+with ssduck.Interpreter() as ss:
+    try:
+        {call}
+    except ssduck.SelectScriptError as error:
+        print(type(error).__name__, error)
+""",
+        tmp_path,
+    )
+    assert told.startswith("UnsupportedError "), told
+    assert f"pip install 'ssduck[{extra}]'" in told
+    assert len(told.splitlines()) == 1 or "^" in told.splitlines()[-1]
 
 
 SHOWN = re.compile(r"^;?[ \t]*\n?[ \t]*# -> (.*)")

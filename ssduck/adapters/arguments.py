@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ssduck import checks
 from ssduck.errors import ArgumentError
 from ssduck.messages import shown
 
@@ -17,11 +18,12 @@ def number(value: Any, what: str) -> float:
     Raises:
         ArgumentError: it is none.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+    found = checks.as_float(value)
+    if found is None:
         raise ArgumentError(f"{what} is a number, not {shown(value)}")
-    if not math.isfinite(value):
+    if not math.isfinite(found):
         raise ArgumentError(f"{what} is a finite number, not {shown(value)}")
-    return float(value)
+    return found
 
 
 def numbers(values: Any, count: int, what: str, form: str) -> list[float]:
@@ -55,6 +57,6 @@ def whole(value: Any, what: str, least: int, most: int) -> int:
     Raises:
         ArgumentError: it is none.
     """
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+    if not checks.is_whole(value) or not least <= value <= most:
         raise ArgumentError(f"{what} is a whole number from {least} to {most}, not {shown(value)}")
-    return value
+    return int(value)

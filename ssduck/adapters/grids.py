@@ -15,7 +15,7 @@ from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.entities import Entity, Sensor
 from ssduck.errors import ArgumentError
 from ssduck.geometry import Array, rotation_matrices
-from ssduck.grids import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
+from ssduck.grids import MOST_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.messages import shown
 from ssduck.rasters import ROUNDED, Raster
 from ssduck.sensors import SENSOR_TYPES
@@ -24,7 +24,6 @@ from ssduck.slicing import Slicer
 from ssduck.solids import PlacedSolids
 from ssduck.tree import Bare, Call, Name, Query, This
 
-MOST_CELLS = 100_000_000
 # Cells that sensors look at together.
 _TOGETHER = 1_000_000
 # Bounds that are not given are rounded outward to that, m, as in the tutorial.

@@ -12,6 +12,7 @@ from ssduck.adapters.arguments import positive, whole
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.shapes import SHAPES, shapes_of
+from ssduck.checks import MOST_PIXELS
 from ssduck.errors import ArgumentError
 from ssduck.highlight import highlighted
 from ssduck.point_cloud import PointCloud, sampled
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 # glTF has y up, and looks along -z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
-_MOST_PIXELS = 8192
 
 
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
@@ -90,7 +90,7 @@ def _glb(selection: Selection, path: Any) -> str:
 
 
 def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.Image:
-    size = whole(width, "width", 1, _MOST_PIXELS), whole(height, "height", 1, _MOST_PIXELS)
+    size = whole(width, "width", 1, MOST_PIXELS), whole(height, "height", 1, MOST_PIXELS)
     return highlighted(selection.world, selection.entities, *size)
 
 

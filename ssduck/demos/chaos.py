@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ssduck.answers import Answer, lines_of
-from ssduck.demos.drawing import save
+from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
     from ssduck.geometry import Array
@@ -111,8 +111,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
         say(f"Out of the box: {', '.join(escaped) or 'nobody'}")
         drift = max(abs(value / energies[0] - 1) for value in energies.values())
         say(f"The energy is never farther than {drift:.1%} from what it was")
-        save(_picture(Image.fromarray(chaos.render(720, 540)), rows), folder / "chaos.png")
-    say(f"The end, and collisions by second: {folder / 'chaos.png'}")
+        end = _picture(Image.fromarray(chaos.render(720, 540)), rows)
+    say(f"The end, and collisions by second: {keep_picture(end, folder / 'chaos.png')}")
     return same and not escaped and drift < DRIFT
 
 

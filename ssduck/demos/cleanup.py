@@ -17,6 +17,7 @@ import numpy as np
 
 from ssduck.demos.cleaner import Cleaner, Failed
 from ssduck.demos.kitchen import on
+from ssduck.demos.results import keep_picture
 from ssduck.entities import Entity
 from ssduck.geometry import Array
 from ssduck.interpreter import Interpreter
@@ -197,11 +198,9 @@ class _Story:
         """Write a picture of the simulation as it is."""
         if self.folder is None:
             return
-        from PIL import Image
-
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"cleanup_{self._pictures}_{name}.png"
-        Image.fromarray(self.world.render(800, 600, VIEW)).save(path)
+        picture = self.world.render(800, 600, VIEW)
+        path = keep_picture(picture, self.folder / f"cleanup_{self._pictures}_{name}.png")
         self._pictures += 1
         self.say(f"picture: {path}")
 

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image
 
-from ssduck.demos.drawing import save
+from ssduck.demos.results import keep, keep_picture
 from ssduck.scenes import Camera
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
         near: World = ss.eval(NEAR)
         copy: World = ss.eval(ALL)
         say(f"{len(near)} of {len(kitchen)} entities: {', '.join(e.name for e in near)}")
-        save(Image.fromarray(near.render(640, 480, CAMERA)), folder / "environment.png")
+        picture = keep_picture(near.render(640, 480, CAMERA), folder / "environment.png")
         before = _heights(near)
         steps = round(SECONDS / kitchen.timestep)
         for world in (kitchen, near, copy):
@@ -53,15 +52,15 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
         free = 9.81 * kitchen.timestep**2 * steps * (steps + 1) / 2
         found = _falls(before, _heights(near), free, say)
         found &= _are_alike(kitchen, copy, say)
-        saved = near.save(folder / "near_roomba")
-        again = load(saved).call_variable("kitchen")
+        saved = keep(folder / "near_roomba", near.save)
+        again = load(saved / "scene.toml").call_variable("kitchen")
         then = _heights(again)
         same = all(abs(then[name] - z) < ALIKE for name, z in _heights(near).items())
         say(f"Saved as {saved}; loaded again, bodies are where they were: {same}")
         for world in (near, copy, again):
             world.close()
         kitchen.step()
-    say(f"What was cut out: {folder / 'environment.png'}")
+    say(f"What was cut out: {picture}")
     return found and same
 
 

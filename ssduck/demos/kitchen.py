@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ssduck.answers import answer_of, console_of_answers, fitted, readable
 from ssduck.demos.drawing import save
+from ssduck.demos.results import keep_picture
 from ssduck.scenes import Scene, find_scene, shipped_scenes
 
 if TYPE_CHECKING:
@@ -151,19 +152,26 @@ def questions(scene: Scene) -> tuple[Question, ...]:
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
     """Ask the kitchen the tutorial's questions, and draw it; nothing of it is by chance."""
-    ask(find_scene("kitchen"), say, picture=folder / "kitchen.png")
+    ask(find_scene("kitchen"), say, folder=folder)
     return True
 
 
 def ask(
-    scene: Scene, say: Callable[[str], None], *, picture: Path | None, with_sql: bool = True
+    scene: Scene,
+    say: Callable[[str], None],
+    *,
+    folder: Path | None = None,
+    picture: Path | None = None,
+    with_sql: bool = True,
 ) -> None:
     """Ask a scene the questions that there are for it, and draw it.
 
     Args:
         scene: what is asked.
         say: writes lines.
-        picture: where the picture goes, in the format of its ending; None draws nothing.
+        folder: gets a picture that is called like the scene, beside what is there; None for none.
+        picture: the file that the picture goes to instead, in the format of its ending; what is
+            there is replaced.
         with_sql: whether to show the SQL that programs become.
 
     Raises:
@@ -182,9 +190,13 @@ def ask(
             # Padding at the ends of lines is in the way of those who copy or compare them.
             say(re.sub(r" +$", "", captured.get(), flags=re.MULTILINE))
         say(f"{len(asked)} questions in {taken:.2f} s")
+        drawn = ss.call_variable(scene.name).render() if picture or folder else None
+    if drawn is not None:
         if picture is not None:
-            save(ss.call_variable(scene.name).render(), picture)
-            say(f"The scene is drawn in {picture}")
+            save(drawn, picture)
+        elif folder is not None:
+            picture = keep_picture(drawn, folder / f"{scene.name}.png")
+        say(f"The scene is drawn in {picture}")
 
 
 def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql: bool) -> float:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ssduck.demos.drawing import save
+from ssduck.demos.results import keep, keep_picture
 
 if TYPE_CHECKING:
     from ssduck.grids import OccupancyGrid
@@ -32,24 +32,22 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
     """Make the maps, save and load them, and check them."""
     from ssduck.opening import load
 
-    found = True
+    found, pictures = True, []
     with load("kitchen") as ss:
         for name, program in (("kitchen", ALL), ("near_roomba", NEAR)):
             say(program)
             grid: OccupancyGrid = ss.eval(program)
             say(_told(grid))
-            target = grid.save(folder / f"{name}.yaml")
+            target = keep(folder / f"{name}.yaml", grid.save)
             same = type(grid).load(target) == grid
             told = "the same" if same else "another one"
             say(f"Saved as {target} and its picture; loaded again it is {told}")
             picture = grid.image()
-            save(
-                picture.resize((picture.width * TIMES, picture.height * TIMES)),
-                folder / f"{name}.png",
-            )
+            larger = picture.resize((picture.width * TIMES, picture.height * TIMES))
+            pictures.append(str(keep_picture(larger, folder / f"{name}.png")))
             found &= same and bool(np.asarray(grid).any()) and not np.asarray(grid).all()
         found &= _legs(ss.eval(ALL), say)
-    say(f"The maps: {folder / 'kitchen.png'}, {folder / 'near_roomba.png'}")
+    say(f"The maps: {', '.join(pictures)}")
     return found
 
 

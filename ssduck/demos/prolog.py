@@ -7,15 +7,22 @@ answers have to be those of the same questions in SelectScript.
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
+
+from ssduck.demos.results import keep
+from ssduck.errors import SelectScriptError
+from ssduck.messages import reason
 
 if TYPE_CHECKING:
     from ssduck.interpreter import Interpreter
+
+Question: TypeAlias = tuple[str, str, str, str]
+Engine: TypeAlias = "Callable[[Interpreter, Path, Question], Sequence[str]]"
 
 CLAUSES = """\
 SELECT above(a.this, b.this), isEnabled(a.this), volume(a.this), position(a.this),
@@ -25,7 +32,7 @@ WHERE NOT (isSensor(a.this) OR isSensor(b.this))
 AS {};"""
 
 # A question in Prolog, what it finds, the same as a rule of an answer set, and in SelectScript.
-QUESTIONS = (
+QUESTIONS: tuple[Question, ...] = (
     (
         "above(table, X)",
         "X",
@@ -50,59 +57,69 @@ SCALE = 1_000_000
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
-    """Write the clauses, ask, and compare."""
+    """Write the clauses, ask, and compare; without an engine only SelectScript is asked."""
     from ssduck.opening import load
 
     with load("kitchen") as ss:
-        engine, ask = ("SWI-Prolog", _prolog) if shutil.which("swipl") else ("clingo", _clingo)
-        if engine == "clingo" and not _has_clingo():
-            say("Neither SWI-Prolog (swipl) nor clingo (pip install clingo) is here to be asked")
-            return False
         say(CLAUSES.format("prolog"))
         clauses: list[str] = ss.eval(CLAUSES.format("prolog"))
-        target = folder / "kitchen.pl"
-        target.write_text("".join(f"{clause}.\n" for clause in clauses))
+        text = "".join(f"{clause}.\n" for clause in clauses)
+        target = keep(folder / "kitchen.pl", lambda path: path.write_text(text, encoding="utf-8"))
         ss.add_variable("table", ss.call_variable("kitchen")["table"])
         say("\n".join([*clauses[:9], "…", f"{len(clauses)} clauses, all in {target}"]))
-        say(f"The questions are put to {engine}")
+        engine = _engine(say)
         found = True
-        for number, question in enumerate(QUESTIONS):
-            answers = sorted(ask(ss, target, number))
+        for question in QUESTIONS:
             expected = sorted(ss.eval(question[3]))
+            answers = expected if engine is None else sorted(engine(ss, target, question))
             say(f"?- {question[0]}.\n   {question[1]} = {', '.join(answers)}")
-            say(f"SelectScript says {'the same' if answers == expected else expected}")
+            if engine is not None:
+                say(f"SelectScript says {'the same' if answers == expected else expected}")
             found &= answers == expected and bool(answers)
     return found
 
 
-def _prolog(_: Interpreter, target: Path, number: int) -> Sequence[str]:
-    """The answers of SWI-Prolog, which reads the file."""
-    asked, variable, *_others = QUESTIONS[number]
-    goal = (
-        f"use_module(library(http/json)), findall({variable}, ({asked}), L), "
-        "json_write(current_output, L), halt"
+def _engine(say: Callable[[str], None]) -> Engine | None:
+    """What can be asked here; None if nothing can, and what to install."""
+    if shutil.which("swipl"):
+        say("The questions are put to SWI-Prolog")
+        return _prolog
+    if find_spec("clingo"):
+        say("The questions are put to clingo")
+        return _clingo
+    say(
+        "Neither SWI-Prolog (the program swipl, https://www.swi-prolog.org) nor clingo "
+        "(pip install clingo) is here to be asked: these are SelectScript's own answers"
     )
+    return None
+
+
+def _prolog(_: Interpreter, target: Path, question: Question) -> Sequence[str]:
+    """The answers of SWI-Prolog, which reads the file.
+
+    Raises:
+        SelectScriptError: it fails, and how.
+    """
+    asked, variable, *_others = question
+    goal = f"forall(({asked}), (write({variable}), nl)), halt"
     command = ["swipl", "-q", "-g", goal, "-t", "halt(1)", str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)  # noqa: S603
-    answers: list[str] = json.loads(done.stdout)
-    return answers
-
-
-def _has_clingo() -> bool:
     try:
-        import clingo  # noqa: F401
-    except ImportError:
-        return False
-    return True
+        done = subprocess.run(  # noqa: S603
+            command, capture_output=True, text=True, timeout=60, check=True
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        told = getattr(error, "stderr", None) or error
+        raise SelectScriptError(f"swipl failed: {reason(Exception(told))}") from error
+    return done.stdout.split()
 
 
-def _clingo(ss: Interpreter, _: Path, number: int) -> Sequence[str]:
+def _clingo(ss: Interpreter, _: Path, question: Question) -> Sequence[str]:
     """The answers of clingo."""
     import clingo
 
     facts = ss.eval(CLAUSES.format(f"asp(scale={SCALE})"))
     control = clingo.Control(["--warn=none"])
-    control.add("base", [], "\n".join([*facts, QUESTIONS[number][2], "#show found/1."]))
+    control.add("base", [], "\n".join([*facts, question[2], "#show found/1."]))
     control.ground([("base", [])])
     found: list[str] = []
     control.solve(

@@ -20,9 +20,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ssduck.demos.drawing import TopView, save
+from ssduck.demos.drawing import TopView
 from ssduck.demos.grid import Cell, Grid, free_cells, shortest_way
 from ssduck.demos.placing import Placing
+from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
     from ssduck.entities import Entity
@@ -76,8 +77,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
         rover_hits = "no collision" if not hits else f"collisions: {hits[:5]}"
         say(f"Driven in {ticks} recorded ticks: {rover_hits}")
     draw(view, free, [start, *way])
-    save(view.image, folder / "reasoning.png")
-    say(f"Cells that are free, and the way: {folder / 'reasoning.png'}")
+    target = keep_picture(view.image, folder / "reasoning.png")
+    say(f"Cells that are free, and the way: {target}")
     return bool(way) and len(way) == least and set(way) <= free and hits == []
 
 

@@ -24,8 +24,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ssduck.answers import Answer, lines_of
-from ssduck.demos.drawing import Colour, TopView, save
+from ssduck.demos.drawing import Colour, TopView
 from ssduck.demos.grid import Cell, Grid, Place, free_cells, shortest_way
+from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
     from ssduck.entities import Entity
@@ -110,8 +111,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
         agrees = told_by_record(ss, watch)
         word = "the same at each of these ticks" if agrees else "something else"
         say(f"What the sensors of the record tell is {word}")
-        draw(kitchen, drives, folder / "robots.png")
-    say(f"Their ways: {folder / 'robots.png'}")
+        target = draw(kitchen, drives, folder / "robots.png")
+    say(f"Their ways: {target}")
     return not hits and agrees and all(len(ways) == trips for ways in drives.values())
 
 
@@ -231,8 +232,8 @@ def told_by_record(ss: Interpreter, watch: Watch) -> bool:
     return all(seen[tick] == sights for tick, _, sights in watch.told)
 
 
-def draw(kitchen: World, drives: dict[str, list[list[Place]]], target: Path) -> None:
-    """Draw the kitchen from above, with the ways of the robots."""
+def draw(kitchen: World, drives: dict[str, list[list[Place]]], target: Path) -> Path:
+    """Draw the kitchen from above, with the ways of the robots; tells where."""
     view = TopView(kitchen, (-1.8, -2.6), (2.6, 2.7), floor=FLOOR, width=700)
     for name, ways in drives.items():
         colour = ROBOTS[name]
@@ -242,4 +243,4 @@ def draw(kitchen: World, drives: dict[str, list[list[Place]]], target: Path) -> 
         if ways:
             view.dot(ways[-1][-1], colour, 7)
             view.text(ways[-1][-1], name, colour)
-    save(view.image, target)
+    return keep_picture(view.image, target)

@@ -22,12 +22,14 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import SelectScriptError, SimulatorError
+from ssduck import checks
+from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
 from ssduck.geometry import (
     Array,
     Indices,
     compose,
 )
+from ssduck.messages import shown
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
 from ssduck.simulators.clock import Clock
@@ -542,16 +544,23 @@ def attach(
 ) -> PyBulletSimulator:
     """The user's own client: its number, or an object that holds it as `_client`."""
     number = getattr(client, "_client", client)
-    if not isinstance(number, int) or not pybullet.isConnected(number):
+    if not checks.is_whole(number) or not pybullet.isConnected(int(number)):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
+    number = int(number)
     handles = _handles(number)
+    for given, what in ((names, "names"), (kinds, "kinds")):
+        if not isinstance(given, Mapping | None):
+            raise ArgumentError(f"attach: {what}: {shown(given)} is no dict by the bodies' numbers")
     for handle in (*(names or {}), *(kinds or {})):
-        if handle not in handles:
+        if not checks.is_whole(handle) or handle not in handles:
             listed = ", ".join(map(str, handles)) or "none"
-            raise SelectScriptError(f"PyBullet has no body {handle}; its bodies: {listed}")
+            raise SelectScriptError(f"PyBullet has no body {shown(handle)}; its bodies: {listed}")
     for handle, kind in (kinds or {}).items():
         if kind not in ("robot", "kinbody"):
             raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
+    for handle, name in (names or {}).items():
+        if not isinstance(name, str):
+            raise ArgumentError(f"attach: names: body {handle}: {shown(name)} is no text")
     return PyBulletSimulator(number, owned=False, names=names, kinds=kinds)
 
 
