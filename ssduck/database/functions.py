@@ -20,6 +20,7 @@ from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError
 from ssduck.functions import Function
 from ssduck.history import Near
 from ssduck.record import PAIR, Record
+from ssduck.relations import CHECKED_TICK
 from ssduck.shapes import ANSWERS
 from ssduck.types import Signature, Tag, converter, is_exactly
 from ssduck.udfs import NARROW, THEN, THEN_COLLIDING, THEN_TOLD
@@ -70,6 +71,13 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
             side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
+    connection.add_function(
+        CHECKED_TICK,
+        partial(_checked_tick, worlds),
+        ("VARCHAR", *["BIGINT"] * 3, *["DOUBLE"] * 7),
+        "BIGINT",
+        null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
+    )
     pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
     for name in THEN:
         collide = name == THEN_COLLIDING
@@ -112,6 +120,23 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
         return answer(shapes, *ids, *arguments[entities:])
 
     return call
+
+
+def _checked_tick(
+    worlds: Mapping[str, Bound],
+    world: str,
+    run: int | None,
+    tick: int | None,
+    id: int | None,
+    *pose: float | None,
+) -> int | None:
+    """The tick of a row of entities, if it is one of that world, and as it was."""
+    if tick is None or id is None:
+        return None
+    if world not in worlds:
+        raise UnknownNameError(f"there is no world {world!r} here any more")
+    worlds[world].check_row(run, tick, id, pose)
+    return tick
 
 
 def _then(worlds: Mapping[str, Bound], collide: bool, *arguments: pa.ChunkedArray) -> pa.ListArray:
