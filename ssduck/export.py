@@ -53,10 +53,11 @@ def exported(
     ids = None if names is None else pa.array([member.id for member in kept])
     folder = Folder(path, world, chosen)
     try:
-        folder.add_members(kept, record.world.snapshot.geometry_id)
+        folder.add_members(kept, record.world.snapshot)
         for first, last in _parts(numbers, max(len(kept), 1)):
             fetched = {table: in_order(record.fetch(table, first, last)) for table in folder.tables}
             folder.add({table: _of(rows, table, ids) for table, rows in fetched.items()})
+        folder.finish()
     except BaseException:  # half of it would be taken for all
         folder.discard()
         raise

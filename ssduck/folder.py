@@ -14,17 +14,22 @@ of the table at each tick, and the world and the episode are columns by the fold
 A part is written under another name, which begins with a dot, and gets its own when it is
 complete; its ticks come last, and of what entities are, the table of entities. So a part that
 has these is whole, whatever happened, and one that has not is not counted.
+
+Each file tells in its footer which part of which table of which episode it is, so that one that is
+missing, swapped, or of another record is noticed.
 """
 
 from __future__ import annotations
 
 import json
 import re
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -76,6 +81,11 @@ class FolderRun:
     @cached_property
     def _told(self) -> dict[str, Any]:
         told = _json(self.about)
+        if (told.get("world"), told.get("episode")) not in ((self.world, self.number), (None,) * 2):
+            raise RecordError(
+                f"{self.about} tells of episode {told.get('episode')} of {told.get('world')!r}: it "
+                "was renamed, or copied; give it its name again"
+            )
         tables, recording = told.get("tables"), told.get("recording")
         is_right = isinstance(told.get("started"), str) and isinstance(recording, dict)
         if not (is_right and isinstance(tables, list) and "entities" in tables):
@@ -102,6 +112,35 @@ class FolderRun:
         """The numbers of the parts that are whole."""
         return _numbers(self.place("ticks"))
 
+    def _parts_of(self, table: str) -> list[int]:
+        """The numbers of the parts of a table, 0 and all up to the last one.
+
+        Raises:
+            RecordError: one is missing before the last one.
+        """
+        is_model = table.startswith("models/")
+        place = self.place("models/entities" if is_model else "ticks")
+        found = _numbers(place) if is_model else self.parts
+        missing = sorted(set(range(max(found, default=-1))) - set(found))
+        if missing:
+            rest = "" if is_model else ", and of all parts after it, what is before can be opened"
+            raise RecordError(
+                f"{place / part_name(missing[0])} is missing, and parts after it are there: what "
+                f"was between is not known; put it back{'' if is_model else '; or without it'}"
+                f"{rest}"
+            )
+        wanted = self._told.get("parts", {}).get("models" if is_model else "ticks", 0)
+        if len(found) < wanted:
+            if is_model:
+                raise RecordError(f"{place / part_name(len(found))} is missing")
+            if table == "ticks":
+                warnings.warn(
+                    f"{place / part_name(len(found))} is missing: the record of {self.world!r} was "
+                    f"closed with {wanted} parts, and ends after {len(found)} of them",
+                    stacklevel=2,
+                )
+        return found
+
     @property
     def has_ticks(self) -> bool:
         """Whether anything was stored."""
@@ -114,18 +153,26 @@ class FolderRun:
             RecordError: one is missing, or was cut off.
         """
         is_model = table.startswith("models/")
-        found = _numbers(self.place("models/entities")) if is_model else self.parts
-        files = [self.place(table) / part_name(number) for number in found]
-        for file in files:
-            self._check(file, is_model=is_model)
+        files = []
+        for number in self._parts_of(table):
+            file = self.place(table) / part_name(number)
+            self._check(file, self.label(table, number), is_model=is_model)
+            files.append(file)
         return files
 
-    def _check(self, file: Path, *, is_model: bool) -> None:
-        """Complain of a part that is not there, or not whole."""
+    def label(self, table: str, number: int) -> bytes | None:
+        """What the footer of a part's file has; None in records that are older than that."""
+        key = self._told.get("key")
+        return None if key is None else label_of(key, table, number)
+
+    def _check(self, file: Path, label: bytes | None, *, is_model: bool) -> None:
+        """Complain of a part that is not there, not whole, or another one."""
         if not file.is_file():
             wrong = "is missing: the record was damaged, or only copied in part"
-        elif not _is_whole(file):
+        elif (footer := _footer(file)) is None:
             wrong = "is damaged: it is no whole Parquet file"
+        elif label is not None and label not in footer:
+            wrong = "is another part, or of another record: it was renamed, or copied there"
         else:
             return
         ticks = self.place("ticks") / file.name
@@ -153,7 +200,10 @@ class FolderRun:
         if not parts:
             raise RecordError(f"{self.place('ticks')} holds no whole part: nothing was stored")
         rows = pa.concat_tables(parts)
-        ticks = Ticks.of(rows["tick"].to_numpy(), rows["time"].to_numpy())
+        numbers = rows["tick"].to_numpy()
+        if (np.diff(numbers) <= 0).any():
+            raise RecordError(f"{self.place('ticks')} is damaged: its ticks do not ascend")
+        ticks = Ticks.of(numbers, rows["time"].to_numpy())
         return [part["tick"][0].as_py() for part in parts], ticks
 
     @property
@@ -189,19 +239,30 @@ def part_name(number: int) -> str:
     return f"part-{number:06d}.parquet"
 
 
-def _is_whole(file: Path) -> bool:
-    """Whether a file ends as Parquet files do."""
+def label_of(key: str, table: str, number: int) -> bytes:
+    """What the footer of a file tells: which part of which table, of the episode of a key."""
+    return json.dumps({"episode": key, "table": table, "part": number}).encode()
+
+
+def _footer(file: Path) -> bytes | None:
+    """What is at the end of a Parquet file; None of one that does not end as they do."""
+    tail = 4 + len(_MAGIC)  # the length of the footer, and the magic
     with file.open("rb") as stream:
-        stream.seek(0, 2)
-        if stream.tell() < 3 * len(_MAGIC):
-            return False
-        stream.seek(-len(_MAGIC), 2)
-        return stream.read() == _MAGIC
+        size = stream.seek(0, 2)
+        if size < tail + len(_MAGIC):
+            return None
+        stream.seek(-tail, 2)
+        told = stream.read()
+        length = int.from_bytes(told[:4], "little") + tail
+        if told[4:] != _MAGIC or length > size:
+            return None
+        stream.seek(-length, 2)
+        return stream.read()
 
 
 def _read(file: Path) -> pa.Table:
     try:
-        return pq.ParquetFile(file).read()
+        return pq.ParquetFile(file).read().replace_schema_metadata()
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
 

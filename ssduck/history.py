@@ -22,9 +22,8 @@ import numpy as np
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck.geometry import Geometry
 from ssduck.layout import Member
-from ssduck.models import KEYS, MODELS, models_of
+from ssduck.models import KEYS, MODELS, Numbers, models_of, with_run
 from ssduck.recording import QUARTERS, RECORDABLE, Recording
 from ssduck.relations import BOX
 from ssduck.rings import FRAME_REALS, FRAMES, STORED, Ticks
@@ -118,7 +117,10 @@ class History:
 
     Attributes:
         shown: the rows that it keeps where DuckDB is to be shown them, by table.
+        untold_run: the number of the run, where its rows do not tell it.
     """
+
+    untold_run: int | None = None
 
     keeps = False
     shown: tuple[Mapping[str, Shown], ...] = ()
@@ -231,11 +233,9 @@ class History:
 
     # -- writing (ssduck.recorder.Store) ---------------------------------------------------
 
-    def add_members(
-        self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
-    ) -> None:
-        """Keep what entities are, before rows of theirs; geometries by their numbers."""
-        models = models_of(members, geometry_id, self._geometries)
+    def add_members(self, members: Collection[Member], numbers: Numbers) -> None:
+        """Keep what entities are, before rows of theirs."""
+        models = models_of(members, numbers, self._geometries)
         self._insert({self._model(table): rows for table, rows in models.items()})
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 
@@ -349,7 +349,8 @@ class History:
         return f"SELECT {told} FROM {quoted(ring)} WHERE tick >= 0"  # noqa: S608
 
     def _model(self, table: str) -> str:
-        return self.place(f"{table} model")
+        place = self.place(f"{table} model")
+        return with_run(place, self.untold_run) if table == "entities" else place
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
 
+from ssduck.errors import RecordError
 from ssduck.geometry import Geometry, PlacedGeometry
 from ssduck.layout import Member
 from ssduck.scenes import SensorSpec
@@ -28,6 +29,7 @@ MODELS: dict[str, dict[str, str]] = {
         "host": "BIGINT",
         "host_link": "BIGINT",
         "sensor": "VARCHAR",
+        "run": "BIGINT",
     },
     "links": {
         "entity": "BIGINT",
@@ -107,20 +109,31 @@ _ARROW = {
 }
 
 
+class Numbers(Protocol):
+    """What numbers entities' run and their geometries: a snapshot of their world."""
+
+    @property
+    def run(self) -> int:
+        """The number of the run that its ticks are of."""
+
+    def geometry_id(self, geometry: Geometry) -> int:
+        """The number of a geometry."""
+
+
 def models_of(
-    members: Collection[Member], geometry_id: Callable[[Geometry], int], known: Collection[int]
+    members: Collection[Member], numbers: Numbers, known: Collection[int]
 ) -> dict[str, pa.Table]:
     """What entities are, as rows.
 
     Args:
         members: the entities.
-        geometry_id: the number of a geometry.
+        numbers: of their run, and of geometries.
         known: geometries that are stored already.
     """
     rows: dict[str, list[tuple[Any, ...]]] = {table: [] for table in MODELS}
     geometries: dict[int, Geometry] = {}
     for member in members:
-        rows["entities"].append(_member_row(member))
+        rows["entities"].append((*_member_row(member), numbers.run))
         if member.body is None:
             continue
         for number, link in enumerate(member.body.links):
@@ -132,7 +145,7 @@ def models_of(
                 (member.id, joint.link, joint.name, joint.type, *limits, *joint.axis)
             )
         for number, shape in enumerate(member.body.shapes):
-            id = geometry_id(shape.geometry)
+            id = numbers.geometry_id(shape.geometry)
             geometries[id] = shape.geometry
             pose = (*np.asarray(shape.position).tolist(), *np.asarray(shape.orientation).tolist())
             rows["shapes"].append((member.id, shape.frame, number, id, *pose))
@@ -188,6 +201,31 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, Member]:
         )
         found[id] = Member(id, row["name"], row["kind"], row["parent"], body=body)
     return found
+
+
+def run_of(models: Mapping[str, pa.Table]) -> int | None:
+    """The number of the run that rows are of; None where they do not tell, as old records.
+
+    Raises:
+        RecordError: they are of several.
+    """
+    entities = models["entities"]
+    if "run" not in entities.column_names:
+        return None
+    runs = np.unique(entities["run"].to_numpy()).tolist()
+    if len(runs) > 1:
+        raise RecordError("it is damaged: its entities are of several runs")
+    return runs[0] if runs else None
+
+
+def with_run(rows: str, run: int | None) -> str:
+    """Rows of entities in SQL, of which none tells its run.
+
+    Args:
+        rows: a table in SQL.
+        run: the number that they get; None where they have theirs.
+    """
+    return rows if run is None else f"(SELECT *, {run:d}::BIGINT AS run FROM {rows})"  # noqa: S608
 
 
 def geometries_of(models: Mapping[str, pa.Table]) -> dict[str, int]:

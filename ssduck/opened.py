@@ -31,11 +31,12 @@ from ssduck.history import (
     near_rows,
     quoted,
 )
-from ssduck.models import MODELS, geometries_of, members_of
+from ssduck.models import MODELS, geometries_of, members_of, run_of, with_run
 from ssduck.record import Record
 from ssduck.recorded_world import RecordedWorld
 from ssduck.recording import Recording
 from ssduck.rings import FRAMES
+from ssduck.run_numbers import new_run
 from ssduck.tables import TABLES
 
 
@@ -128,6 +129,13 @@ def world_of(run: Run, database: Database) -> RecordedWorld:
         assert isinstance(run, StoredRun)
         archive = run.history(database.connection.writer())
         ticks, models = archive.ticks(), archive.all_models()
+    try:
+        told = run_of(models)
+    except RecordError as error:
+        raise RecordError(f"episode {run.number} of {run.world!r}: {error.message}") from error
+    if told is None and models["entities"].num_rows:  # it was recorded before rows told
+        archive.untold_run = new_run()
+    number = told or archive.untold_run or new_run()
     record = Record(
         None,
         ticks,
@@ -136,6 +144,7 @@ def world_of(run: Run, database: Database) -> RecordedWorld:
         archive.fetch,
         lambda asked: archive.near(asked, None),
         geometries_of(models),
+        number,
     )
     return RecordedWorld(run.world, record, archive)
 
@@ -154,7 +163,10 @@ class OpenedFolder:
         ticks: those that are stored.
         tables: those that have rows of them.
         recording: what was kept of each.
+        untold_run: the number of the run, where its rows do not tell it.
     """
+
+    untold_run: int | None = None
 
     def __init__(self, run: FolderRun, writer: Writer) -> None:
         self._run = run
@@ -171,13 +183,19 @@ class OpenedFolder:
         if table not in self._files:
             return None
         columns = ", ".join(quoted(column.name) for column in TABLES[table])
-        return f"SELECT {columns} FROM {_scan(self._files[table])}"  # noqa: S608
+        rows = self._told(table, _scan(self._files[table]))
+        return f"SELECT {columns} FROM {rows}"  # noqa: S608
+
+    def _told(self, table: str, rows: str) -> str:
+        """Rows of a table in SQL; those of entities tell their run."""
+        return with_run(rows, self.untold_run) if table == "entities" else rows
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
+        files = {table: _scan(self._run.files(f"models/{table}")) for table in MODELS}
         return {
-            model_name(table): f"SELECT * FROM {_scan(self._run.files(f'models/{table}'))}"  # noqa: S608
-            for table in MODELS
+            model_name(table): f"SELECT * FROM {self._told(table, rows)}"  # noqa: S608
+            for table, rows in files.items()
         }
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:

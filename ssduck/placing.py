@@ -45,7 +45,7 @@ class Placings:
         members: the entities, by id.
         tables: which tables are recorded.
         rows: of these.
-        geometries: the numbers of geometries by their keys.
+        empty: a snapshot of their run in which nothing is.
     """
 
     def __init__(
@@ -53,13 +53,13 @@ class Placings:
         members: Mapping[int, Member],
         tables: frozenset[str],
         rows: Blocks,
-        geometries: dict[str, int],
+        empty: Snapshot,
     ) -> None:
         self._members = members
         self._tables = tables
         self._links = links_of(tables)
         self._rows = rows
-        self._geometries = geometries
+        self._empty = empty
         self._placings: dict[tuple[int, ...], _Placing] = {}
 
     def snapshot(self, tick: int, untold: Mapping[str, str]) -> Snapshot:
@@ -116,7 +116,7 @@ class Placings:
     def _of(self, ids: tuple[int, ...]) -> _Placing:
         if ids not in self._placings:
             members = [self._members[id] for id in ids]
-            template = Snapshot(self._geometries)
+            template = Snapshot(self._empty.geometries, self._empty.run)
             layout = Layout(members, watched=False)
             posed = Posed(
                 0.0,

@@ -57,6 +57,7 @@ class Record:
         fetch: gives the rows of a table at the ticks from one to another.
         near: gives the pairs of entities whose boxes are near at some ticks, with their poses.
         geometries: the numbers of geometries by their keys; None for those of the world.
+        run: the number of the run that they are of; None for that of the world.
     """
 
     world: World
@@ -70,6 +71,7 @@ class Record:
         fetch: Callable[[str, int, int], pa.Table],
         near: Callable[[Near], pa.Table],
         geometries: dict[str, int] | None = None,
+        run: int | None = None,
     ) -> None:
         if world is not None:
             self.world = world
@@ -87,9 +89,9 @@ class Record:
         self._worlds: OrderedDict[int, PastWorld] = OrderedDict()
         if geometries is None:
             assert world is not None
-            geometries = world.snapshot.geometries
+            geometries, run = world.snapshot.geometries, world.snapshot.run
         self._blocks = Blocks(fetch, ticks)
-        self._placings = Placings(members, self.tables, self._blocks, geometries)
+        self._placings = Placings(members, self.tables, self._blocks, Snapshot(geometries, run))
         # Whether another record has taken its place, or none.
         self.is_closed = False
         # How often the narrow phase is called counts for the world, at whatever tick.

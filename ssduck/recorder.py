@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import SelectScriptError
-from ssduck.geometry import Geometry
 from ssduck.kept_rows import KeptRows
 from ssduck.layout import Member
+from ssduck.models import Numbers
 from ssduck.recording import QUARTERS, Recording
 from ssduck.rings import FRAMES, Ring, Ticks, ring_of
 from ssduck.snapshot import Snapshot
@@ -38,10 +38,8 @@ class Store(Protocol):
 
     keeps: bool
 
-    def add_members(
-        self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
-    ) -> None:
-        """Keep what entities are, all or none of it; geometries by their numbers."""
+    def add_members(self, members: Collection[Member], numbers: Numbers) -> None:
+        """Keep what entities are, all or none of it."""
 
     def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
         """Keep the rows of whole ticks, all or none of them; enters the cut to make them good."""
@@ -84,9 +82,9 @@ class Recorder:
         self._told = 0
         self._is_looked_after = True
         self._rows: KeptRows | None = None
-        # Entities of which the store has not been told, and what numbers their geometries.
+        # Entities of which the store has not been told, and what numbers them.
         self._new: list[Member] = []
-        self._geometry_id: Callable[[Geometry], int] | None = None
+        self._numbers: Numbers | None = None
 
     @property
     def shown(self) -> tuple[Mapping[str, Ring | Kept], ...]:
@@ -258,14 +256,14 @@ class Recorder:
             self._rows = KeptRows(snapshot, self.recording.entities)
             new = [m for m in self._rows.members if m.id not in self.members]
             self._new += new
-            self._geometry_id = snapshot.geometry_id
+            self._numbers = snapshot
             self.members |= {member.id: member for member in new}
         return self._rows
 
     def _tell_new(self) -> None:
         """Store what entities are, before rows of theirs."""
         if self._new:
-            assert self._geometry_id is not None
+            assert self._numbers is not None
             self.wait()
-            self._store.add_members(self._new, self._geometry_id)
+            self._store.add_members(self._new, self._numbers)
             self._new = []

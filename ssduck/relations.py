@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Literal, TypeAlias
@@ -177,14 +177,35 @@ class Relation:
         tables = {table.name for table in tree.find_all(exp.Table)}
         return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
 
-    def _now_or_then(self, tree: exp.Expr, schema: str) -> exp.Expr:
-        """A formula of what is looked up: now, or at the tick of a row that was recorded."""
+    def _of_rows(self, tree: exp.Expr, schema: str) -> exp.Expr:
+        """A formula of rows that users give: they may be of another run, or changed."""
+        rows = [p.name for p in self.parameters if p.type in ("entity", "place")]
+        if tree.find(exp.Placeholder) is not None:
+            return _with_checked_ticks(in_schema(tree, schema), schema)
+        found = self._now_or_then(in_schema(tree, schema), schema, rows)
+        run = exp.select("any_value(run)").from_(exp.table_("entities", db=schema)).subquery()
+        another = [
+            exp.and_(
+                exp.column("id", table=row).is_(exp.null()).not_(),
+                exp.NullSafeNEQ(this=exp.column("run", table=row), expression=run.copy()),
+            )
+            for row in rows
+        ]
+        failing = exp.func("error", exp.Literal.string(_OF_ANOTHER_RUN.format(self.name, schema)))
+        return exp.case().when(exp.or_(*another), failing).else_(found)
+
+    def _now_or_then(self, tree: exp.Expr, schema: str, rows: Sequence[str]) -> exp.Expr:
+        """A formula of what is looked up: now, or at the tick of rows that were recorded."""
         if not self.then:
             return tree
-        row = exp.column("tick", table=self.parameters[0].name)
+        first, *others = (exp.column("tick", table=row) for row in rows)
         present = exp.select("max(tick)").from_(exp.table_("ticks", db=schema)).subquery()
         then = in_schema(_parsed(self.then), schema)
-        return exp.case().when(exp.EQ(this=row, expression=present), tree).else_(then)
+        found = exp.case()
+        for other in others:
+            told = exp.Literal.string(f"{self.name}: its rows are of two ticks of {schema}")
+            found = found.when(exp.NEQ(this=first, expression=other), exp.func("error", told))
+        return found.when(exp.EQ(this=first.copy(), expression=present), tree).else_(then)
 
     def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
         """The statement that makes the DuckDB macro of the same name.
@@ -216,7 +237,7 @@ class Relation:
         if not self.tables:
             return tree
         if schema is not None:
-            return self._now_or_then(in_schema(tree, schema), schema)
+            return self._of_rows(tree, schema)
         reason = (
             f"{self.name}: in SQL it is for one world, and there is none or several; write the "
             f"name of the world that is meant before it, world.{self.name}(…)"
@@ -239,6 +260,30 @@ def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
             if own.name in found:
                 raise ValueError(f"there are two relations {own.name!r}")
             found[own.name] = own
+    return found
+
+
+_OF_ANOTHER_RUN = (
+    "{}: a row is of another run than {}: what was found there is not known here; open the record "
+    "that the row is of, or write the name of its world before the relation"
+)
+# The columns of a row by which it is known whose it is, and whether it is as it was.
+TOLD_BY = ("run", "tick", "id", "x", "y", "z", "qw", "qx", "qy", "qz")
+CHECKED_TICK = "narrow tick"
+
+
+def _with_checked_ticks(formula: exp.Expr, schema: str) -> exp.Expr:
+    """A formula whose calls of the narrow phase look at whose rows they are about."""
+
+    def checked(part: exp.Expr) -> exp.Expr:
+        if not (isinstance(part, exp.Column) and part.name == "tick"):
+            return part
+        columns = [exp.column(name, table=part.table) for name in TOLD_BY]
+        world = exp.Literal.string(schema)
+        name = exp.to_identifier(CHECKED_TICK, quoted=True)
+        return exp.Anonymous(this=name, expressions=[world, *columns])
+
+    found: exp.Expr = formula.transform(checked)
     return found
 
 

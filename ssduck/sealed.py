@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import shutil
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
@@ -21,7 +23,7 @@ from ssduck.folder import ABOUT, FORMAT, UNITS, VERSION, FolderRun, check_about,
 from ssduck.geometry import Geometry
 from ssduck.layout import Member
 from ssduck.messages import shown
-from ssduck.models import KEYS, MODELS, models_of, told_of
+from ssduck.models import KEYS, MODELS, Numbers, models_of, told_of
 from ssduck.recorder import Recorder
 from ssduck.recording import Recording
 from ssduck.rings import FRAMES
@@ -59,11 +61,9 @@ class Folder:
         self._count = self._told = 0
         self.last_tick: int | None = None
 
-    def add_members(
-        self, members: Collection[Member], geometry_id: Callable[[Geometry], int]
-    ) -> None:
-        """Keep what entities are, all or none of it; geometries by their numbers."""
-        models = models_of(members, geometry_id, self._geometries)
+    def add_members(self, members: Collection[Member], numbers: Numbers) -> None:
+        """Keep what entities are, all or none of it."""
+        models = models_of(members, numbers, self._geometries)
         for table in sorted(models, key=lambda table: table == "entities"):
             self._write(f"models/{table}", self._told, models[table])
         for table, rows in models.items():
@@ -75,7 +75,7 @@ class Folder:
     def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
         """Keep the rows of whole ticks as a part, all or none of them."""
         if not self._told:  # the world is empty
-            self.add_members((), lambda _: 0)
+            self.add_members((), _NoNumbers())
         for table, own in rows.items():
             if table != "ticks":
                 self._write(table, self._count, self._whole(table, own, rows["entities"]))
@@ -83,6 +83,19 @@ class Folder:
             self._write("ticks", self._count, rows["ticks"])
             self._count += 1
             self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
+
+    def finish(self) -> None:
+        """Note how many parts there are, so that it is noticed if some get lost.
+
+        Raises:
+            RecordError: that cannot be written.
+        """
+        parts = {"ticks": self._count, "models": self._told}
+        try:
+            told = json.loads(self.run.about.read_text("utf-8")) | {"parts": parts}
+            _seal(self.run.about, lambda stream: _write_json(told, stream))
+        except OSError as error:
+            raise RecordError(f"{self.run.about} cannot be written: {error}") from error
 
     def discard(self) -> None:
         """Take back all of the episode."""
@@ -116,9 +129,12 @@ class Folder:
 
     def _write(self, table: str, number: int, rows: pa.Table) -> None:
         place = self.run.place(table)
+        label = self.run.label(table, number)
+        assert label is not None
+        told = rows.replace_schema_metadata({FORMAT: label})
         try:
             place.mkdir(parents=True, exist_ok=True)
-            _seal(place / part_name(number), lambda file: _write_parquet(rows, file))
+            _seal(place / part_name(number), lambda file: _write_parquet(told, file))
         except OSError as error:
             raise RecordError(
                 f"{place} cannot be written: {error}; what was stored before is whole, and what "
@@ -136,6 +152,17 @@ class Folder:
     def near(self, asked: Any, waiting: pa.Table | None) -> pa.Table:  # noqa: ARG002
         """Refuse, as `fetch`."""
         raise RecordError(f"open {self.path} to read what is recorded there")
+
+
+@dataclass(frozen=True)
+class _NoNumbers:
+    """What numbers the geometries of a world that has no entities."""
+
+    run: int = 0
+
+    def geometry_id(self, geometry: Geometry) -> int:
+        """Refuse: there are none."""
+        raise AssertionError(geometry)
 
 
 class FolderRecording:
@@ -181,6 +208,7 @@ class FolderRecording:
         if self._recorder not in self._recorders:
             return
         self.flush()
+        self._folder.finish()
         self._world.forget(self._recorder)
         self._recorders.remove(self._recorder)
 
@@ -226,6 +254,7 @@ def _claimed(path: Path, world: str, tables: Collection[str], recording: Recordi
     told = {
         "world": world,
         "episode": number,
+        "key": secrets.token_hex(8),
         "tables": list(tables),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "recording": {"every": recording.every, "entities": recording.entities},

@@ -26,6 +26,7 @@ from ssduck.errors import UnsupportedError
 from ssduck.geometry import Array, Geometry, Indices
 from ssduck.layout import Layout, Member, Part
 from ssduck.narrow import Narrow
+from ssduck.run_numbers import new_run
 from ssduck.sensing import Reading, Scan, Sensing, has_rays, posed
 from ssduck.separation import Counter
 from ssduck.shapes import Shapes
@@ -50,9 +51,11 @@ class Snapshot:
         sensing: what its sensors have measured.
         calls: how often the narrow phase was called, over all ticks.
         geometries: the numbers of geometries in the table of geometries, by their keys.
+        run: the number of the run that its ticks are of; that of a what-if world is another one.
     """
 
-    def __init__(self, geometries: dict[str, int] | None = None) -> None:
+    def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
+        self.run = new_run() if run is None else run
         self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
         self.number = 0
         self.time = 0.0
@@ -147,12 +150,19 @@ class Snapshot:
         twin.recorded = frozenset()
         twin._asked_sensors, twin._read_sensors = {}, frozenset()  # noqa: SLF001
         twin._warned = set(self._warned)  # noqa: SLF001
+        twin._be_of(new_run())  # noqa: SLF001
         return twin
+
+    def _be_of(self, run: int) -> None:
+        """Let its ticks be of a run."""
+        self.run = run
+        self.tables["entities"]["run"].fill(run)
 
     def past(self, number: int, untold: Mapping[str, str]) -> Snapshot:
         """A twin, to be taken of a tick that was before."""
         twin = self.twin(untold)
         twin._is_past = True  # noqa: SLF001  # one class
+        twin._be_of(self.run)  # noqa: SLF001
         twin.go_to(number)
         return twin
 
@@ -176,6 +186,7 @@ class Snapshot:
                 "parent": [member.parent for member in listed],
                 "mass": [member.mass for member in listed],
                 **self._flag_columns(),
+                "run": np.full(len(listed), self.run),
             },
         )
         self._fill_links(layout.bodies)

@@ -100,6 +100,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("mass", "real", "kg; 0 for what cannot move"),
         Column("enabled", "flag", "takes part in collisions"),
         Column("visible", "flag", "is drawn"),
+        Column("run", "integer", "random number of the run that the row is of"),
     ),
     "links": (
         *_TICK,

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
-from ssduck.errors import UnsupportedError
-from ssduck.history import Archive, Shown, history_name, not_recorded
+import numpy as np
+
+from ssduck.errors import EvaluationError, UnsupportedError
+from ssduck.history import POSE, Archive, Shown, history_name, not_recorded
 from ssduck.layout import margins_of
 from ssduck.record import Record
 from ssduck.recorder import Recorder
@@ -15,6 +19,15 @@ from ssduck.shapes import Shapes
 from ssduck.tables import LiveTable
 from ssduck.then import TOLD
 from ssduck.world import World
+
+# The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
+Poses: TypeAlias = dict[int, tuple[float | None, ...]]
+# So many of them are kept, about, to compare rows with.
+MOST_POSES = 100_000
+_NO_SHAPES = (
+    "the shapes of {!r} are known of its tick {} only: its ticks are not recorded, so that rows of "
+    "another one cannot be compared"
+)
 
 
 @dataclass(frozen=True)
@@ -51,6 +64,60 @@ class Bound:
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
     kept: Kept | None = None
+    _poses: OrderedDict[int, Poses] = field(default_factory=OrderedDict)
+
+    def check_row(
+        self, run: int | None, tick: int, id: int, pose: tuple[float | None, ...]
+    ) -> None:
+        """Complain of a row of entities that is of another run, or was changed.
+
+        Args:
+            run: the number of the row's run.
+            tick: its tick.
+            id: of the entity.
+            pose: its x, y, z, qw, qx, qy, qz; None for what is not known.
+
+        Raises:
+            EvaluationError: the run is not that of this world, or the pose not that of the tick.
+        """
+        own = self.world.snapshot.run
+        if run != own:
+            raise EvaluationError(
+                f"a row (id {id}, tick {tick}) is of the run {run}, and {self.world.name!r} is of "
+                f"the run {own}: its shapes are not known here; open the record of that run, or "
+                "write the name of its world before the relation"
+            )
+        known = self._poses_at(tick).get(id, pose)
+        if known != pose:
+            raise EvaluationError(
+                f"a row (id {id}, tick {tick}) is not as it was recorded: its pose is "
+                f"{_listed(pose)}, and was {_listed(known)}; relations of shapes are of what "
+                f"was: ask what_if for {self.world.name!r} with other poses"
+            )
+
+    def _poses_at(self, tick: int) -> Poses:
+        """The poses of the entities at a tick, as their rows tell them, by id."""
+        if tick not in self._poses:
+            told = self._told_poses(tick)
+            while self._poses and (len(self._poses) + 1) * len(told) > MOST_POSES:
+                self._poses.popitem(last=False)
+            self._poses[tick] = told
+        return self._poses[tick]
+
+    def _told_poses(self, tick: int) -> Poses:
+        snapshot = self.world.snapshot
+        if tick == snapshot.number:
+            table = snapshot.tables["entities"]
+            ids, columns = table["id"], table.reals("x", "qz")
+        elif self.kept is None:
+            raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
+        else:
+            rows = self.kept.record.rows("entities", tick)
+            ids, columns = rows["id"], np.array([rows[name] for name in POSE])
+        told = columns.T.tolist()
+        if np.isnan(columns).any():
+            told = [[None if math.isnan(one) else one for one in pose] for pose in told]
+        return dict(zip(ids.tolist(), map(tuple, told), strict=True))
 
     def buffers(self) -> list[tuple[str, str, LiveTable | Shown]]:
         """What DuckDB is to be shown: of which table, under which name, and the rows."""
@@ -81,10 +148,7 @@ class Bound:
         if tick is None or tick == snapshot.number:
             return snapshot.shapes()
         if self.kept is None:
-            raise UnsupportedError(
-                f"the shapes of {self.world.name!r} are known of its tick {snapshot.number} only: "
-                "its ticks are not recorded, so that rows of another one cannot be compared"
-            )
+            raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
         return self.kept.record.shapes(tick, ids)
 
     @property
@@ -109,3 +173,7 @@ class Bound:
             return record.rows(table, tick)
 
         return TOLD[what](rows, a, b)
+
+
+def _listed(pose: Sequence[float | None]) -> str:
+    return "[" + ", ".join("NULL" if number is None else f"{number:g}" for number in pose) + "]"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +31,7 @@ from ssduck.errors import (
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
 from ssduck.recorder import Recorder
+from ssduck.relations import TOLD_BY
 
 T = TypeVar("T")
 
@@ -290,7 +292,21 @@ class Connection:
         if isinstance(error, duckdb.OutOfMemoryException):
             raise LimitError(f"the query takes more memory than there is: {error}") from error
         refused = isinstance(error, _REFUSALS)
-        raise SqlError(str(error).strip(), is_refused=refused) from error
+        raise SqlError(str(error).strip() + _hint(error), is_refused=refused) from error
+
+
+_LACKS = re.compile('Could not find key "(\\w+)" in struct')
+
+
+def _hint(error: Exception) -> str:
+    """What to write where a row has not all columns that a relation of shapes reads."""
+    found = _LACKS.search(str(error))
+    if found is None or found.group(1) not in TOLD_BY:
+        return ""
+    return (
+        f"\nRelations look at {', '.join(TOLD_BY)} of a row, to know whose it is: give them whole "
+        "rows of entities (SELECT *); a record that is older than the column run is to be opened"
+    )
 
 
 def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:

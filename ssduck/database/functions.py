@@ -21,6 +21,7 @@ from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError
 from ssduck.functions import Function
 from ssduck.history import Near
 from ssduck.record import PAIR, Record
+from ssduck.relations import CHECKED_TICK
 from ssduck.shapes import ANSWERS, depth
 from ssduck.types import Signature, Tag, converter, is_exactly
 from ssduck.udfs import MARGINS, NARROW, THEN, THEN_TOLD
@@ -72,6 +73,13 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
             side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
     connection.add_function(MARGINS, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
+    connection.add_function(
+        CHECKED_TICK,
+        partial(_checked_tick, worlds),
+        ("VARCHAR", *["BIGINT"] * 3, *["DOUBLE"] * 7),
+        "BIGINT",
+        null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
+    )
     pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
     for name, of in THEN.items():
         # In columns: as lists, some thousand pairs took as long as comparing them.
@@ -118,6 +126,23 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
 def _margins(worlds: Mapping[str, Bound], world: str) -> float:
     """How far apart shapes may be that touch by their margins, metres."""
     return worlds[world].margins if world in worlds else 0.0
+
+
+def _checked_tick(
+    worlds: Mapping[str, Bound],
+    world: str,
+    run: int | None,
+    tick: int | None,
+    id: int | None,
+    *pose: float | None,
+) -> int | None:
+    """The tick of a row of entities, if it is one of that world, and as it was."""
+    if tick is None or id is None:
+        return None
+    if world not in worlds:
+        raise UnknownNameError(f"there is no world {world!r} here any more")
+    worlds[world].check_row(run, tick, id, pose)
+    return tick
 
 
 def _then(worlds: Mapping[str, Bound], of: Asked, *arguments: pa.ChunkedArray) -> pa.ListArray:

@@ -33,7 +33,7 @@ from ssduck.messages import shown
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.pybullet_bodies import Description, GivenShapes, Pose, describe, xyzw
+from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_frames import FramesReader
 from ssduck.simulators.pybullet_rays import cast_rays
