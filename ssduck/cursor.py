@@ -174,8 +174,9 @@ class Cursor:
             ParseError: always; with what to write instead of a word of SQL.
         """
         token = self.token
+        names: tuple[str, ...] = ()
         if token is None:
-            found, names, instead = "the end of the text", (), ""
+            found, instead = "the end of the text", ""
         else:
             found = repr(self.text[slice_of(token)])
             instead = self._instead(token)

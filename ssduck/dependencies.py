@@ -14,6 +14,7 @@ from ssduck.tree import (
     Assignment,
     Bare,
     Call,
+    Dotted,
     Name,
     Node,
     Query,
@@ -58,6 +59,8 @@ def free_aliases(node: Node) -> frozenset[str | None]:
         return frozenset((node.alias,))
     if isinstance(node, Bare):
         return frozenset((None,))
+    if isinstance(node, Dotted):
+        return frozenset((node.alias,))
     found: set[str | None] = set()
     if not isinstance(node, Query):
         for child in node.children():
@@ -95,9 +98,10 @@ def is_impure(node: Node) -> bool:
 def tables_of(node: Node) -> frozenset[str]:
     """The tables that relations in a part look things up in."""
     own: frozenset[str] = frozenset()
-    # A name may be a relation of the only source.
-    if isinstance(node, Call | Bare | Name) and node.name in RELATIONS:
-        own = RELATIONS[node.name].tables
+    # A name may be a relation of the only source, a key one of a source.
+    name = node.key if isinstance(node, Dotted) else getattr(node, "name", None)
+    if isinstance(node, Call | Bare | Name | Dotted) and name in RELATIONS:
+        own = RELATIONS[name].tables
     return own.union(*map(tables_of, node.children()))
 
 
@@ -105,6 +109,7 @@ def tables_of(node: Node) -> frozenset[str]:
 def calls_of(node: Node) -> frozenset[str]:
     """The functions that a part calls."""
     own = (node.name,) if isinstance(node, Call) else ()
+    own = (node.key,) if isinstance(node, Dotted) else own
     return frozenset(own).union(*map(calls_of, node.children()))
 
 
@@ -137,6 +142,7 @@ def mentions(node: Node, names: Collection[str]) -> bool:
 def variables_of(node: Node) -> frozenset[str]:
     """The variables that a part reads."""
     own = (node.name,) if isinstance(node, Name | Aged) else ()
+    own = (node.alias,) if isinstance(node, Dotted) else own
     return frozenset(own).union(*map(variables_of, node.children()))
 
 

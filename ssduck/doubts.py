@@ -28,6 +28,7 @@ from ssduck.tree import (
     Assignment,
     Binary,
     Call,
+    Dotted,
     ListOf,
     Literal,
     Name,
@@ -148,6 +149,8 @@ def _look_at_name(
     match side:
         case Call(name=name, arguments=(This(alias=alias),)) if name == _NAME:
             source, is_bare = only if alias is None else around.get(alias), False
+        case Dotted(alias=alias, key=name) if name == _NAME:
+            source, is_bare = around.get(alias), True
         case Name(name=name) if name == _NAME and only is not None:
             source, is_bare = only, True
         case _:

@@ -40,6 +40,7 @@ from ssduck.tree import (
     Bare,
     Binary,
     Call,
+    Dotted,
     Endless,
     Given,
     If,
@@ -292,6 +293,8 @@ class Compiler:
                 return self._bare(node)
             case This(alias=alias):
                 return self._element(node, alias)
+            case Dotted():
+                return self._dotted(node)
             case Call():
                 return self._call(node)
             case Index():
@@ -358,6 +361,21 @@ class Compiler:
                 raise no_element(alias, frame.elements, node.span) from None
 
         return element
+
+    def _dotted(self, node: Dotted) -> Thunk:
+        alias, key = node.alias, node.key
+        element, index = self._element(node.this, alias), self.thunk(node.index)
+
+        def value(frame: Frame) -> Any:
+            if alias in frame.local or frame.scope.has_variable(alias):
+                return index(frame)
+            current = element(frame)
+            if isinstance(current, dict):
+                return indexed(current, key, node.span)
+            frame.scope.check_call(node.call)
+            return frame.scope.call(node.call, [current], frame)
+
+        return _placed(node, value)
 
     def _bare(self, node: Bare) -> Thunk:
         name = node.name

@@ -37,6 +37,7 @@ from ssduck.tree import (
     Bare,
     Binary,
     Call,
+    Dotted,
     Given,
     If,
     Index,
@@ -104,6 +105,8 @@ class Expressions:
                 return self._is_outside(node)
             case Bare() | Assignment():
                 return False
+            case Dotted():
+                return not self._is_variable(node) and self._is_outside(node.this)
             case Name(name=name):
                 deferred = self.context.list_in(name)
                 if deferred is not None:
@@ -120,6 +123,10 @@ class Expressions:
             case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
                 return False
         return all(self.is_constant(child) for child in node.children())
+
+    def _is_variable(self, node: Dotted) -> bool:
+        known = self.context.bare[node.alias] = self.names.has_variable(node.alias)
+        return known
 
     def _is_outside(self, node: This) -> bool:
         if node.alias is None or self.element(node.alias) is not None:
@@ -171,6 +178,11 @@ class Expressions:
                 return self._this(node)
             case tree.Literal():
                 return self._literal(node)
+            case Dotted() if self._is_variable(node):
+                return self.value(node.index)
+            case Dotted() if self.element(node.alias) is not None:
+                is_record = self._this(node.this).tag.type == "record"
+                return self._index(self._key_of(node)) if is_record else call(self, node.call)
             case Name(name=name) if name in self.locals:
                 return self.locals[name]
             case Name(name=name) if (deferred := self.context.list_in(name)) is not None:
@@ -202,6 +214,9 @@ class Expressions:
             case If(condition=condition, then=(then,), otherwise=(otherwise,)):
                 return self._choice(condition, then, otherwise)
         raise NotSqlError
+
+    def _key_of(self, node: Dotted) -> Index:
+        return Index(node.span, node.this, node.index.indices)
 
     def _query(self, node: Query) -> SqlValue:
         """A nested query: a part of the statement, else a constant if it sees no row of it."""

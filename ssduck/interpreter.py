@@ -318,8 +318,9 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
     def _spelled(self, node: Query, frame: Frame) -> tuple[Any, ...]:
         """The arguments of `evalAs`."""
         resolved, values = self._planner.spelled(node, frame)
-        parts = Columns(node, resolved, frame)
-        where: Condition | list[Any] = [] if node.where is None else Condition(node.where, frame)
+        parts = Columns(node, resolved.columns, frame)
+        holds = resolved.query.where
+        where: Condition | list[Any] = [] if holds is None else Condition(holds, frame)
         return parts.form, parts, Elements(values), aliases_of(node), where
 
     def evalAs(  # noqa: N802  # the tutorial's name

@@ -205,7 +205,7 @@ class _Parser(SqlForms):
         self.note_condition(where)
         self.note_condition(having)
         self.note_keys(query)
-        return query
+        return self.dotted(query)
 
     def source(self) -> Source:
         start = self.here()

@@ -17,8 +17,8 @@ from ssduck.messages import kind_of, shown
 from ssduck.past import Past
 from ssduck.plan import Plan, Shape
 from ssduck.queries import Planned, RowByRow, SqlFailedError, is_small
-from ssduck.resolve import resolve
-from ssduck.rows import Column, Selected
+from ssduck.resolve import Resolved, resolve
+from ssduck.rows import Selected
 from ssduck.sources import INLINE, all_elements, beside_past, shapes_of
 from ssduck.sqlvalues import NotSqlError
 from ssduck.subqueries import is_inline
@@ -105,12 +105,12 @@ class Planner:
                     break
         return self._run_row_by_row(query, frame, check)
 
-    def spelled(self, query: Query, frame: Frame) -> tuple[tuple[Column, ...], list[Sequence[Any]]]:
-        """The columns of a query, bare names looked up, and the elements of its sources."""
+    def spelled(self, query: Query, frame: Frame) -> tuple[Resolved, list[Sequence[Any]]]:
+        """A query, bare names looked up, and the elements of its sources."""
         values = [frame.value(source.value) for source in query.sources]
         values = beside_past(values, frame.own_elements())
         shapes = shapes_of(query, values, self._database.schema_of)
-        return resolve(query, shapes, self._typed(frame)).columns, all_elements(values)
+        return resolve(query, shapes, self._typed(frame)), all_elements(values)
 
     def plan(self, query: Query, frame: Frame) -> Plan | None:
         """The plan that a query would run by; None if it runs row by row."""

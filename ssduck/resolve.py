@@ -6,10 +6,10 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from ssduck.dependencies import states
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.plan import Names, Shape
 from ssduck.rows import Column
-from ssduck.tree import Aged, Bare, Call, Index, Key, Literal, Name, Node, Query, This
+from ssduck.tree import Aged, Bare, Call, Dotted, Index, Key, Literal, Name, Node, Query, This
 
 
 @dataclass
@@ -30,7 +30,7 @@ class Resolved:
 def resolve(
     query: Query, shapes: Sequence[Shape], names: Names, around: Collection[str] = ()
 ) -> Resolved:
-    """Look up the bare names in SELECT, GROUP BY, HAVING and ORDER BY.
+    """Look up the bare names in SELECT, GROUP BY, HAVING and ORDER BY, and in WHERE functions.
 
     Such a name is a key of the current element if that is a dict, else a variable, else the
     function of that name applied to `this`.
@@ -56,14 +56,16 @@ class _Resolver:
         self._names = names
         self._states = states(query).union(around)
         self._bare: dict[str, bool] = {}
+        self._named = dict(_named(query))
 
     def resolved(self) -> Resolved:
         query = self._query
         changed = replace(
             query,
-            group=tuple(map(self._meant, query.group)),
-            having=None if query.having is None else self._meant(query.having),
-            order=tuple(Key(k.span, self._meant(k.value), k.descending) for k in query.order),
+            where=None if query.where is None else query.where.replaced(self._in_where),
+            group=tuple(map(self._key, query.group)),
+            having=None if query.having is None else self._key(query.having),
+            order=tuple(Key(k.span, self._key(k.value), k.descending) for k in query.order),
         )
         return Resolved(changed, tuple(self._columns()), self._bare)
 
@@ -81,6 +83,8 @@ class _Resolver:
                     raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
                 case Call(name=name) | Name(name=name) | Aged(name=name):
                     yield Column(self._meant(node), name)
+                case Dotted(key=key):
+                    yield Column(node, key)
                 case This(alias=alias):
                     yield Column(node, alias or "this")
                 case Index(indices=(*_, Literal(value=str() as key))):
@@ -91,8 +95,49 @@ class _Resolver:
     def _meant(self, node: Node) -> Node:
         return node.replaced(self._looked_up)
 
+    def _key(self, node: Node) -> Node:
+        """A part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
+        return node.replaced(lambda part: self._column_named(part) or self._looked_up(part))
+
+    def _column_named(self, part: Node) -> Node | None:
+        if not isinstance(part, Name) or part.name not in self._named:
+            return None
+        if part.name in self._states or self._names.has_variable(part.name):
+            return None
+        only = self._shapes[0] if len(self._shapes) == 1 else None
+        if only is not None and (only.tag is not None and only.tag.type == "record"):
+            if any(key == part.name for key, _ in only.tag.fields):
+                return None
+        elif only is not None and (only.dicts or not only.known):
+            return None
+        call = Call(part.span, part.name, (This(part.span, None),), part.span)
+        try:
+            self._names.check_call(call)
+        except SelectScriptError:
+            self._bare[part.name] = False
+            return self._meant(self._named[part.name])
+        return None
+
+    def _in_where(self, part: Node) -> Node | None:
+        """A bare name in WHERE: a function of the only element, where there is no variable."""
+        if isinstance(part, Query | Dotted):
+            return part
+        if not isinstance(part, Name) or part.name in self._states:
+            return None
+        only = self._shapes[0] if len(self._shapes) == 1 else None
+        known = self._bare[part.name] = self._names.has_variable(part.name)
+        is_record = only is not None and only.tag is not None and only.tag.type == "record"
+        if known or only is None or only.dicts or is_record or not only.known:
+            return part
+        call = Call(part.span, part.name, (This(part.span, None),), part.span)
+        try:
+            self._names.check_call(call)
+        except SelectScriptError:  # where it is evaluated, the error tells more
+            return part
+        return call
+
     def _looked_up(self, part: Node) -> Node | None:
-        if isinstance(part, Query):
+        if isinstance(part, Query | Dotted):
             return part
         if not isinstance(part, Name) or part.name in self._states:
             return part if isinstance(part, Name) else None
@@ -109,3 +154,11 @@ class _Resolver:
         call = Call(part.span, part.name, (This(part.span, None),), part.span)
         self._names.check_call(call)
         return call
+
+
+def _named(query: Query) -> Iterator[tuple[str, Node]]:
+    """The columns that have names of their own: what `to` and AS name."""
+    for node in query.items:
+        match node:
+            case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                yield name, value

@@ -13,15 +13,20 @@ from ssduck.cursor import CLAUSES, LEVEL_OF, OPERATOR_WORDS, Cursor, is_kind, is
 from ssduck.errors import Span
 from ssduck.sql_habits import HABITS
 from ssduck.tree import (
+    Aged,
     Assignment,
     Binary,
     Call,
+    Dotted,
     Doubt,
     If,
+    Index,
     ListOf,
     Literal,
+    Name,
     Node,
     Query,
+    Source,
     Unary,
 )
 
@@ -267,6 +272,24 @@ class SqlForms(Cursor):
         """The name of a result form; that of a basic one in any case."""
         name = self.expect_name("the name of a result form").text
         return name.lower() if name.lower() in FORMS else name
+
+    def dotted(self, query: Query) -> Query:
+        """A query with `a.id` told from an element of a variable, where `a` is an alias in it."""
+        aliases = {s.alias for s in query.sources if s.alias is not None}
+        aliases -= {s.value.name for s in query.sources if isinstance(s.value, Name | Aged)}
+
+        def change(node: Node) -> Node | None:
+            if isinstance(node, Source):
+                return node
+            match node:
+                case Index(base=Name(name=name), indices=(Literal(value=str() as key) as index,)):
+                    if name in aliases and self.text[index.span.start] not in "'\"":
+                        return Dotted(node.span, name, key, node)
+            return None
+
+        changed = query.replaced(change) if aliases else query
+        assert isinstance(changed, Query)
+        return changed
 
     # -- doubts ---------------------------------------------------------------------------
 

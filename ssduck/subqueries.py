@@ -354,7 +354,8 @@ def _subquery(
     inner: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[Element]
 ) -> Subquery:
     resolved = resolve_in(inner, query, aliases)
-    conditions = () if query.where is None else (inner.condition(query.where),)
+    where = resolved.query.where
+    conditions = () if where is None else (inner.condition(where),)
     items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
     order = ordered(inner, resolved.query.order)
     for entry in elements:
@@ -381,7 +382,8 @@ def _unrolled_row(
     _bind(inner, aliases, elements)
     resolved = resolve_in(inner, query, aliases)
     before = inner.context.risks
-    there = exp.true() if query.where is None else inner.condition(query.where)
+    where = resolved.query.where
+    there = exp.true() if where is None else inner.condition(where)
     items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
     return (there, items), inner.context.risks > before
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 from ssduck.errors import Span
@@ -114,6 +115,32 @@ class This(Node):
     """The current element of a source: `this`, or `alias.this`."""
 
     alias: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Dotted(Node):
+    """`a.id`, where `a` is an alias: of the current element the key, or the function.
+
+    Where there is a variable of the alias's name, it is what `index` is: an element of that.
+    """
+
+    alias: str
+    key: str
+    index: Index
+
+    @cached_property
+    def this(self) -> This:
+        """The current element."""
+        return This(self.span, self.alias)
+
+    @cached_property
+    def call(self) -> Call:
+        """The function of it."""
+        return Call(self.span, self.key, (self.this,), self.index.indices[0].span)
+
+    def children(self) -> Iterator[Node]:
+        """None: what is in `index` counts where there is a variable only."""
+        return iter(())
 
 
 @dataclass(frozen=True, eq=False)
