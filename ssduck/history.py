@@ -24,7 +24,7 @@ from sqlglot import exp
 
 from ssduck.geometry import Geometry
 from ssduck.layout import Member
-from ssduck.models import KEYS, MODELS, models_of
+from ssduck.models import KEYS, MODELS, models_of, with_margins
 from ssduck.recording import QUARTERS, RECORDABLE, Recording
 from ssduck.relations import BOX
 from ssduck.rings import FRAME_REALS, FRAMES, STORED, Ticks
@@ -118,8 +118,10 @@ class History:
 
     Attributes:
         shown: the rows that it keeps where DuckDB is to be shown them, by table.
+        tells_margins: whether it knows those of shapes; old records do not.
     """
 
+    tells_margins = True
     keeps = False
     shown: tuple[Mapping[str, Shown], ...] = ()
 
@@ -349,7 +351,10 @@ class History:
         return f"SELECT {told} FROM {quoted(ring)} WHERE tick >= 0"  # noqa: S608
 
     def _model(self, table: str) -> str:
-        return self.place(f"{table} model")
+        place = self.place(f"{table} model")
+        if table == "shapes" and not self.tells_margins:
+            return with_margins(place, self.place("geometries model"))
+        return place
 
 
 @dataclass(frozen=True)

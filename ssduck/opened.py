@@ -29,7 +29,7 @@ from ssduck.history import (
     near_rows,
     quoted,
 )
-from ssduck.models import MODELS, geometries_of, members_of
+from ssduck.models import MODELS, geometries_of, members_of, tell_margins, with_margins
 from ssduck.record import Record
 from ssduck.recorded_world import RecordedWorld
 from ssduck.recording import Recording
@@ -126,6 +126,7 @@ def world_of(run: Run, database: Database) -> RecordedWorld:
         assert isinstance(run, StoredRun)
         archive = run.history(database.connection.writer())
         ticks, models = archive.ticks(), archive.all_models()
+    archive.tells_margins = tell_margins(models)
     record = Record(
         None,
         ticks,
@@ -152,7 +153,10 @@ class OpenedFolder:
         ticks: those that are stored.
         tables: those that have rows of them.
         recording: what was kept of each.
+        tells_margins: whether it knows those of shapes; old records do not.
     """
+
+    tells_margins = True
 
     def __init__(self, run: FolderRun, writer: Writer) -> None:
         self._run = run
@@ -169,14 +173,21 @@ class OpenedFolder:
         if table not in self._files:
             return None
         columns = ", ".join(quoted(column.name) for column in TABLES[table])
-        return f"SELECT {columns} FROM {_scan(self._files[table])}"  # noqa: S608
+        return f"SELECT {columns} FROM {self._whole(table, self._files[table])}"  # noqa: S608
+
+    def _whole(self, table: str, files: Sequence[Path]) -> str:
+        """Rows of a table in SQL, those of shapes with their margins."""
+        if table not in ("shapes", "models/shapes") or self.tells_margins:
+            return _scan(files)
+        return with_margins(_scan(files), _scan(self._run.files("models/geometries")))
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
-        return {
-            model_name(table): f"SELECT * FROM {_scan(self._run.files(f'models/{table}'))}"  # noqa: S608
-            for table in MODELS
-        }
+        found = {}
+        for table in MODELS:
+            rows = self._whole(f"models/{table}", self._run.files(f"models/{table}"))
+            found[model_name(table)] = f"SELECT * FROM {rows}"  # noqa: S608
+        return found
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
