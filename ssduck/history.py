@@ -23,7 +23,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.layout import Member
-from ssduck.models import KEYS, MODELS, Numbers, models_of, with_run
+from ssduck.models import KEYS, MODELS, Numbers, models_of, with_margins, with_run
 from ssduck.recording import QUARTERS, RECORDABLE, Recording
 from ssduck.relations import BOX
 from ssduck.rings import FRAME_REALS, FRAMES, STORED, Ticks

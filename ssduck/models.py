@@ -64,6 +64,7 @@ MODELS: dict[str, dict[str, str]] = {
         "qx": "DOUBLE",
         "qy": "DOUBLE",
         "qz": "DOUBLE",
+        "margin": "DOUBLE",
     },
     "geometries": {
         "id": "BIGINT",
@@ -92,6 +93,8 @@ MODEL_COMMENTS: dict[str, dict[str, str]] = {
     },
     "geometries": {},
 }
+# The margins, metres, of shapes in records that do not tell them: PyBullet's, which it gave hulls.
+UNTOLD_MARGINS = {"hull": 1e-3}
 # By which columns rows of a tick and what is fixed belong together.
 KEYS = {
     "entities": ("id",),
@@ -148,7 +151,7 @@ def models_of(
             id = numbers.geometry_id(shape.geometry)
             geometries[id] = shape.geometry
             pose = (*np.asarray(shape.position).tolist(), *np.asarray(shape.orientation).tolist())
-            rows["shapes"].append((member.id, shape.frame, number, id, *pose))
+            rows["shapes"].append((member.id, shape.frame, number, id, *pose, shape.margin))
     rows["geometries"] = [
         (id, g.type, *g.size, g.vertices.tolist(), g.faces.tolist())
         for id, g in geometries.items()
@@ -233,6 +236,25 @@ def geometries_of(models: Mapping[str, pa.Table]) -> dict[str, int]:
     return {_geometry(row).key: row["id"] for row in models["geometries"].to_pylist()}
 
 
+def tell_margins(models: Mapping[str, pa.Table]) -> bool:
+    """Whether rows tell the margins of shapes; those of old records do not."""
+    return "margin" in models["shapes"].column_names
+
+
+def with_margins(rows: str, geometries: str) -> str:
+    """Rows of shapes that do not tell their margins, with these, in SQL.
+
+    Args:
+        rows: a table in SQL, with the numbers of geometries.
+        geometries: that of the geometries.
+    """
+    cases = " ".join(f"WHEN '{type}' THEN {margin!r}" for type, margin in UNTOLD_MARGINS.items())
+    return (
+        f"(SELECT told.*, (CASE types.type {cases} ELSE 0 END)::DOUBLE AS margin "  # noqa: S608
+        f"FROM {rows} AS told JOIN {geometries} AS types ON types.id = told.geometry)"
+    )
+
+
 def _by_entity(table: pa.Table, key: str) -> dict[int, list[dict[str, Any]]]:
     found: dict[int, list[dict[str, Any]]] = {}
     for row in sorted(table.to_pylist(), key=lambda row: (row["entity"], row[key])):
@@ -262,7 +284,9 @@ def _joint(row: Mapping[str, Any]) -> Joint:
 def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> PlacedGeometry:
     position = np.array([row[axis] for axis in ("x", "y", "z")])
     orientation = np.array([row[axis] for axis in ("qw", "qx", "qy", "qz")])
-    return PlacedGeometry(row["link"], geometries[row["geometry"]], position, orientation)
+    geometry = geometries[row["geometry"]]
+    margin = row["margin"] if "margin" in row else UNTOLD_MARGINS.get(geometry.type, 0.0)
+    return PlacedGeometry(row["link"], geometry, position, orientation, margin)
 
 
 def _geometry(row: Mapping[str, Any]) -> Geometry:

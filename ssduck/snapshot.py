@@ -234,6 +234,7 @@ class Snapshot:
                 "link": [shape.frame for _, _, shape in shapes],
                 "shape": [number for _, number, _ in shapes],
                 "geometry": geometries,
+                "margin": [shape.margin for _, _, shape in shapes],
             },
         )
         distinct = {id: s.geometry for id, (_, _, s) in zip(geometries, shapes, strict=True)}

@@ -135,6 +135,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("geometry", "integer", "id of the geometry"),
         *_POSE,
         *_BOX,
+        Column("margin", "real", "how far around it the simulator takes others to touch it, m"),
     ),
     "geometries": (
         Column("id", "integer", "the same for equal geometries"),

@@ -154,7 +154,7 @@ class Bound:
     @property
     def margins(self) -> float:
         """How far apart shapes may be that touch by their margins, metres, at any of its ticks."""
-        now = margins_of(self.world.snapshot.members)
+        now = self.world.snapshot.layout.margins
         return now if self.kept is None else max(now, self.kept.record.margins)
 
     def told(self, what: str, tick: int, a: int, b: int) -> list[float]:

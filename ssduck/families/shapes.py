@@ -87,9 +87,11 @@ DEEP = "1e-6"
 COLLIDES = _narrow(_ask("collides", DEEP))
 # How much farther apart boxes may be, metres, for the margins of shapes.
 _MARGINS = '"narrow margins"($world)'
-_IS_DEPTH = (
+# How far apart boxes may be; beside the boxes it is looked at even if none meet.
+_DEPTH_CHECKED = (
     "CASE WHEN depth < 0 OR isnan(depth::DOUBLE) THEN "
-    "error('collides: the depth is a number of metres from 0 up, not ' || depth) ELSE TRUE END"
+    "error('collides: the depth is a number of metres from 0 up, not ' || depth)::DOUBLE "
+    "ELSE 0.0::DOUBLE END"
 )
 
 OF_SHAPES: tuple[Relation, ...] = (
@@ -113,7 +115,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         "as the margins of the simulator are: inContact and touching tell of resting, "
         "collides(a, b, 1e-3) of intrusion. A depth below 0 is an error.",
         more=(Parameter("depth", "real", "a depth, m", optional=True),),
-        sliced=f"{_IS_DEPTH} AND {_narrow(_ask('collides', 'depth'))}",
+        sliced=_narrow(_ask("collides", "depth"), _DEPTH_CHECKED),
         symmetric=True,
         candidates=Candidates("colliding", DEEP, "depth"),
     ),

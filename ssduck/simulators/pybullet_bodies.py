@@ -28,6 +28,7 @@ from ssduck.geometry import (
 )
 from ssduck.simulators import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet_console import pybullet
+from ssduck.simulators.pybullet_margins import Told, margin_of, told_of, with_margins
 from ssduck.simulators.pybullet_saved import SavedShapes
 
 Pose: TypeAlias = tuple[Array, Array]
@@ -173,7 +174,7 @@ class _Reader:
             movable=jointed or masses[0] > 0.0 or self.type == _SOFT_BODY,
             links=tuple(map(Link, names, parents, masses)),
             joints=joints,
-            shapes=tuple(shape for link in range(len(names)) for shape in self.shapes(link)),
+            shapes=tuple(shape for link in range(len(names)) for shape in self._padded(link)),
         )
         return Description(body, self.com, all(shape.exact for shape in body.shapes))
 
@@ -187,6 +188,17 @@ class _Reader:
         return replace(joint, axis=(x, y, z))
 
     # -- shapes ---------------------------------------------------------------------------
+
+    def _padded(self, link: int) -> list[PlacedGeometry]:
+        """The collision shapes of a link with their margins."""
+        shapes = list(self.shapes(link))
+        if all(margin_of(shape.geometry.type, Told(None)) == 0.0 for shape in shapes):
+            return shapes
+        entries = None
+        # Of links that have capsules PyBullet may not be asked; of soft bodies it tells nothing.
+        if link not in self._drawn_capsules and self.type != _SOFT_BODY:
+            entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
+        return with_margins(shapes, told_of(self.dynamics[link], entries))
 
     def shapes(self, link: int) -> Iterator[PlacedGeometry]:
         """The collision shapes of a link in its link frame (link 0 is the base).
