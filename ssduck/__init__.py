@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from ssduck.episode import Episode
     from ssduck.errors import SelectScriptError
     from ssduck.grids import OccupancyGrid
+    from ssduck.height_fields import height_field
     from ssduck.interpreter import Interpreter
     from ssduck.limits import Limits
     from ssduck.opened import episodes
@@ -38,6 +39,7 @@ __all__ = [
     "World",
     "adapter",
     "episodes",
+    "height_field",
     "load",
     "open",
 ]
@@ -60,6 +62,7 @@ _HOMES = {
     "World": "world",
     "adapter": "adapters",
     "episodes": "opened",
+    "height_field": "height_fields",
     "load": "opening",
     "open": "opening",
 }

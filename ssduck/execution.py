@@ -90,8 +90,13 @@ class Execution(Names, ABC):
     def _explained(self, program: Program) -> str:
         with self._rehearsed(program) as frame:
             plan_of = partial(self._planner.plan, frame=frame)
+            stand_ins = {
+                name: [m.name for m in world.snapshot.members if m.body and m.body.has_stand_ins]
+                for name, world in self._database.worlds.items()
+            }
             return "\n\n".join(
-                told(program.text, statement, plan_of) for statement in program.statements[-1:]
+                told(program.text, statement, plan_of, stand_ins)
+                for statement in program.statements[-1:]
             )
 
     def _sql_of(self, program: Program, dialect: str) -> str:

@@ -282,13 +282,14 @@ class PlacedGeometry:
         position: in the frame, (3,).
         orientation: in the frame, (4,).
         exact: whether it is what the simulator has; else it is a box that stands in for that.
+            None if nobody knows.
     """
 
     frame: int
     geometry: Geometry
     position: Array
     orientation: Array
-    exact: bool = True
+    exact: bool | None = True
 
 
 @dataclass(frozen=True, eq=False)

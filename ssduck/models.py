@@ -62,6 +62,7 @@ MODELS: dict[str, dict[str, str]] = {
         "qx": "DOUBLE",
         "qy": "DOUBLE",
         "qz": "DOUBLE",
+        "exact": "BOOLEAN",
     },
     "geometries": {
         "id": "BIGINT",
@@ -135,7 +136,7 @@ def models_of(
             id = geometry_id(shape.geometry)
             geometries[id] = shape.geometry
             pose = (*np.asarray(shape.position).tolist(), *np.asarray(shape.orientation).tolist())
-            rows["shapes"].append((member.id, shape.frame, number, id, *pose))
+            rows["shapes"].append((member.id, shape.frame, number, id, *pose, shape.exact))
     rows["geometries"] = [
         (id, g.type, *g.size, g.vertices.tolist(), g.faces.tolist())
         for id, g in geometries.items()
@@ -224,7 +225,8 @@ def _joint(row: Mapping[str, Any]) -> Joint:
 def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> PlacedGeometry:
     position = np.array([row[axis] for axis in ("x", "y", "z")])
     orientation = np.array([row[axis] for axis in ("qw", "qx", "qy", "qz")])
-    return PlacedGeometry(row["link"], geometries[row["geometry"]], position, orientation)
+    geometry = geometries[row["geometry"]]
+    return PlacedGeometry(row["link"], geometry, position, orientation, row.get("exact"))
 
 
 def _geometry(row: Mapping[str, Any]) -> Geometry:

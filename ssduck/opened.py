@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from sqlglot import exp
 
 from ssduck.database import Database
@@ -28,6 +29,7 @@ from ssduck.history import (
     model_name,
     near_rows,
     quoted,
+    whole_rows,
 )
 from ssduck.models import MODELS, geometries_of, members_of
 from ssduck.record import Record
@@ -168,14 +170,16 @@ class OpenedFolder:
         """What the view of a table's history selects; None for what is not recorded."""
         if table not in self._files:
             return None
-        columns = ", ".join(quoted(column.name) for column in TABLES[table])
-        return f"SELECT {columns} FROM {_scan(self._files[table])}"  # noqa: S608
+        files = self._files[table]
+        columns = {column.name: column.sql for column in TABLES[table]}
+        return whole_rows(_scan(files), columns, _columns_in(files))
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
+        files = {table: self._run.files(f"models/{table}") for table in MODELS}
         return {
-            model_name(table): f"SELECT * FROM {_scan(self._run.files(f'models/{table}'))}"  # noqa: S608
-            for table in MODELS
+            model_name(table): whole_rows(_scan(own), MODELS[table], _columns_in(own))
+            for table, own in files.items()
         }
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
@@ -204,6 +208,12 @@ class OpenedFolder:
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Read no more."""
         self._writer.close()
+
+
+def _columns_in(files: Sequence[Path]) -> list[str]:
+    """The columns of a table's parts: one ssduck wrote all of them."""
+    names: list[str] = pq.read_schema(files[0]).names
+    return names
 
 
 def _scan(files: Sequence[Path]) -> str:

@@ -164,6 +164,13 @@ class Relation:
         return self.result in ("real", "list") and (of_box or of_shapes)
 
     @cached_property
+    def is_of_shapes(self) -> bool:
+        """Whether it asks shapes or their boxes: where a box stands in for a shape it is off."""
+        tree = self.expressions[self.required]
+        of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
+        return of_box or tree.find(exp.Placeholder) is not None
+
+    @cached_property
     def when_apart(self) -> exp.Expr:
         """What it is of entities of two worlds, if it looks things up in one."""
         return _parsed(self.apart)

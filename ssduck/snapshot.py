@@ -223,6 +223,7 @@ class Snapshot:
                 "link": [shape.frame for _, _, shape in shapes],
                 "shape": [number for _, number, _ in shapes],
                 "geometry": geometries,
+                "exact": [shape.exact for _, _, shape in shapes],
             },
         )
         distinct = {id: s.geometry for id, (_, _, s) in zip(geometries, shapes, strict=True)}

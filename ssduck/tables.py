@@ -36,6 +36,16 @@ _ARROW: dict[ColumnType, pa.DataType] = {
 }
 
 
+_SQL: dict[ColumnType, str] = {
+    "real": "DOUBLE",
+    "integer": "BIGINT",
+    "text": "VARCHAR",
+    "flag": "BOOLEAN",
+    "points": "DOUBLE[3][]",
+    "triples": "INTEGER[3][]",
+}
+
+
 class Column(NamedTuple):
     """A column of a table.
 
@@ -51,6 +61,11 @@ class Column(NamedTuple):
     type: ColumnType
     comment: str
     also: str = ""
+
+    @property
+    def sql(self) -> str:
+        """The type of its values in SQL."""
+        return _SQL[self.type]
 
 
 def _reals(names: str, comment: str, also: str = "") -> tuple[Column, ...]:
@@ -74,6 +89,11 @@ _TWIST = (
     *_reals("wx wy wz", "angular velocity, rad/s"),
 )
 _BOX = _reals("xmin ymin zmin xmax ymax zmax", "axis-aligned box of the shapes, exact, m")
+
+EXACT = (
+    "whether it is the simulator's own shape; else a box stands in for it. Unknown in records "
+    "that are older than this column"
+)
 
 # What a row of each table is.
 ROWS: dict[str, str] = {
@@ -134,6 +154,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("geometry", "integer", "id of the geometry"),
         *_POSE,
         *_BOX,
+        Column("exact", "flag", EXACT),
     ),
     "geometries": (
         Column("id", "integer", "the same for equal geometries"),

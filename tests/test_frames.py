@@ -16,7 +16,7 @@ from conftest import box_obj, collision, joint, link, robot
 from scipy.spatial.transform import Rotation
 
 import ssduck
-from ssduck.simulators.pybullet import MOST_NAMED
+from ssduck.messages import MOST_NAMED
 
 LIBRARY = Path(pybullet_data.getDataPath())
 POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]

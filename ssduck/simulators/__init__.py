@@ -76,6 +76,11 @@ class Body:
     joints: tuple[Joint, ...]
     shapes: tuple[PlacedGeometry, ...]
 
+    @property
+    def has_stand_ins(self) -> bool:
+        """Whether a box is known to stand in for some of its shapes."""
+        return any(shape.exact is False for shape in self.shapes)
+
 
 @dataclass(frozen=True, eq=False)
 class Frames:

@@ -15,8 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain, repeat
-from operator import itemgetter
+from itertools import repeat
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,15 +26,14 @@ from ssduck.geometry import (
     Array,
     Indices,
     compose,
-    invert,
-    multiply,
-    rotate,
-    rotation_matrices,
 )
+from ssduck.messages import listed
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
-from ssduck.simulators.pybullet_bodies import Description, GivenShapes, Pose, describe, xyzw
+from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
+from ssduck.simulators.pybullet_frames import Layout
+from ssduck.simulators.pybullet_given import ShapesByBody, given_shapes
 from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_saved import SavedShapes
 from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
@@ -47,13 +45,6 @@ T = TypeVar("T")
 NEAREST_DRAWN = 0.01
 FARTHEST_DRAWN = 100.0
 
-# So many bodies a warning names.
-MOST_NAMED = 50
-
-_flatten = chain.from_iterable
-# Of a link's state: pose of the centre of mass; and linear and angular velocity.
-_pose = itemgetter(0, 1)
-_pose_and_twist = itemgetter(0, 1, 6, 7)
 # Bullet's groups and masks of collisions: what cannot move meets all else but its like.
 _FREE, _FIXED = (1, -1), (2, -3)
 
@@ -105,7 +96,7 @@ class PyBulletSimulator:
         # Why the client is not to be asked any more. PyBullet gives the number of one that is
         # gone to the next one, which is none of ours.
         self._lost: str | None = None
-        self._layout: tuple[tuple[Body, ...], _Layout] = ((), _Layout([], []))
+        self._layout: tuple[tuple[Body, ...], Layout] = ((), Layout([], []))
         self._timestep = self._clients_timestep()
         self._steps = 0
         self._time_before = self.filled.time
@@ -220,7 +211,7 @@ class PyBulletSimulator:
     def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:
         """All frames of these bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
-            self._layout = bodies, _Layout(bodies, [self._known[b.handle].com for b in bodies])
+            self._layout = bodies, Layout(bodies, [self._known[b.handle].com for b in bodies])
         return self._call(lambda: self._layout[1].read(self.client, links_move))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
@@ -469,89 +460,13 @@ def _handles(client: int) -> list[int]:
 
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
-        names = ", ".join(body.name for body in bodies[:MOST_NAMED])
-        left = len(bodies) - MOST_NAMED
-        names += f" and {left} more" if left > 0 else ""
         warnings.warn(
-            f"{names}: PyBullet does not give back all shapes (a concave mesh made by "
-            "createCollisionShape is such a shape); bounding boxes are used instead",
+            f"{listed([body.name for body in bodies])}: PyBullet does not give back "
+            "all shapes (a height field is such a shape); bounding boxes are used instead, which "
+            "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
+            "the shapes themselves",
             stacklevel=2,
         )
-
-
-class _Layout:
-    """How the frames of a fixed list of bodies are read: worked out once, used every tick."""
-
-    def __init__(self, bodies: Sequence[Body], com: Sequence[Pose]) -> None:
-        self._handles = [body.handle for body in bodies]
-        self._linked = [body.handle for body in bodies if len(body.links) > 1]
-        self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
-        counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
-        # By whether the links' velocities are read: how many numbers the answers have, and
-        # where each frame's are.
-        self._orders = {links_move: _order(counts, links_move) for links_move in (False, True)}
-        positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
-        orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
-        self._link_from_com = invert(positions, orientations)[1]
-        self._turned = bool(orientations[:, 1:].any())
-        self._origins = -positions  # from the centres of mass, in the link frames' axes
-        self._shifted = bool(positions.any())
-
-    def read(self, client: int, links_move: bool) -> Frames:
-        links = map(
-            pybullet.getLinkStates,
-            self._linked,
-            self._links,
-            repeat(int(links_move)),
-            repeat(1),  # with forward kinematics: without, links lag the base by a step
-            repeat(client),
-        )
-        # Through iterators in C: a loop in Python would cost as much as the calls.
-        answers = chain(
-            map(pybullet.getBasePositionAndOrientation, self._handles, repeat(client)),
-            map(pybullet.getBaseVelocity, self._handles, repeat(client)),
-            map(_pose_and_twist if links_move else _pose, _flatten(links)),
-            _UNKNOWN,
-        )
-        count, order = self._orders[links_move]
-        numbers = np.fromiter(_flatten(_flatten(answers)), np.float64, count)
-        states = numbers.take(order)
-        if self._turned:
-            states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
-        matrices = rotation_matrices(states[:, 3:7])
-        positions = states[:, :3]
-        if self._shifted:
-            positions = positions + rotate(matrices, self._origins)
-        return Frames(positions, matrices, states)
-
-
-# An answer like the others, of one number.
-_UNKNOWN = (((np.nan,),),)
-
-
-def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
-    """How many numbers the answers have, and where each frame's 13 are, (frames, 13).
-
-    The answers are the bases' poses, the bases' velocities, the links' states with or without
-    velocities, and an unknown number; a pose is x y z and the quaternion x y z w.
-    """
-    bases = len(counts)
-    total = int(counts.sum())
-    is_base = np.zeros(total, dtype=bool)
-    is_base[np.cumsum(counts) - counts] = True
-    width = 13 if links_move else 7
-    order = np.full((total, 13), -1, dtype=np.intp)  # from the end: the unknown one
-    order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
-    order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
-    links = 13 * bases + width * np.arange(total - bases)[:, None]
-    order[~is_base, :width] = links + np.arange(width)
-    answered = 13 * bases + width * (total - bases) + 1
-    return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
-
-
-def frames_of(client: int, body: Body, com: Pose) -> Frames:
-    """The frames of one body as they are now."""
-    return _Layout([body], [com]).read(client, links_move=True)
 
 
 def colours_of(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
@@ -609,9 +524,17 @@ def _connected() -> int:
 
 
 def attach(
-    client: Any, names: Mapping[int, str] | None, kinds: Mapping[int, Kind] | None
+    client: Any,
+    names: Mapping[int, str] | None,
+    kinds: Mapping[int, Kind] | None,
+    shapes: ShapesByBody | None = None,
 ) -> PyBulletSimulator:
-    """The user's own client: its number, or an object that holds it as `_client`."""
+    """The user's own client: its number, or an object that holds it as `_client`.
+
+    Raises:
+        SimulatorError: the client is not connected.
+        SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
+    """
     number = getattr(client, "_client", client)
     if not isinstance(number, int) or not pybullet.isConnected(number):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
@@ -623,7 +546,8 @@ def attach(
     for handle, kind in (kinds or {}).items():
         if kind not in ("robot", "kinbody"):
             raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
-    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds)
+    given = given_shapes(number, handles, shapes)
+    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 
 
 def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:

@@ -175,7 +175,7 @@ class _Reader:
             joints=joints,
             shapes=tuple(shape for link in range(len(names)) for shape in self.shapes(link)),
         )
-        return Description(body, self.com, all(shape.exact for shape in body.shapes))
+        return Description(body, self.com, not body.has_stand_ins)
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
         """A joint, its axis in the frame of its link."""

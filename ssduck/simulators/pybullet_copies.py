@@ -30,16 +30,16 @@ import numpy as np
 
 from ssduck.errors import SimulatorError
 from ssduck.geometry import Array, compose, invert
+from ssduck.messages import listed
 from ssduck.scenes import BodySpec, Scene
 from ssduck.simulators import SETTABLE, Body, Frames, Simulator
 from ssduck.simulators.pybullet import (
-    MOST_NAMED,
     PyBulletSimulator,
-    frames_of,
     new_client,
 )
 from ssduck.simulators.pybullet_bodies import Description, com_of, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
+from ssduck.simulators.pybullet_frames import frames_of
 from ssduck.simulators.pybullet_models import write_model, zero_poses
 from ssduck.simulators.pybullet_scenes import (
     Filled,
@@ -407,7 +407,4 @@ class _Copier:
         if self.source is None:
             self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
         for what, names in self.guessed.items():
-            told = ", ".join(names[:MOST_NAMED])
-            if len(names) > MOST_NAMED:
-                told += f" and {len(names) - MOST_NAMED} more"
-            warnings.warn(f"{told}: {what}" if told else what, stacklevel=6)
+            warnings.warn(f"{listed(names)}: {what}" if names else what, stacklevel=6)
