@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from ssduck.messages import listed
 from ssduck.plan import Plan
-from ssduck.tree import Bare, Call, Node, Query
+from ssduck.tree import Bare, Call, Name, Node, Query
 from ssduck.udfs import RELATIONS
 
 # By world, the entities of which boxes stand in for shapes.
@@ -72,7 +72,7 @@ def _narrow(query: Query) -> list[str]:
 
 def _inexact(query: Query, stand_ins: StandIns) -> list[str]:
     """Of which entities boxes stand in for the shapes that relations ask."""
-    calls = (node.name for node in query.walk() if isinstance(node, Call | Bare))
+    calls = (node.name for node in query.walk() if isinstance(node, Call | Bare | Name))
     names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].is_of_shapes]
     if not names:
         return []
