@@ -93,11 +93,11 @@ def is_impure(node: Node) -> bool:
 
 @known
 def tables_of(node: Node) -> frozenset[str]:
-    """The tables that relations in a part look things up in."""
+    """The tables that relations in a part look things up in, and masses."""
     own: frozenset[str] = frozenset()
     # A name may be a relation of the only source.
     if isinstance(node, Call | Bare | Name) and node.name in RELATIONS:
-        own = RELATIONS[node.name].tables
+        own = RELATIONS[node.name].reads
     return own.union(*map(tables_of, node.children()))
 
 

@@ -178,7 +178,7 @@ class Execution(Names, ABC):
             return None
         given = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].tables, worlds):
+        with self._database.held(RELATIONS[node.name].reads, worlds):
             for argument, value in zip(node.arguments, together, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()

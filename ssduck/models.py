@@ -74,6 +74,7 @@ MODELS: dict[str, dict[str, str]] = {
         "faces": "INTEGER[3][]",
     },
 }
+_FIRST_MASS = "kg, when the entity came; a later change is not recorded"
 # What those mean that no table of a tick has, or that mean something else there.
 MODEL_COMMENTS: dict[str, dict[str, str]] = {
     "entities": {
@@ -82,8 +83,9 @@ MODEL_COMMENTS: dict[str, dict[str, str]] = {
         "host": "id of the entity that a sensor sits on",
         "host_link": "number of the link that a sensor sits on",
         "sensor": "what a sensor is, as JSON",
+        "mass": _FIRST_MASS,
     },
-    "links": {},
+    "links": {"mass": _FIRST_MASS},
     "joints": dict.fromkeys(("axis_x", "axis_y", "axis_z"), "axis in the frame of the link"),
     "shapes": {
         **dict.fromkeys("xyz", "position in the frame of the link, m"),

@@ -10,6 +10,8 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
+from ssduck.tables import MASSES
+
 # What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
 # integer from case to case; `record` is a dict of the same keys each time; `any` is a value
 # that only Python knows.
@@ -181,6 +183,13 @@ class Relation:
         tree = self.expressions[self.required]
         tables = {table.name for table in tree.find_all(exp.Table)}
         return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
+
+    @cached_property
+    def reads(self) -> frozenset[str]:
+        """What has to be asked for before it is evaluated: tables, and masses."""
+        tree = self.expressions[self.required]
+        of_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
+        return self.tables | ({MASSES} if of_mass else frozenset())
 
     def _now_or_then(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """A formula of what is looked up: now, or at the tick of a row that was recorded."""

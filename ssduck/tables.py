@@ -20,6 +20,8 @@ import pyarrow as pa
 
 from ssduck.geometry import Array
 
+# What is asked for like a table: the masses, which others may change in a simulation of theirs.
+MASSES = "masses"
 # So many ticks is what was asked for read without another question.
 FORGOTTEN_AFTER = 240
 

@@ -39,6 +39,7 @@ from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.sensing import Reading
 from ssduck.simulators import Body, Kind, Simulator
 from ssduck.snapshot import Snapshot
+from ssduck.tables import MASSES
 from ssduck.ticking import Ticked
 from ssduck.what_if import bodies_of, imagined
 
@@ -264,7 +265,7 @@ class World(Ticked, WorldSpellings):
             RemovedEntityError: an entity is no longer in this world.
         """
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
-        with self.held(("links", "joints") if has_links else ()):
+        with self.held(("links", "joints", MASSES) if has_links else (MASSES,)):
             places = {
                 body: pose_of(pose, name) for name, body, pose in bodies_of(self, poses or {})
             }

@@ -213,6 +213,9 @@ class Simulator(Protocol):
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
 
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The masses of these bodies' links as they are now, kg; of what is gone, as they were."""
+
     def read_contacts(self) -> Iterable[Contact]:
         """The contacts of the last step."""
 

@@ -30,7 +30,7 @@ from ssduck.geometry import (
 from ssduck.messages import listed
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
-from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe, xyzw
+from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe, masses_of, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_frames import Layout
 from ssduck.simulators.pybullet_given import ShapesByBody, given_shapes
@@ -225,6 +225,19 @@ class PyBulletSimulator:
 
         rows = self._call(lambda: list(read()))
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The masses of these bodies' links as they are now; of what is gone, as they were."""
+        tags = dict(zip(*self._listed, strict=True))
+        now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
+
+        def masses(body: Body, tag: int) -> list[float]:
+            known = [link.mass for link in body.links]
+            if tag != tags.get(body.handle):
+                return known
+            return masses_of(self.client, body.handle, known)
+
+        return self._call(lambda: list(map(masses, bodies, now)))
 
     def read_contacts(self) -> Iterable[Contact]:
         """The points of the last step at which shapes meet; PyBullet's near misses left out."""

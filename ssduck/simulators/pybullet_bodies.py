@@ -130,6 +130,13 @@ def com_of(client: int, handle: int) -> Pose:
     return _com([pybullet.getDynamicsInfo(handle, link, client) for link in links])
 
 
+def masses_of(client: int, handle: int, known: list[float]) -> list[float]:
+    """The masses of a body's links as they are now; of a soft body, as they are known."""
+    dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, len(known) - 1)]
+    # What PyBullet says of a soft body is no number of kilograms.
+    return known if dynamics[0][10] == _SOFT_BODY else [float(told[0]) for told in dynamics]
+
+
 def _com(dynamics: Sequence[Any]) -> Pose:
     if dynamics[0][10] != _MULTI_BODY:
         # PyBullet answers with what happened to be in memory. The frame of the centre of

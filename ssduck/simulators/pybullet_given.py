@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry import Array, Geometry, load_mesh
+from ssduck.geometry import Array, Geometry, Triangles, load_mesh
 from ssduck.messages import shown
 from ssduck.simulators.pybullet_bodies import GivenShapes
 from ssduck.simulators.pybullet_console import pybullet
@@ -55,7 +54,8 @@ def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int |
     parts = key if isinstance(key, tuple) else (key,)
     if not 1 <= len(parts) <= 3 or not all(_is_number(part) for part in parts):
         raise ArgumentError(f"shapes: {shown(key)} is no key: a key is {_KEYS}")
-    body, link, number = (*map(int, parts), *(-1, None)[len(parts) - 1 :])[:3]
+    body, link = int(parts[0]), int(parts[1]) if len(parts) > 1 else -1
+    number = int(parts[2]) if len(parts) > 2 else None
     if body not in handles:
         listed = ", ".join(map(str, handles)) or "none"
         raise ArgumentError(f"shapes: PyBullet has no body {body}; its bodies: {listed}")
@@ -116,7 +116,7 @@ def _vertices(key: Any, told: Any) -> Array:
     return np.array(vertices)
 
 
-def _faces(key: Any, told: Any, count: int) -> npt.NDArray[np.int32]:
+def _faces(key: Any, told: Any, count: int) -> Triangles:
     faces = _ragged(told)
     if faces is None or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise ArgumentError(
@@ -129,4 +129,5 @@ def _faces(key: Any, told: Any, count: int) -> npt.NDArray[np.int32]:
             f"shapes: {key!r}: face {row} is {faces[row].tolist()}; the vertices have the numbers "
             f"0 to {count - 1}"
         )
-    return faces.astype(np.int32)
+    triangles: Triangles = faces.astype(np.int32)
+    return triangles

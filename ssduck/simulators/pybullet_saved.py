@@ -357,7 +357,8 @@ def _plane(shape: Any) -> list[Placed]:
     normal = _vector(shape["m_planeNormal"])
     normal /= np.linalg.norm(normal)
     offset = _decimal(shape["m_planeConstant"])
-    return [(Geometry.primitive("plane", normal), normal * offset, IDENTITY.copy())]
+    plane = Geometry.primitive("plane", normal.tolist())
+    return [(plane, normal * offset, IDENTITY.copy())]
 
 
 def _primitive(kind: int, shape: Any) -> Placed | None:
@@ -392,4 +393,5 @@ def _turned_to(axis: Array) -> Array:
     if z < -1.0 + 1e-12:
         return np.array([0.0, 1.0, 0.0, 0.0])
     turn = np.array([1.0 + z, -y, x, 0.0])
-    return turn / np.linalg.norm(turn)
+    unit: Array = turn / np.linalg.norm(turn)
+    return unit
