@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from ssduck.episode import Episode
     from ssduck.errors import ProgramWarning, SelectScriptError
     from ssduck.grids import OccupancyGrid
+    from ssduck.height_fields import height_field
     from ssduck.interpreter import Interpreter
     from ssduck.limits import Limits
     from ssduck.opened import episodes
@@ -39,6 +40,7 @@ __all__ = [
     "World",
     "adapter",
     "episodes",
+    "height_field",
     "load",
     "open",
 ]
@@ -62,6 +64,7 @@ _HOMES = {
     "World": "world",
     "adapter": "adapters",
     "episodes": "opened",
+    "height_field": "height_fields",
     "load": "opening",
     "open": "opening",
 }

@@ -96,12 +96,12 @@ def is_impure(node: Node) -> bool:
 
 @known
 def tables_of(node: Node) -> frozenset[str]:
-    """The tables that relations in a part look things up in."""
+    """The tables that relations in a part look things up in, and masses."""
     own: frozenset[str] = frozenset()
     # A name may be a relation of the only source, a key one of a source.
     name = node.key if isinstance(node, Dotted) else getattr(node, "name", None)
     if isinstance(node, Call | Bare | Name | Dotted) and name in RELATIONS:
-        own = RELATIONS[name].tables
+        own = RELATIONS[name].reads
     return own.union(*map(tables_of, node.children()))
 
 

@@ -23,6 +23,7 @@ from ssduck.scenes import SensorSpec
 from ssduck.sensing import Reading
 from ssduck.sensors import SENSOR_TYPES
 from ssduck.simulators import Body, Kind
+from ssduck.tables import MASSES
 
 if TYPE_CHECKING:
     from ssduck.record import Record
@@ -132,7 +133,9 @@ class Entity(EntitySpellings):
     @property
     def mass(self) -> float:
         """Kilograms of all links; 0 for a sensor and for what cannot move."""
-        return self._numbers("mass", "mass")[0]
+        with self.state.lock:
+            self.state.ask([MASSES])
+            return self._numbers("mass", "mass")[0]
 
     @property
     def links(self) -> list[LinkState]:
@@ -326,7 +329,7 @@ class Entity(EntitySpellings):
     def _table(self, name: str) -> list[dict[str, Any]]:
         with self.state.lock:
             self._row()
-            self.state.ask([name])
+            self.state.ask([name, MASSES] if name == "links" else [name])
             self._row()  # asking may have taken a tick
             table = self.state.snapshot.tables[name]
             own = table.arrow.filter(pa.array(table["entity"] == self.id))

@@ -133,8 +133,13 @@ class Execution(Names, ABC):
     def _explained(self, program: Program) -> str:
         with self._rehearsed(program) as frame:
             plan_of = partial(self._planner.plan, frame=frame)
+            stand_ins = {
+                name: [m.name for m in world.snapshot.members if m.body and m.body.has_stand_ins]
+                for name, world in self._database.worlds.items()
+            }
             return "\n\n".join(
-                told(program.text, statement, plan_of) for statement in program.statements[-1:]
+                told(program.text, statement, plan_of, stand_ins)
+                for statement in program.statements[-1:]
             )
 
     def _sql_of(self, program: Program, dialect: str) -> str:
@@ -216,7 +221,7 @@ class Execution(Names, ABC):
             return None
         given = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].tables, worlds):
+        with self._database.held(RELATIONS[node.name].reads, worlds):
             for argument, value in zip(node.arguments, together, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
+from ssduck.messages import listed
 from ssduck.plan import Plan
-from ssduck.tree import Call, Node, Query
+from ssduck.tree import Bare, Call, Name, Node, Query
 from ssduck.udfs import RELATIONS
 
+# By world, the entities of which boxes stand in for shapes.
+StandIns: TypeAlias = Mapping[str, Sequence[str]]
 PlanOf: TypeAlias = Callable[[Query], Plan | None]
 
 
-def told(text: str, statement: Node, plan_of: PlanOf) -> str:
+def told(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
     """What becomes of the queries in a statement.
 
     Args:
         text: the program.
         statement: the statement.
         plan_of: the plan of a query; None for one that runs row by row.
+        stand_ins: where answers about shapes are not exact.
     """
     return "\n\n".join(
-        _told(text, query, plan) for query, plan in _plans(outermost([statement]), plan_of)
+        _told(text, query, plan, stand_ins)
+        for query, plan in _plans(outermost([statement]), plan_of)
     )
 
 
@@ -49,13 +54,13 @@ def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, P
         yield from _plans(outermost([*given, *plan.constants, *plan.once]), plan_of)
 
 
-def _told(text: str, query: Query, plan: Plan | None) -> str:
+def _told(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:
     if plan is None:
         lines = [f"-- row by row in Python: {_source(text, query)}"]
     else:
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
         lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
-    return "\n".join([*lines, *_narrow(query)])
+    return "\n".join([*lines, *_narrow(query), *_inexact(query, stand_ins)])
 
 
 def _narrow(query: Query) -> list[str]:
@@ -63,6 +68,20 @@ def _narrow(query: Query) -> list[str]:
     names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, Call))
     asked = {name: RELATIONS[name].asked for name in names if name in RELATIONS}
     return [f"-- the narrow phase: {name}, {pairs}" for name, pairs in asked.items() if pairs]
+
+
+def _inexact(query: Query, stand_ins: StandIns) -> list[str]:
+    """Of which entities boxes stand in for the shapes that relations ask."""
+    calls = (node.name for node in query.walk() if isinstance(node, Call | Bare | Name))
+    names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].is_of_shapes]
+    if not names:
+        return []
+    return [
+        f"-- not exact: {', '.join(names)} where boxes stand in for shapes: "
+        f"{listed(entities)} of {world}"
+        for world, entities in stand_ins.items()
+        if entities
+    ]
 
 
 def _source(text: str, node: Node) -> str:

@@ -278,6 +278,7 @@ class PlacedGeometry:
         orientation: (4,), in the frame, w, x, y, z.
         margin: how far around the shape the simulator takes others to touch it, metres.
         exact: whether it is what the simulator has; else it is a box that stands in for that.
+            None if nobody knows.
     """
 
     frame: int
@@ -285,7 +286,7 @@ class PlacedGeometry:
     position: Array
     orientation: Array
     margin: float = 0.0
-    exact: bool = True
+    exact: bool | None = True
 
 
 @dataclass(frozen=True, eq=False)

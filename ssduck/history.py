@@ -23,7 +23,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.layout import Member
-from ssduck.models import KEYS, MODELS, Numbers, models_of, with_margins, with_run
+from ssduck.models import KEYS, MODELS, Numbers, defaults, models_of
 from ssduck.recording import QUARTERS, RECORDABLE, Recording
 from ssduck.relations import BOX
 from ssduck.rings import FRAME_REALS, FRAMES, STORED, Ticks
@@ -147,6 +147,8 @@ class History:
         self.tables = ("ticks", *(t for t in RECORDABLE if t in recording.tables))
         if "links" not in recording.tables:
             self.tables += (FRAMES,)
+        self._is_own = world is not None
+        self._whole_models: dict[str, str] = {}
         if world is not None:
             self._make(world)
 
@@ -328,11 +330,15 @@ class History:
         """
         if table not in self.tables:
             return None
-        return history_of(table, self._all(table, rings), self._all("entities", rings), self._model)
+        rows, entities = self._all(table, rings), self._all("entities", rings)
+        return history_of(table, rows, entities, self._model_rows)
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
-        return {model_name(table): f"SELECT * FROM {self._model(table)}" for table in MODELS}  # noqa: S608
+        return {
+            model_name(table): f"SELECT * FROM {self._model_rows(table)}"  # noqa: S608
+            for table in MODELS
+        }
 
     def _all(self, table: str, rings: Waiting | None) -> str:
         """A SELECT of all rows of a table, those that wait among them."""
@@ -349,8 +355,18 @@ class History:
         return f"SELECT {told} FROM {quoted(ring)} WHERE tick >= 0"  # noqa: S608
 
     def _model(self, table: str) -> str:
-        place = self.place(f"{table} model")
-        return with_run(place, self.untold_run) if table == "entities" else place
+        return self.place(f"{table} model")
+
+    def _model_rows(self, table: str) -> str:
+        """The rows of what is fixed of a table, in SQL: of an older record with all columns."""
+        place = self._model(table)
+        if self._is_own:
+            return place
+        if table not in self._whole_models:
+            present = self._writer.rows(f"SELECT * FROM {place} LIMIT 0").column_names  # noqa: S608
+            missing = defaults(self.untold_run, self._model("geometries"))
+            self._whole_models[table] = f"({whole_rows(place, MODELS[table], present, missing)})"
+        return self._whole_models[table]
 
 
 @dataclass(frozen=True)
@@ -472,6 +488,26 @@ def history_of(table: str, rows: str, entities: str, model: Callable[[str], str]
         )
     keys = _listed(KEYS[table])
     return f"SELECT {told} FROM ({rows}) AS rows JOIN {model(table)} AS model USING ({keys})"  # noqa: S608
+
+
+def whole_rows(
+    rows: str, columns: Mapping[str, str], present: Collection[str], missing: Mapping[str, str]
+) -> str:
+    """A SELECT of all columns of a table from rows of which an older record lacks some.
+
+    Args:
+        rows: what stands behind FROM.
+        columns: the names and the types.
+        present: those that are there.
+        missing: the values of others, in SQL; without one a column is NULL.
+    """
+    told = ", ".join(
+        quoted(name)
+        if name in present
+        else f"({missing.get(name, 'NULL')})::{type} AS {quoted(name)}"
+        for name, type in columns.items()
+    )
+    return f"SELECT {told} FROM {rows}"  # noqa: S608
 
 
 def _listed(names: Iterable[str], table: Callable[[str], str] | None = None) -> str:

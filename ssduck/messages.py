@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from reprlib import Repr
 from typing import Any
 
@@ -12,6 +13,9 @@ from ssduck.errors import EvaluationError, Span
 # So many keys and letters of what is wrong are told.
 MOST_KEYS = 20
 MOST_LETTERS = 200
+
+# So many names.
+MOST_NAMED = 50
 
 _SHORT = Repr()
 _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MOST_KEYS
@@ -27,6 +31,12 @@ def shown(value: Any) -> str:
             return kind_of(value)
         sign = "negative " if value < 0 else ""
         return f"a {sign}number of some {int(value.bit_length() * math.log10(2))} digits"
+
+
+def listed(names: Sequence[str], most: int = MOST_NAMED) -> str:
+    """Names, and how many more there are."""
+    left = len(names) - most
+    return ", ".join(names[:most]) + (f" and {left} more" if left > 0 else "")
 
 
 def reason(error: BaseException) -> str:

@@ -65,6 +65,7 @@ MODELS: dict[str, dict[str, str]] = {
         "qy": "DOUBLE",
         "qz": "DOUBLE",
         "margin": "DOUBLE",
+        "exact": "BOOLEAN",
     },
     "geometries": {
         "id": "BIGINT",
@@ -76,6 +77,7 @@ MODELS: dict[str, dict[str, str]] = {
         "faces": "INTEGER[3][]",
     },
 }
+_FIRST_MASS = "kg, when the entity came; a later change is not recorded"
 # What those mean that no table of a tick has, or that mean something else there.
 MODEL_COMMENTS: dict[str, dict[str, str]] = {
     "entities": {
@@ -84,8 +86,9 @@ MODEL_COMMENTS: dict[str, dict[str, str]] = {
         "host": "id of the entity that a sensor sits on",
         "host_link": "number of the link that a sensor sits on",
         "sensor": "what a sensor is, as JSON",
+        "mass": _FIRST_MASS,
     },
-    "links": {},
+    "links": {"mass": _FIRST_MASS},
     "joints": dict.fromkeys(("axis_x", "axis_y", "axis_z"), "axis in the frame of the link"),
     "shapes": {
         **dict.fromkeys("xyz", "position in the frame of the link, m"),
@@ -151,7 +154,8 @@ def models_of(
             id = numbers.geometry_id(shape.geometry)
             geometries[id] = shape.geometry
             pose = (*np.asarray(shape.position).tolist(), *np.asarray(shape.orientation).tolist())
-            rows["shapes"].append((member.id, shape.frame, number, id, *pose, shape.margin))
+            marks = (shape.margin, shape.exact)
+            rows["shapes"].append((member.id, shape.frame, number, id, *pose, *marks))
     rows["geometries"] = [
         (id, g.type, *g.size, g.vertices.tolist(), g.faces.tolist())
         for id, g in geometries.items()
@@ -221,38 +225,24 @@ def run_of(models: Mapping[str, pa.Table]) -> int | None:
     return runs[0] if runs else None
 
 
-def with_run(rows: str, run: int | None) -> str:
-    """Rows of entities in SQL, of which none tells its run.
-
-    Args:
-        rows: a table in SQL.
-        run: the number that they get; None where they have theirs.
-    """
-    return rows if run is None else f"(SELECT *, {run:d}::BIGINT AS run FROM {rows})"  # noqa: S608
-
-
 def geometries_of(models: Mapping[str, pa.Table]) -> dict[str, int]:
     """The numbers of geometries that rows tell of, by their keys."""
     return {_geometry(row).key: row["id"] for row in models["geometries"].to_pylist()}
 
 
-def tell_margins(models: Mapping[str, pa.Table]) -> bool:
-    """Whether rows tell the margins of shapes; those of old records do not."""
-    return "margin" in models["shapes"].column_names
-
-
-def with_margins(rows: str, geometries: str) -> str:
-    """Rows of shapes that do not tell their margins, with these, in SQL.
+def defaults(run: int | None, geometries: str) -> dict[str, str]:
+    """The values of columns that rows of older records lack, in SQL; the others are unknown.
 
     Args:
-        rows: a table in SQL, with the numbers of geometries.
-        geometries: that of the geometries.
+        run: the number of the run, of rows that do not tell it.
+        geometries: the table of the geometries, in SQL.
     """
     cases = " ".join(f"WHEN '{type}' THEN {margin!r}" for type, margin in UNTOLD_MARGINS.items())
-    return (
-        f"(SELECT told.*, (CASE types.type {cases} ELSE 0 END)::DOUBLE AS margin "  # noqa: S608
-        f"FROM {rows} AS told JOIN {geometries} AS types ON types.id = told.geometry)"
+    margin = (
+        f"SELECT CASE types.type {cases} ELSE 0 END "  # noqa: S608
+        f"FROM {geometries} AS types WHERE types.id = geometry"
     )
+    return {"margin": margin} | ({} if run is None else {"run": f"{run:d}"})
 
 
 def _by_entity(table: pa.Table, key: str) -> dict[int, list[dict[str, Any]]]:
@@ -286,7 +276,7 @@ def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> Placed
     orientation = np.array([row[axis] for axis in ("qw", "qx", "qy", "qz")])
     geometry = geometries[row["geometry"]]
     margin = row["margin"] if "margin" in row else UNTOLD_MARGINS.get(geometry.type, 0.0)
-    return PlacedGeometry(row["link"], geometry, position, orientation, margin)
+    return PlacedGeometry(row["link"], geometry, position, orientation, margin, row.get("exact"))
 
 
 def _geometry(row: Mapping[str, Any]) -> Geometry:

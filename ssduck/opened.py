@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from sqlglot import exp
 
 from ssduck.database import Database
@@ -30,8 +31,9 @@ from ssduck.history import (
     model_name,
     near_rows,
     quoted,
+    whole_rows,
 )
-from ssduck.models import MODELS, geometries_of, members_of, run_of, with_run
+from ssduck.models import MODELS, defaults, geometries_of, members_of, run_of
 from ssduck.record import Record
 from ssduck.recorded_world import RecordedWorld
 from ssduck.recording import Recording
@@ -182,21 +184,21 @@ class OpenedFolder:
         """What the view of a table's history selects; None for what is not recorded."""
         if table not in self._files:
             return None
-        columns = ", ".join(quoted(column.name) for column in TABLES[table])
-        rows = self._told(table, _scan(self._files[table]))
-        return f"SELECT {columns} FROM {rows}"  # noqa: S608
-
-    def _told(self, table: str, rows: str) -> str:
-        """Rows of a table in SQL; those of entities tell their run."""
-        return with_run(rows, self.untold_run) if table == "entities" else rows
+        columns = {column.name: column.sql for column in TABLES[table]}
+        return self._whole(self._files[table], columns)
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
-        files = {table: _scan(self._run.files(f"models/{table}")) for table in MODELS}
         return {
-            model_name(table): f"SELECT * FROM {self._told(table, rows)}"  # noqa: S608
-            for table, rows in files.items()
+            model_name(table): self._whole(self._run.files(f"models/{table}"), MODELS[table])
+            for table in MODELS
         }
+
+    def _whole(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
+        """A SELECT of all columns of a table from its files."""
+        geometries = _scan(self._run.files("models/geometries"))
+        missing = defaults(self.untold_run, geometries)
+        return whole_rows(_scan(files), columns, _columns_in(files), missing)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
@@ -224,6 +226,12 @@ class OpenedFolder:
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Read no more."""
         self._writer.close()
+
+
+def _columns_in(files: Sequence[Path]) -> list[str]:
+    """The columns of a table's parts: one ssduck wrote all of them."""
+    names: list[str] = pq.read_schema(files[0]).names
+    return names
 
 
 def _scan(files: Sequence[Path]) -> str:

@@ -10,6 +10,8 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
+from ssduck.tables import MASSES
+
 # What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
 # integer from case to case; `record` is a dict of the same keys each time; `any` is a value
 # that only Python knows.
@@ -166,6 +168,13 @@ class Relation:
         return self.result in ("real", "list") and (of_box or of_shapes)
 
     @cached_property
+    def is_of_shapes(self) -> bool:
+        """Whether it asks shapes or their boxes: where a box stands in for a shape it is off."""
+        tree = self.expressions[self.required]
+        of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
+        return of_box or tree.find(exp.Placeholder) is not None
+
+    @cached_property
     def when_apart(self) -> exp.Expr:
         """What it is of entities of two worlds, if it looks things up in one."""
         return _parsed(self.apart)
@@ -176,6 +185,13 @@ class Relation:
         tree = self.expressions[self.required]
         tables = {table.name for table in tree.find_all(exp.Table)}
         return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
+
+    @cached_property
+    def reads(self) -> frozenset[str]:
+        """What has to be asked for before it is evaluated: tables, and masses."""
+        tree = self.expressions[self.required]
+        of_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
+        return self.tables | ({MASSES} if of_mass else frozenset())
 
     def _of_rows(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """A formula of rows that users give: they may be of another run, or changed."""

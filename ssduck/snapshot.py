@@ -84,6 +84,8 @@ class Snapshot:
         self._asked_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
+        # The tick at which masses were read last.
+        self._weighed = 0
 
     @property
     def members(self) -> Sequence[Member]:
@@ -235,6 +237,7 @@ class Snapshot:
                 "shape": [number for _, number, _ in shapes],
                 "geometry": geometries,
                 "margin": [shape.margin for _, _, shape in shapes],
+                "exact": [shape.exact for _, _, shape in shapes],
             },
         )
         distinct = {id: s.geometry for id, (_, _, s) in zip(geometries, shapes, strict=True)}
@@ -335,6 +338,21 @@ class Snapshot:
     def read_all_anew(self) -> None:
         """Read what cannot move once more with the next tick: it was moved by hand."""
         self._still = None
+
+    def read_masses(self, simulator: Simulator) -> None:
+        """Read the masses at this tick, unless that is done: whoever has a client may change them.
+
+        With each tick they would take a third of what the poses do.
+        """
+        if self._weighed == self.number:
+            return
+        self._weighed = self.number
+        bodies = self._layout.bodies
+        masses = simulator.read_masses([body for _, body in bodies])
+        self.tables["links"]["mass"][:] = [mass for own in masses for mass in own]
+        entities = self.tables["entities"]["mass"]
+        for (id, _), own in zip(bodies, masses, strict=True):
+            entities[self.rows[id]] = sum(own)
 
     # A simulation that explodes has infinite numbers; it is told of in `_finish`.
     @np.errstate(invalid="ignore")

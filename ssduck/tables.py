@@ -20,6 +20,8 @@ import pyarrow as pa
 
 from ssduck.geometry import Array
 
+# What is asked for like a table: the masses, which others may change in a simulation of theirs.
+MASSES = "masses"
 # So many ticks is what was asked for read without another question.
 FORGOTTEN_AFTER = 240
 
@@ -33,6 +35,16 @@ _ARROW: dict[ColumnType, pa.DataType] = {
     "flag": pa.bool_(),
     "points": pa.list_(pa.list_(pa.float64(), 3)),
     "triples": pa.list_(pa.list_(pa.int32(), 3)),
+}
+
+
+_SQL: dict[ColumnType, str] = {
+    "real": "DOUBLE",
+    "integer": "BIGINT",
+    "text": "VARCHAR",
+    "flag": "BOOLEAN",
+    "points": "DOUBLE[3][]",
+    "triples": "INTEGER[3][]",
 }
 
 
@@ -51,6 +63,11 @@ class Column(NamedTuple):
     type: ColumnType
     comment: str
     also: str = ""
+
+    @property
+    def sql(self) -> str:
+        """The type of its values in SQL."""
+        return _SQL[self.type]
 
 
 def _reals(names: str, comment: str, also: str = "") -> tuple[Column, ...]:
@@ -74,6 +91,11 @@ _TWIST = (
     *_reals("wx wy wz", "angular velocity, rad/s"),
 )
 _BOX = _reals("xmin ymin zmin xmax ymax zmax", "axis-aligned box of the shapes, exact, m")
+
+EXACT = (
+    "whether it is the simulator's own shape; else a box stands in for it. Unknown in records "
+    "that are older than this column"
+)
 
 # What a row of each table is.
 ROWS: dict[str, str] = {
@@ -136,6 +158,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         *_POSE,
         *_BOX,
         Column("margin", "real", "how far around it the simulator takes others to touch it, m"),
+        Column("exact", "flag", EXACT),
     ),
     "geometries": (
         Column("id", "integer", "the same for equal geometries"),

@@ -19,6 +19,7 @@ from ssduck.simulators import Simulator
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
+from ssduck.tables import MASSES
 
 _serials = count()
 # Seconds that a step waits while another thread wants to ask.
@@ -164,6 +165,8 @@ class Ticked(Followed):
         with self.lock:
             if self.snapshot.ask(tables):
                 self._take_asked()
+            if MASSES in tables and not self.is_final:
+                self.snapshot.read_masses(self._simulator)
 
     def _take_asked(self) -> None:
         if self._simulator.watched:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -41,8 +41,12 @@ from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.sensing import Reading
 from ssduck.simulators import Body, Kind, Simulator
 from ssduck.snapshot import Snapshot
+from ssduck.tables import MASSES
 from ssduck.ticking import Ticked
 from ssduck.what_if import bodies_of, imagined
+
+if TYPE_CHECKING:
+    from ssduck.simulators.pybullet_given import ShapesByBody
 
 # What a world is called before it gets a name.
 UNNAMED = "world"
@@ -120,6 +124,7 @@ class World(Ticked, WorldSpellings):
         kinds: Mapping[int, Kind] | None = None,
         *,
         name: str = UNNAMED,
+        shapes: ShapesByBody | None = None,
     ) -> World:
         """A world around a PyBullet client that you made and go on using.
 
@@ -135,14 +140,21 @@ class World(Ticked, WorldSpellings):
             kinds: `"robot"` or `"kinbody"` by such a number; by default what has movable joints
                 is a robot.
             name: what the world is called until it is bound to a variable.
+            shapes: collision shapes of bodies that are there now, instead of what PyBullet tells
+                of them: of a body's base by its number, of a link by (body, link), of one of its
+                shapes by (body, link, number), links by PyBullet's numbers (the base is -1). Each
+                is a mesh in the frame of the link, metres, or a list of meshes: a
+                `trimesh.Trimesh`, (vertices (n, 3), faces (m, 3)), or the path of a mesh file;
+                faces of None make the convex hull. See `ssduck.height_field`.
 
         Raises:
             SimulatorError: the client is not connected.
             SelectScriptError: a number is no body's, or a kind is none of these.
+            ArgumentError: a key of `shapes` is no shape's, or a value is no mesh.
         """
         from ssduck.simulators import pybullet
 
-        return cls(pybullet.attach(client, names, kinds), name=name)
+        return cls(pybullet.attach(client, names, kinds, shapes), name=name)
 
     # -- time -----------------------------------------------------------------------------
 
@@ -274,7 +286,7 @@ class World(Ticked, WorldSpellings):
             RemovedEntityError: an entity is no longer in this world.
         """
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
-        with self.held(("links", "joints") if has_links else ()):
+        with self.held(("links", "joints", MASSES) if has_links else (MASSES,)):
             places = {
                 body: pose_of(pose, name) for name, body, pose in bodies_of(self, poses or {})
             }

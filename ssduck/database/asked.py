@@ -10,14 +10,20 @@ import duckdb
 from ssduck.catalog import TABLE_MACROS, looking_up
 from ssduck.database.bound import Bound
 from ssduck.errors import LimitError, Span
-from ssduck.tables import TABLES
+from ssduck.tables import MASSES, TABLES
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
+
+
+def _has_mass(table: str) -> bool:
+    return any(column.name == "mass" for column in TABLES[table])
+
 
 # The tables that a word in a statement stands for: a table's name, or that of a relation that
 # looks things up in some.
 _TABLES_OF = {
     **{name.lower(): frozenset((name,)) for name in TABLES},
+    **{name: frozenset((name, MASSES)) for name in TABLES if _has_mass(name)},
     **{relation.name.lower(): relation.tables for relation in looking_up()},
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }

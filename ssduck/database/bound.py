@@ -12,7 +12,6 @@ import numpy as np
 
 from ssduck.errors import EvaluationError, UnsupportedError
 from ssduck.history import POSE, Archive, Shown, history_name, not_recorded
-from ssduck.layout import margins_of
 from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.shapes import Shapes

@@ -77,6 +77,11 @@ class Body:
     joints: tuple[Joint, ...]
     shapes: tuple[PlacedGeometry, ...]
 
+    @property
+    def has_stand_ins(self) -> bool:
+        """Whether a box is known to stand in for some of its shapes."""
+        return any(shape.exact is False for shape in self.shapes)
+
 
 @dataclass(frozen=True, eq=False)
 class Frames:
@@ -215,6 +220,9 @@ class Simulator(Protocol):
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
+
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The masses of these bodies' links as they are now, kg; of what is gone, as they were."""
 
     def read_contacts(self) -> Iterable[Contact]:
         """The contacts of the last step."""

@@ -53,6 +53,10 @@ class Posed:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
         return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
 
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """As they are known."""
+        return [[link.mass for link in body.links] for body in bodies]
+
     def read_contacts(self) -> Iterable[Contact]:
         """None are known: they are what a solver finds."""
         return ()

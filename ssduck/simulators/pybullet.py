@@ -15,8 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain, repeat
-from operator import itemgetter
+from itertools import repeat
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,13 +28,14 @@ from ssduck.geometry import (
     Indices,
     compose,
 )
-from ssduck.messages import shown
+from ssduck.messages import listed, shown
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe, xyzw
+from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe, masses_of, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_frames import FramesReader
+from ssduck.simulators.pybullet_given import ShapesByBody, given_shapes
 from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_saved import SavedShapes
 from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
@@ -47,13 +47,6 @@ T = TypeVar("T")
 NEAREST_DRAWN = 0.01
 FARTHEST_DRAWN = 100.0
 
-# So many bodies a warning names.
-MOST_NAMED = 50
-
-_flatten = chain.from_iterable
-# Of a link's state: pose of the centre of mass; and linear and angular velocity.
-_pose = itemgetter(0, 1)
-_pose_and_twist = itemgetter(0, 1, 6, 7)
 # Bullet's groups and masks of collisions: what cannot move meets all else but its like.
 _FREE, _FIXED = (1, -1), (2, -3)
 
@@ -238,6 +231,19 @@ class PyBulletSimulator:
 
         rows = self._call(lambda: list(read()))
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The masses of these bodies' links as they are now; of what is gone, as they were."""
+        tags = dict(zip(*self._listed, strict=True))
+        now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
+
+        def masses(body: Body, tag: int) -> list[float]:
+            known = [link.mass for link in body.links]
+            if tag != tags.get(body.handle):
+                return known
+            return masses_of(self.client, body.handle, known)
+
+        return self._call(lambda: list(map(masses, bodies, now)))
 
     def read_contacts(self) -> Iterable[Contact]:
         """The points of the last step at which shapes meet; PyBullet's near misses left out."""
@@ -475,12 +481,11 @@ def _handles(client: int) -> list[int]:
 
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
-        names = ", ".join(body.name for body in bodies[:MOST_NAMED])
-        left = len(bodies) - MOST_NAMED
-        names += f" and {left} more" if left > 0 else ""
         warnings.warn(
-            f"{names}: PyBullet does not give back all shapes (a concave mesh made by "
-            "createCollisionShape is such a shape); bounding boxes are used instead",
+            f"{listed([body.name for body in bodies])}: PyBullet does not give back "
+            "all shapes (a height field is such a shape); bounding boxes are used instead, which "
+            "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
+            "the shapes themselves",
             stacklevel=2,
         )
 
@@ -540,17 +545,25 @@ def _connected() -> int:
 
 
 def attach(
-    client: Any, names: Mapping[int, str] | None, kinds: Mapping[int, Kind] | None
+    client: Any,
+    names: Mapping[int, str] | None,
+    kinds: Mapping[int, Kind] | None,
+    shapes: ShapesByBody | None = None,
 ) -> PyBulletSimulator:
-    """The user's own client: its number, or an object that holds it as `_client`."""
+    """The user's own client: its number, or an object that holds it as `_client`.
+
+    Raises:
+        SimulatorError: the client is not connected.
+        SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
+    """
     number = getattr(client, "_client", client)
     if not checks.is_whole(number) or not pybullet.isConnected(int(number)):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
     number = int(number)
     handles = _handles(number)
-    for given, what in ((names, "names"), (kinds, "kinds")):
-        if not isinstance(given, Mapping | None):
-            raise ArgumentError(f"attach: {what}: {shown(given)} is no dict by the bodies' numbers")
+    for own, what in ((names, "names"), (kinds, "kinds")):
+        if not isinstance(own, Mapping | None):
+            raise ArgumentError(f"attach: {what}: {shown(own)} is no dict by the bodies' numbers")
     for handle in (*(names or {}), *(kinds or {})):
         if not checks.is_whole(handle) or handle not in handles:
             listed = ", ".join(map(str, handles)) or "none"
@@ -561,7 +574,8 @@ def attach(
     for handle, name in (names or {}).items():
         if not isinstance(name, str):
             raise ArgumentError(f"attach: names: body {handle}: {shown(name)} is no text")
-    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds)
+    given = given_shapes(number, handles, shapes)
+    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 
 
 def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:

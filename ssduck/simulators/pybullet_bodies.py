@@ -131,6 +131,13 @@ def com_of(client: int, handle: int) -> Pose:
     return _com([pybullet.getDynamicsInfo(handle, link, client) for link in links])
 
 
+def masses_of(client: int, handle: int, known: list[float]) -> list[float]:
+    """The masses of a body's links as they are now; of a soft body, as they are known."""
+    dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, len(known) - 1)]
+    # What PyBullet says of a soft body is no number of kilograms.
+    return known if dynamics[0][10] == _SOFT_BODY else [float(told[0]) for told in dynamics]
+
+
 def _com(dynamics: Sequence[Any]) -> Pose:
     if dynamics[0][10] != _MULTI_BODY:
         # PyBullet answers with what happened to be in memory. The frame of the centre of
@@ -176,7 +183,7 @@ class _Reader:
             joints=joints,
             shapes=tuple(shape for link in range(len(names)) for shape in self._padded(link)),
         )
-        return Description(body, self.com, all(shape.exact for shape in body.shapes))
+        return Description(body, self.com, not body.has_stand_ins)
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
         """A joint, its axis in the frame of its link."""

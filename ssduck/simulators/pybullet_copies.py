@@ -30,10 +30,10 @@ import numpy as np
 
 from ssduck.errors import SimulatorError
 from ssduck.geometry import Array, compose, invert
+from ssduck.messages import listed
 from ssduck.scenes import BodySpec, Scene
 from ssduck.simulators import SETTABLE, Body, Frames, Simulator
 from ssduck.simulators.pybullet import (
-    MOST_NAMED,
     PyBulletSimulator,
     new_client,
 )
@@ -407,7 +407,4 @@ class _Copier:
         if self.source is None:
             self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
         for what, names in self.guessed.items():
-            told = ", ".join(names[:MOST_NAMED])
-            if len(names) > MOST_NAMED:
-                told += f" and {len(names) - MOST_NAMED} more"
-            warnings.warn(f"{told}: {what}" if told else what, stacklevel=6)
+            warnings.warn(f"{listed(names)}: {what}" if names else what, stacklevel=6)

@@ -128,8 +128,7 @@ class SavedShapes:
         if data is None:
             return None
         tags = {
-            float(tag): (handle, link + 1)
-            for tag, (handle, link) in enumerate(links, _FIRST_TAG)
+            float(tag): (handle, link + 1) for tag, (handle, link) in enumerate(links, _FIRST_TAG)
         }
         return _File(data), tags
 
@@ -262,8 +261,11 @@ class _File:
             vertices.append(self._at(address)["m_floats"][:, :3].astype(np.float64))
         if not vertices:
             return []
-        points = np.concatenate(vertices) * _vector(mesh["m_scaling"]) * scale
-        return [_placed(Geometry("mesh", (0.0, 0.0, 0.0), points, np.concatenate(faces)))]
+        # Each triangle may have corners of its own: a closed mesh shares them.
+        points, place = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
+        triangles = place.reshape(-1)[np.concatenate(faces)].astype(np.int32)
+        scaled = points * _vector(mesh["m_scaling"]) * scale
+        return [_placed(Geometry("mesh", (0.0, 0.0, 0.0), scaled, triangles))]
 
     def _corners(self, part: Any) -> npt.NDArray[np.int32] | None:
         """The corners of a part's triangles, (n, 3)."""
@@ -284,9 +286,7 @@ class _File:
     def _at(self, address: int) -> npt.NDArray[Any]:
         """The block at an address, as an array of its structures."""
         structure, count, place = self._blocks[address]
-        return np.frombuffer(
-            self._data, self._type(self._structures[structure].name), count, place
-        )
+        return np.frombuffer(self._data, self._type(self._structures[structure].name), count, place)
 
     def _type(self, name: str) -> Any:
         """Numpy's type of a structure or a number."""
@@ -357,7 +357,8 @@ def _plane(shape: Any) -> list[Placed]:
     normal = _vector(shape["m_planeNormal"])
     normal /= np.linalg.norm(normal)
     offset = _decimal(shape["m_planeConstant"])
-    return [(Geometry.primitive("plane", normal), normal * offset, IDENTITY.copy())]
+    plane = Geometry.primitive("plane", normal.tolist())
+    return [(plane, normal * offset, IDENTITY.copy())]
 
 
 def _primitive(kind: int, shape: Any) -> Placed | None:
@@ -392,4 +393,5 @@ def _turned_to(axis: Array) -> Array:
     if z < -1.0 + 1e-12:
         return np.array([0.0, 1.0, 0.0, 0.0])
     turn = np.array([1.0 + z, -y, x, 0.0])
-    return turn / np.linalg.norm(turn)
+    unit: Array = turn / np.linalg.norm(turn)
+    return unit

@@ -1,0 +1,123 @@
+"""Masses that change in a simulation: `changeDynamics`, seen at the next tick."""
+
+import pybullet
+import pybullet_data
+import pytest
+
+import ssduck
+
+
+@pytest.fixture
+def sim(client):
+    """A world of a cube of 1 kg and an arm of several links, attached."""
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    pybullet.createMultiBody(1.0, shape, basePosition=[0, 0, 1], physicsClientId=client)
+    model = f"{pybullet_data.getDataPath()}/kuka_iiwa/model.urdf"
+    pybullet.loadURDF(model, useFixedBase=True, physicsClientId=client)
+    return ssduck.World.attach(client, names={0: "cube", 1: "arm"})
+
+
+def change(client, handle, link, mass):
+    pybullet.changeDynamics(handle, link, mass=mass, physicsClientId=client)
+
+
+def sql(ss, name):
+    (row,) = ss.sql(f"SELECT mass FROM sim.entities WHERE name = '{name}'").fetchall()
+    return row[0]
+
+
+# Ways to ask for a mass.
+WAYS = {
+    "sql": sql,
+    "macro": lambda ss, name: ss.sql(
+        f"SELECT sim.mass(e) FROM sim.entities e WHERE name = '{name}'"
+    ).fetchall()[0][0],
+    "relation": lambda ss, name: ss.eval(
+        f"SELECT mass FROM sim WHERE id(this) == '{name}' AS value;"
+    ),
+    "dot": lambda ss, name: ss.eval(f"mass(sim.{name});"),
+    "entity": lambda ss, name: ss.call_variable("sim")[name].mass,
+    "links": lambda ss, name: sum(link.mass for link in ss.call_variable("sim")[name].links),
+    "what_if": lambda ss, name: ss.call_variable("sim").what_if({})[name].mass,
+    "links table": lambda ss, name: ss.sql(
+        "SELECT sum(l.mass) FROM sim.links l JOIN sim.entities e ON e.id = l.entity "
+        f"WHERE e.name = '{name}'"
+    ).fetchall()[0][0],
+}
+
+
+@pytest.mark.parametrize("row_by_row", [False, True])
+@pytest.mark.parametrize("way", WAYS)
+def test_a_changed_mass_is_seen_at_the_next_tick(sim, client, way, row_by_row):
+    ss = ssduck.Interpreter(row_by_row=row_by_row)
+    ss.add_variable("sim", sim)
+    ask = WAYS[way]
+    arm = sum(pybullet.getDynamicsInfo(1, link, client)[0] for link in range(-1, 7))
+    assert (ask(ss, "cube"), ask(ss, "arm")) == (1.0, pytest.approx(arm))
+    change(client, 0, -1, 7.5)
+    change(client, 1, 6, 3.0)
+    last = sum(pybullet.getDynamicsInfo(1, link, client)[0] for link in range(-1, 7))
+    sim.tick()
+    assert (ask(ss, "cube"), ask(ss, "arm")) == (7.5, pytest.approx(last))
+    change(client, 0, -1, 2.0)
+    sim.step(3)
+    assert ask(ss, "cube") == 2.0
+
+
+def test_it_is_one_mass_in_one_tick(sim, client):
+    ss = ssduck.Interpreter()
+    ss.add_variable("sim", sim)
+    assert sql(ss, "cube") == 1.0
+    change(client, 0, -1, 7.5)
+    assert (sql(ss, "cube"), sim["cube"].mass) == (1.0, 1.0)
+    sim.tick()
+    assert (sql(ss, "cube"), sim["cube"].mass) == (7.5, 7.5)
+
+
+def test_masses_of_bodies_that_come_and_go(sim, client):
+    ss = ssduck.Interpreter()
+    ss.add_variable("sim", sim)
+    change(client, 0, -1, 7.5)
+    cube = sim["cube"]
+    pybullet.removeBody(1, client)
+    sim.tick()
+    assert cube.mass == 7.5
+    pybullet.removeBody(0, client)
+    assert sql(ss, "cube") == 7.5  # nobody has taken a tick yet
+    sim.tick()
+    assert len(ss.sql("SELECT mass FROM entities")) == 0
+
+
+def test_masses_of_a_world_that_ssduck_made():
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        table = next(m.body for m in kitchen.snapshot.members if m.name == "cup_905a")
+        number = ss.sql("SELECT max(tick) FROM ticks").fetchall()
+        change(kitchen.simulator.client, table.handle, -1, 7.5)
+        kitchen.tick()
+        assert ss.eval("SELECT mass FROM kitchen WHERE id(this) == 'cup_905a' AS value;") == 7.5
+        # Asking for masses takes no tick.
+        assert ss.sql("SELECT max(tick) FROM ticks").fetchall() == [(number[0][0] + 1,)]
+
+
+def test_a_soft_body_has_none(client):
+    pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD, client)
+    pybullet.loadSoftBody(f"{pybullet_data.getDataPath()}/bunny.obj", physicsClientId=client)
+    with pytest.warns(UserWarning, match="not give back"):
+        world = ssduck.World.attach(client)
+    (name,) = [entity.name for entity in world]
+    assert world[name].mass == 0.0
+
+
+def test_records_have_the_mass_that_a_body_came_with(sim, client):
+    """As the manual says: it is stored once, not with each tick."""
+    ss = ssduck.Interpreter()
+    ss.add_variable("sim", sim)
+    sim.tick()
+    change(client, 0, -1, 7.5)
+    sim.tick()
+    assert sql(ss, "cube") == 7.5
+    past = "SELECT DISTINCT mass FROM sim.entities_history WHERE name = 'cube'"
+    assert ss.sql(past).fetchall() == [(1.0,)]
