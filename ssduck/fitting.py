@@ -50,13 +50,13 @@ class Column:
         """The width down to which it may be folded: no word is broken."""
         texts = (*self.head, *self.cells)
         words = texts if self.numeric else {word for text in texts for word in text.split()}
-        return max((min(self.natural, NARROWEST), *map(_width, words)))
+        return max(min(self.natural, NARROWEST), max(map(_width, words), default=0))
 
     @property
     def elidable(self) -> int:
         """The width down to which it may be elided: numbers stay whole."""
-        numbers = map(_width, self.cells) if self.numeric else ()
-        return max((min(self.natural, NARROWEST), *numbers))
+        numbers = self.cells if self.numeric else ()
+        return max(min(self.natural, NARROWEST), max(map(_width, numbers), default=0))
 
 
 @dataclass(frozen=True)
