@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
@@ -39,26 +40,23 @@ class Column:
     cells: Sequence[str]
     numeric: bool
 
-    @property
+    @cached_property
     def natural(self) -> int:
         """The width at which nothing is folded or elided."""
-        widths: list[int] = list(map(cell_len, (*self.head, *self.cells)))
-        return max(widths, default=0)
+        return max(map(_width, (*self.head, *self.cells)), default=0)
 
     @property
     def foldable(self) -> int:
         """The width down to which it may be folded: no word is broken."""
         texts = (*self.head, *self.cells)
-        words = (word for text in texts for word in ([text] if self.numeric else text.split()))
-        widths: list[int] = [min(self.natural, NARROWEST), *map(cell_len, words)]
-        return max(widths)
+        words = texts if self.numeric else {word for text in texts for word in text.split()}
+        return max(min(self.natural, NARROWEST), max(map(_width, words), default=0))
 
     @property
     def elidable(self) -> int:
         """The width down to which it may be elided: numbers stay whole."""
-        numbers = map(cell_len, self.cells) if self.numeric else ()
-        widths: list[int] = [min(self.natural, NARROWEST), *numbers]
-        return max(widths)
+        numbers = self.cells if self.numeric else ()
+        return max(min(self.natural, NARROWEST), max(map(_width, numbers), default=0))
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ class Fitted:
     def __rich_measure__(self, _: Console, options: ConsoleOptions) -> Measurement:
         from rich.measure import Measurement
 
-        widest = max(map(cell_len, self.lines(options.max_width)), default=0)
+        widest = max(map(_width, self.lines(options.max_width)), default=0)
         return Measurement(widest, widest)
 
     def _parts(self, width: int) -> tuple[list[str], list[str]]:
@@ -128,22 +126,27 @@ class Fitted:
             notes = notes or [f"{rows} row{'' if rows == 1 else 's'}"]
             notes.append(f"{count} columns ({count - layout.omitted} shown)")
         joined = ", ".join(notes)
-        if cell_len(joined) <= width:
+        if _width(joined) <= width:
             return [joined] if joined else []
         return [elided(line, width) for note in notes for line in _folded(note, width)]
 
 
 def elided(text: str, width: int) -> str:
     """A text that is not wider than so many cells of a terminal; … for what is left out."""
-    if cell_len(text) <= width:
+    if _width(text) <= width:
         return text
-    kept, taken = [], cell_len(MARK)
+    kept, taken = [], _width(MARK)
     for letter in text:
-        taken += cell_len(letter)
+        taken += _width(letter)
         if taken > width:
             break
         kept.append(letter)
     return "".join(kept) + MARK
+
+
+def _width(text: str) -> int:
+    """How many cells of a terminal a text takes."""
+    return len(text) if text.isascii() else int(cell_len(text))
 
 
 # -- how wide ---------------------------------------------------------------------------------
@@ -225,18 +228,18 @@ def _lines(layout: _Layout, texts: Sequence[str]) -> Iterator[str]:
 
 
 def _padded(text: str, width: int, *, right: bool) -> str:
-    padding = " " * (width - cell_len(text))
+    padding = " " * (width - _width(text))
     return padding + text if right else text + padding
 
 
 def _folded(text: str, width: int) -> list[str]:
     """A text in lines, folded at spaces; a word that is wider stays whole."""
-    if cell_len(text) <= width:
+    if _width(text) <= width:
         return [text]
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines[-1] else word
-        if cell_len(longer) <= width:
+        if _width(longer) <= width:
             lines[-1] = longer
         elif lines[-1]:
             lines.append(word)

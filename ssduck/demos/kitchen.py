@@ -9,7 +9,7 @@ import inspect
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -209,7 +209,7 @@ def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql
     start = time.perf_counter()
     value = ss.sql(question.program) if question.sql else ss.eval(question.program)
     taken = time.perf_counter() - start
-    answer = answer_of(value)
+    answer = replace(answer_of(value), types=())
 
     grid = Table.grid(padding=(0, 2, 1, 0))
     grid.add_column(style="dim", min_width=9)
