@@ -169,53 +169,18 @@ def _read_other(path: Path) -> tuple[Array, list[Triangles]]:
 
 # -- poses ------------------------------------------------------------------------------------
 
-# Rotations and products are sums of products of two rows' entries. As one matrix product of all
-# such products with constant weights they cost two calls; numpy's own `cross` costs dozens,
-# which counts where a tick is a few hundred rows.
-_EPSILON = np.zeros((3, 3, 3))  # the cross product: axis a times axis b is ± axis c
-for _a, _b, _c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    _EPSILON[_a, _b, _c], _EPSILON[_b, _a, _c] = 1.0, -1.0
-_CROSS: Array = _EPSILON.reshape(9, 3)
-
-# (s, u)(t, v) = (s t - u.v, s v + t u + u x v)
-_HAMILTON = np.zeros((4, 4, 4))
-_HAMILTON[0, :, :] = np.eye(4)
-_HAMILTON[1:, 0, 1:] = np.eye(3)
-_HAMILTON[1:, 1:, 0] = -np.eye(3)
-_HAMILTON[1:, 1:, 1:] = _EPSILON
-_PRODUCT: Array = _HAMILTON.reshape(16, 4)
-
-# R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed)
-_SQUARES = np.zeros((4, 4, 3, 3))
-_SQUARES[0, 0] = np.eye(3)
-_SQUARES[1:, 1:] = 2.0 * np.einsum("ai,bj->abij", np.eye(3), np.eye(3))
-for _a in range(3):
-    _SQUARES[1 + _a, 1 + _a] -= np.eye(3)
-    _SQUARES[0, 1 + _a] = 2.0 * _EPSILON[_a].T
-_ROTATION: Array = _SQUARES.reshape(16, 9)
-
-
-# Matrix products of more rows than about twice this BLAS shares out among threads, whose
-# meeting again takes longer than the product itself; and what so many take stays in the cache.
-_ROWS_TOGETHER = 1024
-
-
-def _products(first: Array, second: Array, weights: Array) -> Array:
-    summed = np.zeros((len(first), weights.shape[1]))
-    for start in range(0, len(first), _ROWS_TOGETHER):
-        some = slice(start, start + _ROWS_TOGETHER)
-        pairs = first[some, :, None] * second[some, None, :]
-        np.matmul(pairs.reshape(-1, len(weights)), weights, out=summed[some])
-    return summed
+# What is worked out of a row's entries is written out, column by column: as a matrix product its
+# last bit would depend on how many rows there are beside it, and a record has other rows than the
+# live world had.
 
 
 def rotation_matrices(orientations: Array) -> Array:
     """(n, 4) unit quaternions to (n, 3, 3) rotation matrices."""
-    return _products(orientations, orientations, _ROTATION).reshape(-1, 3, 3)
+    return np.ascontiguousarray(turns_of(orientations).T).reshape(-1, 3, 3)
 
 
 def turns_of(orientations: Array) -> Array:
-    """As `rotation_matrices`, of very many: (n, 4) to (9, n), row by row."""
+    """As `rotation_matrices`, (n, 4) to (9, n), row by row."""
     w, x, y, z = np.ascontiguousarray(orientations.T)
     ww, xx, yy, zz = w * w, x * x, y * y, z * z
     wx, wy, wz, xy, xz, yz = w * x, w * y, w * z, x * y, x * z, y * z
@@ -230,18 +195,28 @@ def turns_of(orientations: Array) -> Array:
 
 def rotate(matrices: Array, vectors: Array) -> Array:
     """Each (3, 3) of (n, 3, 3) times each (3,) of (n, 3)."""
-    rotated: Array = np.einsum("nij,nj->ni", matrices, vectors)
+    rotated: Array = np.einsum("nij,nj->ni", matrices, vectors)  # each row by itself
     return rotated
 
 
 def cross(first: Array, second: Array) -> Array:
     """Cross products of the rows of (n, 3)."""
-    return _products(first, second, _CROSS)
+    a, b, c = first.T
+    x, y, z = second.T
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x]).T.copy()
 
 
 def multiply(first: Array, second: Array) -> Array:
     """Hamilton products of (n, 4) quaternions: the rotation `second`, then `first`."""
-    return _products(first, second, _PRODUCT)
+    s, a, b, c = np.ascontiguousarray(first.T)
+    t, x, y, z = np.ascontiguousarray(second.T)
+    product = [
+        s * t - a * x - b * y - c * z,
+        s * x + a * t + b * z - c * y,
+        s * y - a * z + b * t + c * x,
+        s * z + a * y - b * x + c * t,
+    ]
+    return np.array(product).T.copy()
 
 
 def compose(
@@ -360,7 +335,9 @@ class Boxer:
         """The lower and the upper corners of the cores' boxes, (3, cores) each."""
         # Copies, for what is not contiguous costs more than copying it.
         turn = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
-        turned = np.einsum("ijn,jkn->ikn", turn, vectors)
+        turned = turn[:, 0, None] * vectors[0]
+        turned += turn[:, 1, None] * vectors[1]
+        turned += turn[:, 2, None] * vectors[2]
         origins = positions.take(self._frames, axis=0).T.copy()
         low = turned[:, :TOGETHER].min(axis=1) + origins
         high = turned[:, :TOGETHER].max(axis=1) + origins
@@ -368,7 +345,7 @@ class Boxer:
         if self._has_discs:
             # A circle reaches as far along x as the x of two of its radii are long together.
             sides = turned[:, TOGETHER:]
-            reach = reach + np.sqrt(np.einsum("ikn,ikn->in", sides, sides))
+            reach = reach + np.sqrt(sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1])
         return low - reach, high + reach
 
     def _spread(self, boxes: Array) -> Array:
