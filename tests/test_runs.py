@@ -91,9 +91,9 @@ FOREIGN = [what for what in ANSWERS if not what.startswith("touching")]
 
 @pytest.mark.parametrize("what", FOREIGN)
 def test_rows_of_another_episode_are_an_error(opened, folder, what: str) -> None:
-    with pytest.raises(SelectScriptError, match="is of the run|of another run"):
+    with pytest.raises(SelectScriptError, match=r"is of the run|of another run"):
         asked(opened, what, rows_of(folder, 0))
-    with pytest.raises(SelectScriptError, match="is of the run|of another run"):
+    with pytest.raises(SelectScriptError, match=r"is of the run|of another run"):
         asked(opened, what, rows_of(folder))
 
 
@@ -165,7 +165,7 @@ def test_what_is_no_row_is_unknown(live) -> None:
 
 def test_rows_of_two_ticks_are_an_error(live) -> None:
     for what in ("clearance(a, b)", "inContact(a, b)", "contactForce(a, b)", "isSensing(a, b)"):
-        with pytest.raises(SelectScriptError, match="two ticks|at one tick"):
+        with pytest.raises(SelectScriptError, match=r"two ticks|at one tick"):
             live.sql(
                 f"SELECT {what} FROM entities_history a, entities_history b WHERE a.tick < b.tick"
             )
