@@ -81,6 +81,7 @@ class Execution(Names, ABC):
             before = dict(self._variables)
             outermost = not self._texts
             if outermost:
+                self._sweep()
                 self._database.connection.meter = Meter(self._limits)
             self._texts.append(program.text)
             try:
@@ -94,6 +95,11 @@ class Execution(Names, ABC):
                 raise
             finally:
                 self._texts.pop()
+
+    def _sweep(self) -> None:
+        """Let go of worlds that programs made and nobody has any more; none is running."""
+        if self._database.sweep():
+            self._planner.forget()
 
     def _run(self, program: Program) -> Any:
         if program.explain:

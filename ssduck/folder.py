@@ -123,11 +123,10 @@ class FolderRun:
         found = _numbers(place) if is_model else self.parts
         missing = sorted(set(range(max(found, default=-1))) - set(found))
         if missing:
-            rest = "" if is_model else ", and of all parts after it, what is before can be opened"
+            rest = "" if is_model else ", or take those away: what is before can be opened then"
             raise RecordError(
                 f"{place / part_name(missing[0])} is missing, and parts after it are there: what "
-                f"was between is not known; put it back{'' if is_model else '; or without it'}"
-                f"{rest}"
+                f"was between is not known; put it back{rest}"
             )
         wanted = self._told.get("parts", {}).get("models" if is_model else "ticks", 0)
         if len(found) < wanted:
@@ -176,7 +175,7 @@ class FolderRun:
         else:
             return
         ticks = self.place("ticks") / file.name
-        rest = "" if is_model else f"; without {ticks} as well, the rest can be opened"
+        rest = "" if is_model else f"; without {ticks} as well, what is before can be opened"
         raise RecordError(f"{file} {wrong}{rest}")
 
     def read(self, table: str) -> pa.Table:

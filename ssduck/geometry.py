@@ -385,7 +385,7 @@ class Boxer:
         if self._has_discs:
             # A circle reaches as far along x as the x of two of its radii are long together.
             sides = turned[:, TOGETHER:]
-            reach = reach + np.sqrt(np.einsum("ikn,ikn->in", sides, sides))
+            reach = reach + np.sqrt(sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1])
         return low - reach, high + reach
 
     def _spread(self, boxes: Array) -> Array:

@@ -279,6 +279,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
         """
         with self._lock:
             if not self._texts:
+                self._sweep()
                 self._database.connection.meter = Meter(self._limits)
             return Result(self._database.table(text, parameters))
 

@@ -7,7 +7,7 @@ entities are handles that stay at their tick.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,7 @@ class Past:
         is_window: whether there may be several; sources of one world that are so go through
             their ticks together.
         id: of the only entity that is meant; None for all.
+        world: the world whose past it is.
     """
 
     record: Record
@@ -68,11 +69,10 @@ class Past:
     last: int
     is_window: bool
     id: int | None = None
+    world: World = field(init=False)
 
-    @property
-    def world(self) -> World:
-        """The world whose past it is."""
-        return self.record.world
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "world", self.record.world)  # which is not to go meanwhile
 
     @property
     def ticks(self) -> list[int]:

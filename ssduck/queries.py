@@ -33,7 +33,7 @@ from ssduck.rows import Clauses, Column, Paths, Rest, Rows, Selected, combinatio
 from ssduck.sources import all_elements, arrow_of, elements_of
 from ssduck.sqlvalues import written
 from ssduck.tree import Call, Given, Literal, Name, Node, Query, This
-from ssduck.types import Tag, converter, to_sql
+from ssduck.types import Tag, to_sql
 from ssduck.udfs import RELATIONS
 
 # So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
@@ -70,9 +70,8 @@ class Planned:
         self._statement: Statement | None = None
         # The parameters that are no numbers, as they were last time.
         self._texts: dict[str, Any] | None = None
-        worlds = database.worlds
         self._converters = {
-            output.tag: converter(output.tag, worlds, database.records)
+            output.tag: database.converter(output.tag)
             for output in (*plan.known.values(), *plan.elements.values(), *(plan.outputs or ()))
         }
         self._clauses: Clauses | None = None

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -60,8 +61,6 @@ class Record:
         run: the number of the run that they are of; None for that of the world.
     """
 
-    world: World
-
     def __init__(
         self,
         world: World | None,
@@ -73,6 +72,7 @@ class Record:
         geometries: dict[str, int] | None = None,
         run: int | None = None,
     ) -> None:
+        self._world: weakref.ref[World] | None = None
         if world is not None:
             self.world = world
         self.ticks = ticks
@@ -96,6 +96,22 @@ class Record:
         self.is_closed = False
         # How often the narrow phase is called counts for the world, at whatever tick.
         self.calls = Counter() if world is None else world.snapshot.calls
+
+    @property
+    def world(self) -> World:
+        """Whose ticks they are; it is not kept by them.
+
+        Raises:
+            EvaluationError: nobody has it any more.
+        """
+        world = None if self._world is None else self._world()
+        if world is None:
+            raise EvaluationError("the world that was recorded is gone")
+        return world
+
+    @world.setter
+    def world(self, world: World) -> None:
+        self._world = weakref.ref(world)
 
     # -- which ticks ------------------------------------------------------------------------
 

@@ -110,7 +110,7 @@ class Folder:
         if table not in KEYS:
             return rows.select([column.name for column in TABLES[table]])
         if table == "links":
-            rows = pa.concat_tables([rows, self._bodies_as_links(rows, entities)])
+            rows = _ordered(pa.concat_tables([rows, self._bodies_as_links(rows, entities)]))
         names = [column.name for column in TABLES[table]]
         flags = [name for name in ("enabled", "visible") if name in rows.column_names]
         for name in flags:
@@ -152,6 +152,12 @@ class Folder:
     def near(self, asked: Any, waiting: pa.Table | None) -> pa.Table:  # noqa: ARG002
         """Refuse, as `fetch`."""
         raise RecordError(f"open {self.path} to read what is recorded there")
+
+
+def _ordered(links: pa.Table) -> pa.Table:
+    """Rows of links in order, however they came: sums over them are the same then."""
+    keys = [links[name].to_numpy() for name in ("link", "entity", "tick")]
+    return links.take(np.lexsort(keys))
 
 
 @dataclass(frozen=True)

@@ -295,12 +295,11 @@ def converter(
         worlds: by schema.
         records: what is kept of those that are recorded.
     """
-    if tag.type == "entity" and tag.schema is not None:
+    schema = tag.schema
+    if tag.type == "entity" and schema is not None:
         if tag.past:
-            entity_then = records[tag.schema].entity
-            return lambda key: None if key is None else entity_then(*divmod(key, IDS))
-        entity = worlds[tag.schema].entity
-        return lambda value: None if value is None else entity(value)
+            return lambda key: None if key is None else records[schema].entity(*divmod(key, IDS))
+        return lambda value: None if value is None else worlds[schema].entity(value)
     if tag.type == "list" and tag.element is not None:
         inner = converter(tag.element, worlds, records)
         return None if inner is None else lambda values: [inner(value) for value in values]

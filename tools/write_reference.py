@@ -82,8 +82,8 @@ of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In r
 - An alias must not be the name of a column: `FROM entities x` hides the row `x` behind the column.
 - A point is a struct: `inSphere(e, {'x': 0, 'y': 0, 'z': 1}, 0.5)`.
 - Every relation may have its world before it: `kitchen.above(a, b)`. What looks something up
-  (shapes, contacts, sensings) is for one world, for a row does not tell which one it is of. With
-  several worlds, write the one that is meant:
+  (shapes, contacts, sensings) is for one world. With several worlds, write the one that is meant;
+  rows of another run (see the column `run`) are an error:
   `FROM kitchen.entities a, kitchen.entities b WHERE kitchen.collides(a, b)`.
 - `contains` of two texts is DuckDB's own; of a list or a map, write `list_contains` or
   `map_contains`.

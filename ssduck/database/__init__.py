@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from ssduck.database.asked import Asked, check_length
 from ssduck.database.connection import Connection, Parameters
-from ssduck.database.functions import add_own, add_users
+from ssduck.database.functions import add_own, add_users, converter_of
 from ssduck.database.recorders import Recorders, check_runs
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import Plans, Statement
@@ -28,7 +28,7 @@ from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.recording import Recording, check_names
 from ssduck.sealed import FolderRecording
-from ssduck.types import Signature
+from ssduck.types import Converter, Signature, Tag
 from ssduck.world import World
 
 __all__ = ["Database", "Statement"]
@@ -122,10 +122,15 @@ class Database:
         with ExitStack() as stack:
             stack.enter_context(self._lock)
             # In one order in all databases, so that no two wait for each other.
-            for bound in sorted(self._worlds.bound, key=lambda bound: bound.world.serial):
-                asked = worlds is None or any(bound.world is world for world in worlds)
-                stack.enter_context(bound.world.held(tables if asked else ()))
-            for bound in self._worlds.bound:
+            there = [
+                (world, bound)
+                for bound in self._worlds.bound
+                if (world := bound.reference()) is not None
+            ]
+            for world, _ in sorted(there, key=lambda each: each[0].serial):
+                asked = worlds is None or any(world is other for other in worlds)
+                stack.enter_context(world.held(tables if asked else ()))
+            for _, bound in there:
                 if bound.kept is not None and bound.kept.recorder is not None:
                     stack.enter_context(bound.kept.recorder.reading)
                 self._worlds.show(bound)
@@ -133,7 +138,11 @@ class Database:
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Make a user's function one of SQL; replaces one of that signature."""
-        add_users(self.connection, signature, function, self.worlds, self.records)
+        add_users(self.connection, signature, function, self._worlds.by_schema)
+
+    def converter(self, tag: Tag) -> Converter | None:
+        """What makes values of a type of those that SQL gives back; None if they are."""
+        return converter_of(tag, self._worlds.by_schema)
 
     # -- worlds ---------------------------------------------------------------------------
 
@@ -147,6 +156,14 @@ class Database:
         with self._lock:
             self._worlds.bind(name, world)
 
+    def sweep(self) -> bool:
+        """Let go of worlds that nobody else has any more; tells whether there were some.
+
+        No statement is running, and no plan is used after that.
+        """
+        with self._lock:
+            return self._worlds.sweep()
+
     def schema_of(self, world: World) -> str:
         """The schema of a world's tables; one is made for a world that has none here."""
         with self._lock:
@@ -155,7 +172,11 @@ class Database:
     @property
     def worlds(self) -> dict[str, World]:
         """The worlds by the schema that ssduck's own statements use, the first one first."""
-        return {bound.schemas[0]: bound.world for bound in self._worlds.bound if bound.schemas}
+        return {
+            bound.schemas[0]: world
+            for bound in self._worlds.bound
+            if bound.schemas and (world := bound.reference()) is not None
+        }
 
     @property
     def records(self) -> dict[str, Record]:
@@ -163,7 +184,7 @@ class Database:
         return {
             bound.schemas[0]: bound.kept.record
             for bound in self._worlds.bound
-            if bound.schemas and bound.kept is not None
+            if bound.schemas and bound.kept is not None and bound.reference() is not None
         }
 
     # -- what is kept -----------------------------------------------------------------------
@@ -230,9 +251,11 @@ class Database:
         with self._lock:
             found = {}
             for bound in self._worlds.bound:
-                if bound.kept is not None and bound.kept.recorder is not None and bound.schemas:
-                    with bound.world.held():
-                        bound.kept.recorder.flush()
-                        numbers = bound.kept.recorder.ticks.numbers
+                world = bound.reference()
+                recorder = bound.kept.recorder if bound.kept is not None else None
+                if world is not None and recorder is not None and bound.schemas:
+                    with world.held():
+                        recorder.flush()
+                        numbers = recorder.ticks.numbers
                         found[bound.schemas[0]] = int(numbers[-1])
             return found

@@ -79,9 +79,10 @@ class Asked:
             return None
         text = sql.casefold()
         return [
-            own.world
+            world
             for number, own in enumerate(bound)
-            if number == 0 or any(schema.casefold() in text for schema in own.schemas)
+            if (world := own.reference()) is not None
+            and (number == 0 or any(schema.casefold() in text for schema in own.schemas))
         ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -51,19 +52,29 @@ class Bound:
     """A world in this database.
 
     Attributes:
-        world: the world.
+        reference: gives the world; None when nobody else has it any more.
         key: what its buffers are called among DuckDB's temporary views.
         schemas: its names here; the first is the one that ssduck's own statements use.
         versions: those of the tables that DuckDB has been shown.
         kept: its history; None if its ticks are not recorded.
+        held: the world, if it has a name of the user's: it is not to go.
     """
 
-    world: World
+    reference: weakref.ref[World]
     key: str
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
     kept: Kept | None = None
+    held: World | None = None
     _poses: OrderedDict[int, Poses] = field(default_factory=OrderedDict)
+
+    @property
+    def world(self) -> World:
+        """The world, while somebody has it."""
+        world = self.reference()
+        if world is None:
+            raise EvaluationError(f"the world {', '.join(self.schemas)} is gone")
+        return world
 
     def check_row(
         self, run: int | None, tick: int, id: int, pose: tuple[float | None, ...]

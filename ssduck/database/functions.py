@@ -6,10 +6,10 @@ alive.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import accumulate
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
@@ -23,20 +23,18 @@ from ssduck.history import Near
 from ssduck.record import PAIR, Record
 from ssduck.relations import CHECKED_TICK
 from ssduck.shapes import ANSWERS, depth
-from ssduck.types import Signature, Tag, converter, is_exactly
+from ssduck.types import Converter, Signature, Tag, converter, is_exactly
 from ssduck.udfs import MARGINS, NARROW, THEN, THEN_TOLD
-from ssduck.world import World
 
 
 def add_users(
     connection: Connection,
     signature: Signature,
     function: Function,
-    worlds: Mapping[str, World],
-    records: Mapping[str, Record],
+    worlds: Mapping[str, Bound],
 ) -> None:
     """Make a user's function one of SQL; replaces one of that signature."""
-    converters = [converter(tag, worlds, records) for tag in signature.parameters]
+    converters = [converter_of(tag, worlds) for tag in signature.parameters]
 
     def call(*arguments: Any) -> Any:
         values = [
@@ -47,6 +45,46 @@ def add_users(
 
     types = [tag.sql_type for tag in signature.parameters]
     connection.add_function(signature.name, call, types, signature.result.sql_type)
+
+
+def converter_of(tag: Tag, worlds: Mapping[str, Bound]) -> Converter | None:
+    """What makes values of those that SQL gives back; it keeps no world.
+
+    Args:
+        tag: the type of the values.
+        worlds: by their names, as they come and go.
+    """
+    return converter(tag, _Parts(worlds, lambda bound: bound.world), _Parts(worlds, _record_of))
+
+
+T = TypeVar("T")
+
+
+class _Parts(Mapping[str, T]):
+    """Something of each world in a database, as they come and go.
+
+    Args:
+        worlds: by their names.
+        part: gives it.
+    """
+
+    def __init__(self, worlds: Mapping[str, Bound], part: Callable[[Bound], T]) -> None:
+        self._worlds = worlds
+        self._part = part
+
+    def __getitem__(self, name: str) -> T:
+        return self._part(self._worlds[name])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._worlds)
+
+    def __len__(self) -> int:
+        return len(self._worlds)
+
+
+def _record_of(bound: Bound) -> Record:
+    assert bound.kept is not None
+    return bound.kept.record
 
 
 def _usable(value: Any, tag: Tag) -> Any:

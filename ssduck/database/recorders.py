@@ -81,7 +81,9 @@ class Recorders:
 
     def _forget(self, bound: Bound, recorder: Recorder) -> None:
         """Let a recorder keep no more ticks, without storing what waits."""
-        bound.world.forget(recorder)
+        world = bound.reference()
+        if world is not None:
+            world.forget(recorder)
         self.running.remove(recorder)
         bound.kept = None
 

@@ -111,6 +111,16 @@ class Schemas:
                 self._connection.run(statement)
             known |= called
 
+    def drop(self, schema: str, kept: Kept | None) -> None:
+        """Drop one whose world is gone; in a file what was kept of it stays."""
+        if self._connection.is_file:
+            self.leave(schema, kept)
+        else:
+            place = exp.to_identifier(schema, quoted=True).sql("duckdb")
+            self._connection.run(f"DROP SCHEMA IF EXISTS {place} CASCADE")
+        if self._told_of is not None:
+            self._told_of.discard(schema)
+
     def leave(self, schema: str, kept: Kept | None) -> None:
         """Leave one without what needs ssduck."""
         described = schema in (self._told_of or ())

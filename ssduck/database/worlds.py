@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import count
+import weakref
+from contextlib import suppress
+from itertools import chain, count
 
 from sqlglot import exp
 
@@ -32,7 +34,8 @@ class Worlds:
         recording: so, from when they are first seen on; None for not at all.
 
     Attributes:
-        bound: the worlds; the first one's tables go without its name.
+        bound: the worlds; the first one's tables go without its name. One that a program made is
+            here while somebody else has it (`sweep`), one with a name of the user's for good.
         by_schema: the same by all names of theirs.
     """
 
@@ -65,10 +68,19 @@ class Worlds:
         if world.name == UNNAMED:
             world.name = name
         bound = self.entry(world, name)
+        bound.held = world
+        self._name(bound, name)
+
+    def _name(self, bound: Bound, name: str) -> None:
+        """Make the schema of that name that of a world's tables."""
         if name not in bound.schemas:
             bound.schemas.append(name)
             self._schemas.make(name, bound)
             self._plans.forget("entities")
+        self._renamed()
+
+    def _renamed(self) -> None:
+        """Note which names the worlds have."""
         self._set_search_path()
         names = {schema: bound for bound in self.bound for schema in bound.schemas}
         self.by_schema.clear()
@@ -77,7 +89,7 @@ class Worlds:
     def _unbind(self, name: str, world: World) -> None:
         """Take a name from another world; one without a name is not held any more."""
         for other in [bound for bound in self.bound if name in bound.schemas]:
-            if other.world is world:
+            if other.reference() is world:
                 continue
             other.schemas.remove(name)
             if not other.schemas:
@@ -86,7 +98,29 @@ class Worlds:
                 for shown in other.versions:
                     self._connection.unshow(shown)
 
+    def sweep(self) -> bool:
+        """Let go of worlds that nobody else has any more; tells whether there were some."""
+        gone = [bound for bound in self.bound if bound.reference() is None]
+        for bound in gone:
+            self.bound.remove(bound)
+            kept = bound.kept
+            self._recorders.stop(bound)
+            for schema in bound.schemas:
+                self._schemas.drop(schema, kept)
+            for shown in bound.versions:
+                self._connection.unshow(shown)
+        if gone:
+            self._plans.forget("entities")
+            self._renamed()
+        return bool(gone)
+
     def _check_schema(self, name: str) -> None:
+        """Complain of a name that a world cannot have.
+
+        Raises:
+            ArgumentError: DuckDB has a schema or database of that name, or another world has one
+                that differs in case only.
+        """
         ((database,),) = self._connection.own_rows("SELECT current_database()")
         if name.casefold() in _TAKEN or name.casefold() == database.casefold():
             raise ArgumentError(
@@ -117,9 +151,9 @@ class Worlds:
     def entry(self, world: World, name: str | None = None) -> Bound:
         """What is known of a world; its ticks are recorded under the name that it gets first."""
         for bound in self.bound:
-            if bound.world is world:
+            if bound.reference() is world:
                 return bound
-        bound = Bound(world, f"world {next(self._numbers)}")
+        bound = Bound(weakref.ref(world), f"world {next(self._numbers)}")
         self.bound.append(bound)
         try:
             if isinstance(world, RecordedWorld):
@@ -147,13 +181,18 @@ class Worlds:
         """The schema of a world's tables; one is made for a world that has none here."""
         bound = self.entry(world)
         if not bound.schemas:
-            taken = {schema.casefold() for other in self.bound for schema in other.schemas}
-            names = (f"{world.name}_{number}" for number in count(2))
-            name = world.name
-            while name.casefold() in taken or name.casefold() in _TAKEN:
-                name = next(names)
-            self.bind(name, world)
+            self._name(bound, self._free_name(world.name))
         return bound.schemas[0]
+
+    def _free_name(self, wanted: str) -> str:
+        """A name that no world has, and a world can have."""
+        taken = {schema for other in self.bound for schema in other.schemas}
+        for name in chain((wanted,), (f"{wanted}_{number}" for number in count(2))):
+            with suppress(ArgumentError):
+                self._check_schema(name)
+                if name not in taken:
+                    return name
+        raise AssertionError(wanted)
 
     def show(self, bound: Bound) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""

@@ -1,0 +1,115 @@
+"""Worlds that programs make are let go when no variable has them any more."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from pathlib import Path
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import UnknownNameError
+
+PLACES = ["memory", "file"]
+
+
+@pytest.fixture(params=PLACES)
+def lab(request, client, tmp_path: Path):
+    """An interpreter on a world of three boxes, in memory or in a file that is called so, too."""
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1, 0.1, 0.1], physicsClientId=client
+    )
+    for x in range(3):
+        pybullet.createMultiBody(1, box, basePosition=[x, 0, 0], physicsClientId=client)
+    place = ":memory:" if request.param == "memory" else tmp_path / "world.duckdb"
+    with ssduck.Interpreter(place) as ss:
+        ss.add_variable("lab", ssduck.World.attach(client))
+        yield ss
+
+
+def held(ss) -> tuple[int, int, int, int]:
+    """How many clients, worlds, schemas and views of buffers there are."""
+    clients = sum(pybullet.isConnected(number) for number in range(64))
+    schemas = ss.sql(
+        "SELECT count(*) FROM duckdb_schemas() WHERE NOT internal AND schema_name NOT LIKE '%record%'"
+    )
+    views = ss.sql("SELECT count(*) FROM duckdb_views() WHERE temporary")
+    worlds = len(ss._database._worlds.bound)
+    return clients, worlds, schemas.fetchone()[0], views.fetchone()[0]
+
+
+ROUNDS = {
+    "a variable": "e = SELECT this FROM lab AS environment; SELECT id FROM e AS list;",
+    "the past of it": "e = SELECT this FROM lab AS environment; SELECT id FROM e{} AS list;",
+    "no variable": "SELECT id FROM (SELECT this FROM lab AS environment) AS list;",
+    "a relation": (
+        "e = SELECT this FROM lab AS environment; "
+        "SELECT id(a.this) FROM a=e, b=e WHERE near(a.this, b.this, 1) AS list;"
+    ),
+    "cleared": "e = SELECT this FROM lab AS environment; x = SELECT id FROM e AS list; clear('e');",
+}
+
+
+@pytest.mark.parametrize("program", ROUNDS.values(), ids=ROUNDS)
+def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program: str) -> None:
+    lab.eval(program)
+    lab.eval(program)
+    before = held(lab)
+    gc.disable()  # what is let go is let go at once
+    try:
+        for _ in range(6):
+            lab.eval(program)
+    finally:
+        gc.enable()
+    assert held(lab) == before
+    lab.eval("e = 1;")
+    assert held(lab)[1] == 1
+
+
+def test_what_fails_keeps_no_world(lab) -> None:
+    def fails() -> None:
+        with pytest.raises(UnknownNameError):
+            lab.eval("e = SELECT this FROM lab AS environment; SELECT id FROM e AS list; nobody;")
+
+    fails()
+    before = held(lab)
+    for _ in range(5):
+        fails()
+    gc.collect()  # an error knows where it was raised
+    assert held(lab)[:3] <= before[:3]
+
+
+@pytest.mark.parametrize("how", ["environment", "what_if", "excerpt"])
+def test_a_world_of_the_users_name_goes_with_its_name(lab, how: str) -> None:
+    world = lab.call_variable("lab")
+
+    def made():
+        match how:
+            case "environment":
+                return lab.eval("SELECT this FROM lab AS environment;")
+            case "what_if":
+                return world.what_if({"body_0": [1, 0, 0, 0, 0, 0, 5]})
+            case _:
+                return world.excerpt(["body_0"])
+
+    gone = []
+    for _ in range(6):
+        other = lab.add_variable("other", made())
+        gone.append(weakref.ref(other))
+        assert lab.eval("SELECT id FROM other AS list;")[0] == "body_0"
+        del other
+    gc.collect()
+    assert [reference() is None for reference in gone] == [True] * 5 + [False]
+    assert len(lab._database._worlds.bound) == 2
+
+
+def test_what_somebody_has_stays(lab) -> None:
+    kept = lab.eval("e = SELECT this FROM lab AS environment; SELECT this FROM e AS list;")
+    past = lab.eval("e{};")
+    lab.eval("e = 1;")
+    assert [entity.name for entity in kept] == ["body_0", "body_1", "body_2"]
+    assert len(past.times) == 1
+    lab.add_variable("entity", kept[0])
+    assert lab.eval("id(entity);") == "body_0"
