@@ -220,7 +220,7 @@ class SqlForms(Cursor):
         if is_word(token, "FROM", "AS", *OPERATOR_WORDS[:3], "IN"):
             return False
         is_apart = token.start > word.end + 1
-        opens = token.token_type in (TokenType.L_PAREN, TokenType.L_BRACKET) and is_apart
+        opens = token.token_type == TokenType.L_PAREN and is_apart
         is_star = token.token_type == TokenType.STAR and is_word(self.ahead(2), "FROM")
         if token.token_type not in _BEGINS and not opens and not is_star:
             return False
