@@ -288,6 +288,10 @@ def query(
             min=0, help="Of a record, the number of the episode.", show_default="the last one"
         ),
     ] = None,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="Refuse what is probably a mistake, and do not only warn."),
+    ] = False,
 ) -> None:
     """Run a program on a scene, or on a record, and write its answer to standard output.
 
@@ -307,6 +311,7 @@ def query(
         steps = steps if seconds is None else whole_steps(seconds, description.timestep)
     # What a program prints is not its answer.
     with opened_or_loaded(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
+        ss.strict = strict
         if steps:
             ss.call_variable(description.name).step(steps)
         value = ss.sql(text) if sql else ss.eval(text)

@@ -67,6 +67,7 @@ class Facts:
         texts: texts in the place of a name, with the clause.
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
+        bare: names that are selected, or keys.
     """
 
     names: list[NameSite] = field(default_factory=list)
@@ -74,11 +75,13 @@ class Facts:
     texts: list[tuple[str, Span]] = field(default_factory=list)
     sources: list[tuple[str, Span]] = field(default_factory=list)
     aliases: list[tuple[str, Span]] = field(default_factory=list)
+    bare: list[tuple[str, Span]] = field(default_factory=list)
 
     @property
     def are_none(self) -> bool:
         """Whether nothing is to be looked up."""
-        return not (self.names or self.given or self.texts or self.sources or self.aliases)
+        told = (self.names, self.given, self.texts, self.sources, self.aliases, self.bare)
+        return not any(told)
 
 
 _Around = Mapping[str, Source]
@@ -126,11 +129,17 @@ def _look_in_query(query: Query, around: _Around, facts: Facts) -> None:
         for node in keys
         if isinstance(node, Literal) and isinstance(node.value, str)
     ]
+    own_states = states(query)
+    facts.bare += [
+        (node.name, node.span)
+        for node in keys
+        if isinstance(node, Name) and node.name not in own_states
+    ]
     given = {s.alias for s in query.sources if not isinstance(s.value, Name | Aged)} - {None}
     given |= {
         s.alias for s in query.sources if isinstance(s.value, Name) and s.value.name != s.alias
     }
-    given -= states(query)
+    given -= own_states
     parts = (child for child in query.children() if not isinstance(child, Source))
     facts.aliases += [(n.name, n.span) for n in _bare(parts) if n.name in given]
 
@@ -217,6 +226,9 @@ class Doubts:
     def _hidden(self, facts: Facts) -> Iterator[SelectScriptError]:
         for name, span in facts.given:
             if self._is_function(name):
+                yield ArgumentError(hides(name), span=span)
+        for name, span in facts.bare:
+            if self._is_function(name) and self._variable(name) is not None:
                 yield ArgumentError(hides(name), span=span)
         for name, span in facts.aliases:
             if self._is_function(name) and self._variable(name) is None:

@@ -60,6 +60,8 @@ def _told(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> st
     else:
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
         lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
+        if plan.rest.distinct:
+            lines.append("-- left to Python: DISTINCT")
     return "\n".join([*lines, *_narrow(query), *_inexact(query, stand_ins)])
 
 

@@ -8,7 +8,6 @@ it is evaluated in Python on the rows that come back (`ssduck.queries`).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -19,8 +18,7 @@ from ssduck import checks
 from ssduck.adapters import Adapter, find
 from ssduck.database import Database
 from ssduck.dependencies import aliases_of, sees_outside
-from ssduck.doubts import hides
-from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError
+from ssduck.errors import ArgumentError, UnknownNameError
 from ssduck.evaluate import Frame
 from ssduck.execution import Execution
 from ssduck.forms import Form, form_of
@@ -179,14 +177,9 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
             The value.
 
         Raises:
-            ArgumentError: the name cannot be a variable's, or a schema's; in a strict
-                interpreter, it is a function's.
+            ArgumentError: the name cannot be a variable's, or a schema's.
         """
         check_name(name, "a variable")
-        if self.is_function(name) and not self.has_variable(name):
-            if self.strict:
-                raise ArgumentError(hides(name))
-            warnings.warn(hides(name), ProgramWarning, stacklevel=2)
         with self._lock:
             if isinstance(value, World):
                 self._database.bind(name, value)

@@ -213,17 +213,16 @@ class SqlForms(Cursor):
     # -- clauses --------------------------------------------------------------------------
 
     def takes_distinct(self) -> bool:
-        """Take DISTINCT behind SELECT, where it is no name."""
-        token = self.ahead()
-        if (
-            not self.at_word("DISTINCT")
-            or token is None
-            or is_word(token, "FROM", *OPERATOR_WORDS[:-2])
-        ):
+        """Take DISTINCT behind SELECT, where it is no name, and no call without a blank."""
+        word, token = self.token, self.ahead()
+        if word is None or token is None or not self.at_word("DISTINCT"):
             return False
-        if token.token_type not in (*_BEGINS, TokenType.STAR, TokenType.L_BRACKET):
+        if is_word(token, "FROM", "AS", *OPERATOR_WORDS[:3], "IN"):
             return False
-        if token.token_type == TokenType.STAR and not is_word(self.ahead(2), "FROM"):
+        is_apart = token.start > word.end + 1
+        opens = token.token_type == TokenType.L_PAREN and is_apart
+        is_star = token.token_type == TokenType.STAR and is_word(self.ahead(2), "FROM")
+        if token.token_type not in _BEGINS and not opens and not is_star:
             return False
         self.index += 1
         return True
@@ -250,7 +249,7 @@ class SqlForms(Cursor):
             self.index += 1
             if self.token is not None and self.token.text.lower() in FORMS:
                 self.fail("expected a source's name (the result form stands behind all clauses)")
-            return self.expect_name("a source's name").text
+            return self.expect_own_name("a source's name").text
         token = self.token
         if not is_kind(token, TokenType.VAR) or token is None:
             return None
@@ -264,9 +263,9 @@ class SqlForms(Cursor):
             TokenType.R_PAREN,
             TokenType.R_BRACKET,
         )
-        if not (ends or is_word(following, *_BEHIND_SOURCE)):
+        if not (ends or is_word(following, *_BEHIND_SOURCE, *HABITS)):
             return None
-        return self.expect_name("a source's name").text
+        return self.expect_own_name("a source's name").text
 
     def form_name(self) -> str:
         """The name of a result form; that of a basic one in any case."""

@@ -334,7 +334,10 @@ class Grammar:
         """A query over these sources."""
         inner = self.inside(scope, sources)
         columns = self.columns(inner, sources, depth, wanted)
-        parts = [f"SELECT {', '.join(columns)} FROM {', '.join(s.written for s in sources)}"]
+        distinct = "DISTINCT " if columns != ["*"] and self.c.chance(6) else ""
+        parts = [
+            f"SELECT {distinct}{', '.join(columns)} FROM {', '.join(s.written for s in sources)}"
+        ]
         conditions = [where] if where else []
         if self.c.chance(60):
             conditions.append(self.expression(FLAG, inner, self.size, depth + 1))
@@ -342,13 +345,38 @@ class Grammar:
                 conditions.append(self.expression(FLAG, inner, self.size, depth + 1))
         if conditions:
             parts.append(f"WHERE {' AND '.join(conditions)}")
-        if depth == 0 and wanted is None and self.c.chance(12):
-            parts.append(self.grouping(inner, sources))
+        if depth == 0 and wanted is None and not distinct:
+            if self.c.chance(12):
+                parts.append(self.grouping(inner, sources))
+            elif self.c.chance(10):
+                return self.aggregated(parts, inner, sources)
         parts.extend(self.arranging(inner, sources))
-        chosen = form or ("list" if wanted else self.c.pick(("list", "dict", "value", "list")))
+        chosen: str = form or ("list" if wanted else self.c.pick(("list", "dict", "value", "list")))
         if chosen != "dict" or self.c.chance(30):
-            parts.append(f"AS {chosen}")
+            parts.append(f"AS {self.c.pick((chosen, chosen, chosen.upper(), chosen.title()))}")
         return " ".join(parts)
+
+    def aggregated(self, parts: list[str], inner: Scope, sources: list[Source]) -> str:
+        """A query of aggregates over the rows of its groups, or of all rows."""
+        source = parts[0].split(" FROM ", 1)[1]
+        found = [f"{self.aggregate(inner)} AS c{n}" for n in range(1 + self.c.below(2))]
+        made = [f"SELECT count(*), {', '.join(found)} FROM {source}", *parts[1:]]
+        if self.c.chance(60):
+            made.append(self.grouping(inner, sources))
+        elif self.c.chance(40):
+            made.append(f"HAVING {self.aggregate(inner)} {self.c.pick(COMPARISONS)} 1")
+        if self.c.chance(40):
+            made.append(f"ORDER BY {self.aggregate(inner)}{self.c.pick(('', ' DESC'))}, count(*)")
+        if self.c.chance(20):
+            made.append(f"LIMIT {self.c.pick(('2', '1', '0'))}")
+        return " ".join([*made, f"AS {self.c.pick(('list', 'dict', 'value'))}"])
+
+    def aggregate(self, inner: Scope) -> str:
+        """A number of the rows of a group."""
+        name = self.c.pick(("count", "sum", "min", "max", "avg"))
+        over = self.expression(self.c.pick((INT, REAL)), inner, 1, 9)
+        kinds = (f"{name}({over})", "count(*)", f"count(DISTINCT {over})", f"{name}(uniq({over}))")
+        return f"{self.c.pick(kinds)}{self.c.pick(('', ' + 1', ' * 2'))}"
 
     def arranging(self, inner: Scope, sources: list[Source]) -> Iterator[str]:
         """ORDER BY and LIMIT."""
@@ -377,11 +405,8 @@ class Grammar:
         text = f"GROUP BY {', '.join(keys)}"
         if not self.c.chance(50):
             return text
-        value = self.c.pick((INT, REAL))
-        aggregate = self.c.pick(("count", "sum", "min", "max", "avg"))
-        over = self.expression(value, inner, 1, 9)
-        sign, bound = self.c.pick(COMPARISONS), self.literal(value)
-        return f"{text} HAVING {aggregate}({over}) {sign} {bound}"
+        sign, bound = self.c.pick(COMPARISONS), self.literal(self.c.pick((INT, REAL)))
+        return f"{text} HAVING {self.aggregate(inner)} {sign} {bound}"
 
     def inside(self, scope: Scope, sources: list[Source]) -> Scope:
         """What the parts of a query may mention: its own sources, and those around by alias."""
@@ -594,6 +619,11 @@ class Grammar:
         """IF with two branches of a type."""
         condition = self.expression(FLAG, scope, size, depth)
         then, other = (self.expression(type_, scope, size, depth) for _ in range(2))
+        if self.c.chance(30):
+            return f"CASE WHEN {condition} THEN {then} ELSE {other} END"
+        if self.c.chance(20):
+            one, two = (self.expression(TEXT, scope, 0, depth) for _ in range(2))
+            return f"CASE {one} WHEN {two} THEN {then} ELSE {other} END"
         return f"IF({condition}; {then}; {other})"
 
     def divisor(self, type_: Type, scope: Scope, size: int) -> str:
@@ -722,7 +752,9 @@ class Grammar:
     def flag(self, scope: Scope, size: int, depth: int) -> str:
         """A condition."""
         entities = scope.of(ENTITY)
-        kind = self.c.below(22)
+        kind = self.c.below(25)
+        if kind >= 22:
+            return self.habit(scope, size, kind)
         if kind < 6 or (kind in (20, 21) and not entities):
             return self.comparison(scope, size, depth)
         if kind < 9:
@@ -744,6 +776,23 @@ class Grammar:
             return self.of_rows(scope, size, depth)
         names = (self.c.pick(entities), self.c.pick((*entities, "box")))
         return f"{self.c.pick(PAIR_RELATIONS)}({names[0]}, {names[1]})"
+
+    def habit(self, scope: Scope, size: int, kind: int) -> str:
+        """A condition as SQL has it."""
+        negated = self.c.pick(("", "NOT "))
+        if kind == 22:
+            one = self.expression(TEXT, scope, size, 9)
+            pattern = self.c.pick(("'%'", "'a%'", "'_'", "'%b%'", "'a_'", "''", "'box'"))
+            return f"{one} {negated}LIKE {pattern}"
+        type_ = self.c.pick((INT, REAL))
+        one = self.expression(type_, scope, size, 9)
+        if kind == 23:
+            low, high = (self.expression(type_, scope, 0, 9) for _ in range(2))
+            return f"({one} {negated}BETWEEN {low} AND {high})"
+        if self.c.chance(40):
+            return f"{one} IS {negated}NULL"
+        values = ", ".join(self.literal(type_) for _ in range(self.c.below(4)))
+        return f"{one} {negated}IN ({values})"
 
     def comparison(self, scope: Scope, size: int, depth: int) -> str:
         """Two values of like types, compared."""
@@ -930,6 +979,7 @@ def evaluators() -> Iterator[Evaluators]:
     with ExitStack() as stack:
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("error")  # DuckDB refuses what was written, say
+        warnings.simplefilter("ignore", ssduck.ProgramWarning)
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         few = queries.FEW_ROWS
         stack.callback(setattr, queries, "FEW_ROWS", few)

@@ -32,6 +32,8 @@ _ADAPTERS: dict[str, Adapter] = {
     for name in form.names
 }
 _BUILT_IN = frozenset(_ADAPTERS)
+# These are words of the grammar, so in any case.
+_WORDS = frozenset(name for form in VALUES for name in form.names)
 
 
 def adapter(
@@ -79,33 +81,59 @@ def _check_name(name: Any) -> None:
         raise ArgumentError("adapter is called before it decorates: @ssduck.adapter()")
     if not isinstance(name, str) or not name.isidentifier():
         raise ArgumentError(f"{shown(name)} cannot be a form's name: letters, digits and _ only")
-    if name in _BUILT_IN:
+    if name in _BUILT_IN or name.lower() in _WORDS:
         raise ArgumentError(f"AS {name} is one of ssduck's own forms; choose another name")
 
 
 def find(name: str) -> Adapter:
     """The form of a name.
 
+    One that is spelled so comes first, then one that is in another case.
+
     Raises:
         UnknownNameError: there is none, with the nearest names.
-        ArgumentError: the package that has it cannot be imported, or has something else.
+        ArgumentError: there are several in other cases; or the package that has it cannot be
+            imported, or has something else.
     """
     if name in _ADAPTERS:
         return _ADAPTERS[name]
     elsewhere = _entry_points()
     if name not in elsewhere:
-        known = {*_ADAPTERS, *elsewhere}
-        raise UnknownNameError(
-            f"there is no result form {shown(name)}", suggestions=nearest(name, known)
-        )
+        return find(_spelled(name, {*_ADAPTERS, *elsewhere}))
     _ADAPTERS[name] = _loaded(name, elsewhere[name])
     return _ADAPTERS[name]
 
 
+def _spelled(name: str, known: Collection[str]) -> str:
+    """How the form is spelled that a program writes in another case.
+
+    Raises:
+        UnknownNameError: there is none, with the nearest names.
+        ArgumentError: there are several.
+    """
+    alike = sorted(other for other in known if other.casefold() == name.casefold())
+    if len(alike) > 1:
+        told = " or ".join(alike)
+        raise ArgumentError(f"AS {name} is ambiguous; write AS {told}")
+    if not alike:
+        raise UnknownNameError(
+            f"there is no result form {shown(name)}", suggestions=nearest(name, known)
+        )
+    return alike[0]
+
+
 def tables_of_forms(names: Iterable[str]) -> frozenset[str]:
     """The tables that forms read beside that of entities; those that are no forms read none."""
-    known = (_ADAPTERS[name].tables for name in names if name in _ADAPTERS)
-    return frozenset().union(*known)
+    found: frozenset[str] = frozenset()
+    for name in names:
+        forms = [_ADAPTERS[name]] if name in _ADAPTERS else _alike(name)
+        found = found.union(*(form.tables for form in forms))
+    return found
+
+
+def _alike(name: str) -> list[Adapter]:
+    folded = name.casefold()
+    return [form for known, form in _ADAPTERS.items() if known.casefold() == folded]
 
 
 def forms() -> list[Adapter]:
