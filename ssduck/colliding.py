@@ -326,3 +326,27 @@ def _edge_overlaps(a: Array, b: Array, turn: Array, size: Array, way: Array) -> 
     parallel = length < _PARALLEL
     overlaps: Array = (of_a + of_b - np.abs(across)) / np.where(parallel, 1.0, length)
     return np.where(parallel, np.inf, overlaps)
+
+
+def known_with_all(sorts: Sorts, known: Flags) -> Flags:
+    """Of each shape whether all of its entity are known."""
+    lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
+    all_known: Flags = lost[sorts.entities] == 0
+    return all_known
+
+
+def scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
+    """Shapes at poses, without boxes.
+
+    Args:
+        sorts: what they are, and whose.
+        positions: (n, 3), in the world.
+        orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        length = np.sqrt(np.einsum("ij,ij->i", orientations, orientations))
+        unit = orientations / length[:, None]
+        finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
+        matrices = turns_of(unit).reshape(3, 3, -1).transpose(2, 0, 1)
+    known = known_with_all(sorts, finite & sorts.known)
+    return Scene(sorts, known, np.zeros((6, 0)), positions, matrices)

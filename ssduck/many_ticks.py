@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.broad import Pairs
-from ssduck.colliding import Sorts
+from ssduck.colliding import Sorts, scene_of
 from ssduck.geometry import Array, Boxer, Geometry, Indices, compose, rotation_matrices
 from ssduck.layout import Member
-from ssduck.narrow import Narrow, found_of, scene_of
+from ssduck.narrow import Narrow, found_of
 from ssduck.separation import Counter
 from ssduck.shapes import Shapes
 from ssduck.solids import Solid, solid_of

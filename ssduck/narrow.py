@@ -25,9 +25,10 @@ from ssduck.colliding import (
     all_within,
     colliding,
     colliding_of,
+    known_with_all,
     within_of,
 )
-from ssduck.geometry import Array, Indices, rotate, rotation_matrices, turns_of
+from ssduck.geometry import Array, Indices, rotate, rotation_matrices
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
 from ssduck.overlap import (
     Box,
@@ -159,7 +160,7 @@ class Narrow:
             self.calls.pairs += len(self._compared) - before
 
     def _scene(self, sorts: Sorts) -> Scene:
-        known = _known_with_all(sorts, self._finite & sorts.known)
+        known = known_with_all(sorts, self._finite & sorts.known)
         return Scene(sorts, known, self._boxes.T, self._positions, self._matrices)
 
     def are_deep(self, s: int, t: int) -> bool:
@@ -235,11 +236,27 @@ class Narrow:
         found = self.separation(i, j)
         return None if found is None else (found.point_a, found.point_b)
 
-    def on(self, a: int, b: int) -> bool | None:
-        """Whether b rests on a.
+    def supports(self, a: int, b: int) -> bool | None:
+        """Whether a carries b: they touch, and a normal there from a to b is near up.
 
-        They are within 1 mm, a normal there from a to b is within 30 degrees of up, and the
-        middle of b's box is over the hull of a's footprint.
+        It is enough that one of their shapes is within 1 mm of one of the other's, and that the
+        normal of the two is within 30 degrees of up; where the middle of b is does not matter.
+        """
+        if a == b:
+            return False
+        with self._lock:
+            if not (self._are_known[a] and self._are_known[b]):
+                return None
+            found = (self._separation(s, t) for s, t in self._near(a, b, TOUCHES))
+            return any(
+                one.gap <= TOUCHES and one.normal is not None and -one.normal[2] >= UPRIGHT
+                for one in found
+            )
+
+    def on(self, a: int, b: int) -> bool | None:
+        """Whether b rests on a: a supports it, and the middle of its box is over a's footprint.
+
+        The footprint is the convex hull of a's shadow on the ground.
         """
         if a == b:
             return False
@@ -247,24 +264,16 @@ class Narrow:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             near = self._near(a, b, TOUCHES)
-            if not near or not self._is_over(a, b):
-                return False
-            found = (self._separation(s, t) for s, t in near)
-            return any(
-                one.gap <= TOUCHES and one.normal is not None and -one.normal[2] >= UPRIGHT
-                for one in found
-            )
+            return bool(near) and self._is_over(a, b) and self.supports(a, b)
 
     def _is_over(self, a: int, b: int) -> bool:
         """Whether the middle of b's box is over the hull of a's footprint."""
-        rows = self._boxes[self._starts[b] : self._starts[b + 1]]
-        with np.errstate(invalid="ignore"):  # a plane's box has no middle
-            x, y = ((rows[:, :2].min(axis=0) + rows[:, 3:5].max(axis=0)) / 2).tolist()
+        x, y, _ = self.middle(b).tolist()
         if not (math.isfinite(x) and math.isfinite(y)):
             return False
         if a not in self._footprints:
-            self._footprints[a] = footprint(self._of(a))
-        return covers(self._of(a), self._footprints[a], x, y)
+            self._footprints[a] = footprint(self.shapes_of(a))
+        return covers(self.shapes_of(a), self._footprints[a], x, y)
 
     def inside(self, a: int, b: int) -> float | None:
         """The share of b's volume that is inside the convex hull of a, 0..1.
@@ -275,7 +284,7 @@ class Narrow:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             if (a, b) not in self._shares:
-                self._shares[a, b] = share_inside(self._hull(a), self._of(b))
+                self._shares[a, b] = share_inside(self._hull(a), self.shapes_of(b))
             return self._shares[a, b]
 
     def contains(self, a: int, b: int) -> bool | None:
@@ -300,11 +309,11 @@ class Narrow:
             self._arounds[a] = box_around(self._boxed(a))
         if most_in_box(self._arounds[a], self._boxed(b)) < CONTAINED - TOLD:
             return True
-        return most_in_hull(self._hull(a), self._of(b)) < CONTAINED - TOLD
+        return most_in_hull(self._hull(a), self.shapes_of(b)) < CONTAINED - TOLD
 
     def _hull(self, e: int) -> Hull | None:
         if e not in self._hulls:
-            self._hulls[e] = hull_around(self._of(e))
+            self._hulls[e] = hull_around(self.shapes_of(e))
         return self._hulls[e]
 
     def _boxed(self, e: int) -> list[tuple[Solid, Box]]:
@@ -458,8 +467,30 @@ class Narrow:
 
     # -- of one entity --------------------------------------------------------------------
 
-    def _of(self, e: int) -> list[Placed]:
+    def shapes_of(self, e: int) -> list[Placed]:
+        """The shapes of an entity that have points, where they are."""
         return [self._place(shape) for shape in self._shapes[e]]
+
+    def box(self, e: int) -> Array:
+        """The lower and the upper corner of the box of an entity that has shapes, (6,)."""
+        rows = self._boxes[self._starts[e] : self._starts[e + 1]]
+        return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
+
+    def middle(self, e: int) -> Array:
+        """The centre of that box, (3,); not finite where a plane's box has none."""
+        box = self.box(e)
+        with np.errstate(invalid="ignore"):
+            centre: Array = (box[:3] + box[3:]) / 2
+        return centre
+
+    def shapes_in(self, low: Array, high: Array, without: Iterable[int]) -> list[Placed]:
+        """The known shapes whose boxes meet a box, those of some entities left out."""
+        with np.errstate(invalid="ignore"):
+            meets = ((self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)).all(axis=1)
+        for e in without:
+            meets[self._starts[e] : self._starts[e + 1]] = False
+        found = np.flatnonzero(meets & self._known).tolist()
+        return [self._place(shape) for shape in found if not self._solids[shape].is_empty]
 
     @cached_property
     def _shapes(self) -> list[list[int]]:
@@ -522,30 +553,6 @@ class Narrow:
     def _matrices(self) -> Array:
         with np.errstate(invalid="ignore"):
             return rotation_matrices(self._unit)
-
-
-def _known_with_all(sorts: Sorts, known: Flags) -> Flags:
-    """Of each shape whether all of its entity are known."""
-    lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
-    all_known: Flags = lost[sorts.entities] == 0
-    return all_known
-
-
-def scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
-    """Shapes at poses, without boxes.
-
-    Args:
-        sorts: what they are, and whose.
-        positions: (n, 3), in the world.
-        orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        length = np.sqrt(np.einsum("ij,ij->i", orientations, orientations))
-        unit = orientations / length[:, None]
-        finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
-        matrices = turns_of(unit).reshape(3, 3, -1).transpose(2, 0, 1)
-    known = _known_with_all(sorts, finite & sorts.known)
-    return Scene(sorts, known, np.zeros((6, 0)), positions, matrices)
 
 
 def found_of(

@@ -18,6 +18,7 @@ from ssduck.geometry import Array
 from ssduck.narrow import Narrow
 from ssduck.relations import MOST_IDS
 from ssduck.solids import PlacedSolids
+from ssduck.surroundings import Surroundings, Turn
 
 # After more pairs, or one for every four entities, all pairs of the tick are compared at once.
 FEW = 64
@@ -67,6 +68,7 @@ class Shapes:
         ids: Ids,
     ) -> None:
         self._narrow = narrow
+        self._around = Surroundings(narrow, self._meeting)
         self._numbers = numbers
         self._sorts = sorts
         self._boxes = boxes
@@ -96,6 +98,12 @@ class Shapes:
             first, second = meeting(self._boxes, apart + ROUNDED)
             self._overlapping[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._overlapping[apart]
+
+    def _meeting(self, apart: float) -> list[tuple[int, int]]:
+        """The pairs of entities, by number, whose boxes are no farther apart along any axis, m."""
+        numbers = np.array([self._numbers[id] for id in self._ids.tolist()], dtype=np.int64)
+        first, second = meeting(self._boxes, apart)
+        return list(zip(numbers[first].tolist(), numbers[second].tolist(), strict=True))
 
     def _of_found(self, found: Found) -> list[int]:
         """The pairs of entities of `narrow` by their ids."""
@@ -181,6 +189,31 @@ class Shapes:
         """Whether b rests on a."""
         return self._narrow.on(*self._pair(a, b))
 
+    def supports(self, a: int, b: int) -> bool | None:
+        """Whether a carries b, alone or with others."""
+        return self._narrow.supports(*self._pair(a, b))
+
+    def rests_on(self, a: int, b: int) -> bool | None:
+        """Whether b is on a, or on something that rests on a."""
+        return self._around.rests_on(self._numbers[a], self._numbers[b])
+
+    def encloses(self, a: int, b: int, *turn: float) -> bool | None:
+        """Whether b is within walls of a, whose link frame has that orientation."""
+        return self._around.encloses(*self._pair(a, b), _turn(turn))
+
+    def beside(self, a: int, b: int, apart: float, *turns: float) -> bool | None:
+        """Whether two entities, whose heights overlap, are beside each other.
+
+        Args:
+            a: an entity.
+            b: another one.
+            apart: how far from each other they are at most, m.
+            turns: the orientation of a's link frame, then of b's.
+        """
+        if not self.near(a, b, apart):
+            return self.near(a, b, apart)
+        return self._around.are_beside(*self._pair(a, b), _turn(turns[:4]), _turn(turns[4:]))
+
     def inside(self, a: int, b: int) -> float | None:
         """The share of b's volume that is inside a's convex hull; 0 if it has none."""
         i, j = self._pair(a, b)
@@ -204,6 +237,11 @@ class Shapes:
         return self._narrow.placed([self._numbers[id] for id in ids], ids)
 
 
+def _turn(numbers: tuple[float, ...]) -> Turn:
+    w, x, y, z = numbers
+    return w, x, y, z
+
+
 def _both_ways(a: Ids, b: Ids) -> list[int]:
     """Pairs of ids as numbers, each pair both ways, in order."""
     numbers = np.concatenate((a * MOST_IDS + b, b * MOST_IDS + a))
@@ -224,6 +262,10 @@ ANSWERS: dict[str, Answer] = {
         Shapes.near,
         Shapes.points,
         Shapes.on,
+        Shapes.supports,
+        Shapes.rests_on,
+        Shapes.encloses,
+        Shapes.beside,
         Shapes.inside,
         Shapes.contains,
         Shapes.volume,

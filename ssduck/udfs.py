@@ -51,10 +51,17 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow near": ((*_PAIR, "DOUBLE"), "BOOLEAN"),
     "narrow points": (_PAIR, "DOUBLE[][]"),
     "narrow on": (_PAIR, "BOOLEAN"),
+    "narrow supports": (_PAIR, "BOOLEAN"),
+    "narrow rests_on": (_PAIR, "BOOLEAN"),
+    "narrow encloses": ((*_PAIR, *["DOUBLE"] * 4), "BOOLEAN"),
+    "narrow beside": ((*_PAIR, *["DOUBLE"] * 9), "BOOLEAN"),
     "narrow inside": (_PAIR, "DOUBLE"),
     "narrow contains": (_PAIR, "BOOLEAN"),
     "narrow volume": (_ONE, "DOUBLE"),
 }
+
+# Those that look at all entities of the tick, and not only at the two that are asked about.
+OF_WHOLE_TICK = frozenset(("narrow rests_on", "narrow beside"))
 
 # Those over many ticks: of a world, the first and the last tick, the ids of two entities (0 for
 # any), and a distance. They yield [tick, a, b, 1] of each pair of which it holds, with a 0 at the

@@ -70,8 +70,12 @@ class Bound:
         parts = len(self.kept.shown) if self.kept is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
 
-    def shapes(self, tick: int | None, ids: Sequence[int]) -> Shapes:
+    def shapes(self, tick: int | None, ids: Sequence[int] | None) -> Shapes:
         """The shapes at a tick, those of some entities at least, or at the present one.
+
+        Args:
+            tick: its number; None for the present one.
+            ids: of the entities; None for all.
 
         Raises:
             EvaluationError: the tick is not recorded.

@@ -22,7 +22,7 @@ from ssduck.history import Near
 from ssduck.record import PAIR, Record
 from ssduck.shapes import ANSWERS
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import NARROW, THEN, THEN_COLLIDING, THEN_TOLD
+from ssduck.udfs import NARROW, OF_WHOLE_TICK, THEN, THEN_COLLIDING, THEN_TOLD
 from ssduck.world import World
 
 
@@ -108,7 +108,8 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
                 f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
             )
         ids = arguments[1:entities:2]
-        shapes = worlds[world].shapes(ticks.pop() if ticks else None, ids)
+        tick = ticks.pop() if ticks else None
+        shapes = worlds[world].shapes(tick, None if name in OF_WHOLE_TICK else ids)
         return answer(shapes, *ids, *arguments[entities:])
 
     return call
