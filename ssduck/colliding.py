@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.broad import Flags, Pairs, meeting
-from ssduck.geometry import Array, Indices, rotate
+from ssduck.geometry import Array, Indices, rotate, turns_of
 from ssduck.gjk import ABOVE, BELOW, UNDECIDED, Bodies, Cores, Verdicts, compare, slack
 from ssduck.solids import Solid
 

@@ -37,7 +37,10 @@ BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a relation; optional ones come last and together or not at all."""
+    """A parameter of a relation; optional ones come last.
+
+    They come together or not at all, but where a relation has a formula for the first one alone.
+    """
 
     name: str
     type: ValueType
@@ -88,6 +91,9 @@ class Relation:
             of a recorded tick.
         of_lists: of one that has another meaning for two lists, that formula.
         far: what it yields of entities whose boxes are apart: at least as much, or 0.
+        partly: the formula with the first of two optional parameters given, and not the other.
+        reads: of one that calls Python for what is no shape, the table that it looks at.
+        may_fail: whether there are entities that it is an error of.
     """
 
     name: str
@@ -106,6 +112,9 @@ class Relation:
     then: str = ""
     of_lists: str = ""
     far: Literal["", "more", "nothing"] = ""
+    partly: str | None = None
+    reads: str = ""
+    may_fail: bool = False
 
     @property
     def usage(self) -> str:
@@ -133,6 +142,8 @@ class Relation:
         found = {self.required: _parsed(self.formula)}
         if self.sliced is not None:
             found[len(self.parameters)] = _parsed(self.sliced)
+        if self.partly is not None:
+            found[self.required + 1] = _parsed(self.partly)
         return found
 
     def apart_of(self, count: int) -> exp.Expr:
@@ -146,7 +157,7 @@ class Relation:
         """Whether it may be infinite: it is of boxes, and that of a plane is."""
         tree = self.expressions[self.required]
         of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
-        of_shapes = tree.find(exp.Placeholder) is not None
+        of_shapes = tree.find(exp.Placeholder) is not None and not self.reads
         return self.result in ("real", "list") and (of_box or of_shapes)
 
     @cached_property
@@ -159,7 +170,9 @@ class Relation:
         """The tables that it looks things up in."""
         tree = self.expressions[self.required]
         tables = {table.name for table in tree.find_all(exp.Table)}
-        return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
+        if tree.find(exp.Placeholder) is not None:
+            tables.add(self.reads or "shapes")
+        return frozenset(tables)
 
     def _now_or_then(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """A formula of what is looked up: now, or at the tick of a row that was recorded."""

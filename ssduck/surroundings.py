@@ -44,9 +44,7 @@ class Surroundings:
         pairs: gives the pairs of entities whose boxes are no farther apart along any axis, m.
     """
 
-    def __init__(
-        self, narrow: Narrow, pairs: Callable[[float], Iterable[tuple[int, int]]]
-    ) -> None:
+    def __init__(self, narrow: Narrow, pairs: Callable[[float], Iterable[tuple[int, int]]]) -> None:
         self._narrow = narrow
         self._pairs = pairs
         self._resting: dict[int, frozenset[int]] = {}
@@ -70,7 +68,7 @@ class Surroundings:
         return encloses(narrow.shapes_of(a), axes, narrow.shapes_of(b), centre)
 
     def are_beside(self, a: int, b: int, turn_a: Turn, turn_b: Turn) -> bool | None:
-        """Whether neither is on or in the other, and a horizontal ray from one meets the other first.
+        """Whether neither is on or in the other, and one is in sight of the other: `is_in_sight`.
 
         That their heights overlap, and that they are near enough, is to be known.
         """
@@ -107,7 +105,7 @@ class Surroundings:
         return b in self._resting_on(a)
 
     def _resting_on(self, a: int) -> frozenset[int]:
-        """All that rest on an entity, through others or not; itself only if it would be a circle."""
+        """All that rest on an entity, through others or not."""
         if a not in self._resting:
             found: set[int] = set()
             todo = [a]
@@ -232,7 +230,7 @@ def _ways(a: Sequence[Placed], b: Sequence[Placed], nearest: Separation) -> list
 
 
 def _lines(a: Sequence[Placed], b: Sequence[Placed], way: Array, nearest: Separation) -> _Lines:
-    """Lines in a direction over what a and b have in common across it, those in the middle first."""
+    """Lines in a direction, over what a and b have in common across it."""
     across = np.array([-way[1], way[0], 0.0])
     axes = np.stack((way, across, [0.0, 0.0, 1.0]))
     reach = np.stack([_extents(one, np.concatenate((axes, -axes))) for one in (a, b)])

@@ -22,6 +22,7 @@ import sqlglot
 
 from ssduck.families.contacts import OF_CONTACTS
 from ssduck.families.entities import OF_ENTITIES
+from ssduck.families.joints import OF_JOINTS
 from ssduck.families.ode import OF_ODE
 from ssduck.families.places import OF_PLACES
 from ssduck.families.sensors import OF_SENSORS
@@ -30,7 +31,7 @@ from ssduck.relations import Relation
 
 RELATIONS: dict[str, Relation] = {
     relation.name: relation
-    for family in (OF_ENTITIES, OF_SHAPES, OF_CONTACTS, OF_PLACES, OF_ODE, OF_SENSORS)
+    for family in (OF_ENTITIES, OF_SHAPES, OF_CONTACTS, OF_PLACES, OF_JOINTS, OF_ODE, OF_SENSORS)
     for relation in family
 }
 
@@ -62,6 +63,13 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
 
 # Those that look at all entities of the tick, and not only at the two that are asked about.
 OF_WHOLE_TICK = frozenset(("narrow rests_on", "narrow beside"))
+
+# The functions of joints: what they take besides a world, and an entity as its tick and its id.
+JOINTS: dict[str, tuple[str, ...]] = {
+    "joints position": ("VARCHAR",),
+    "joints openness": ("VARCHAR",),
+    "joints most_open": (),
+}
 
 # Those over many ticks: of a world, the first and the last tick, the ids of two entities (0 for
 # any), and a distance. They yield [tick, a, b, 1] of each pair of which it holds, with a 0 at the

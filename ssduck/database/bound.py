@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from ssduck.errors import UnsupportedError
 from ssduck.history import Archive, Shown, history_name, not_recorded
+from ssduck.joints import Joints
 from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.shapes import Shapes
@@ -90,19 +92,40 @@ class Bound:
             )
         return self.kept.record.shapes(tick, ids)
 
+    def joints(self, tick: int, id: int) -> Joints:
+        """The joints of an entity at a tick.
+
+        Raises:
+            UnsupportedError: they are not recorded.
+        """
+        snapshot = self.world.snapshot
+        if tick == snapshot.number and "joints" not in snapshot.untold:
+            member, rows = snapshot.members[snapshot.rows[id]], snapshot.tables["joints"]
+            own = {name: rows[name] for name in ("entity", "position")}
+        else:
+            own = self._recorded("joints", tick)
+            assert self.kept is not None
+            member = self.kept.record.members[id]
+        joints = () if member.body is None else member.body.joints
+        return Joints(member.name, joints, own["position"][own["entity"] == id].tolist())
+
+    def _recorded(self, table: str, tick: int) -> Mapping[str, Any]:
+        """The columns of a table at a recorded tick.
+
+        Raises:
+            UnsupportedError: it is not recorded.
+        """
+        if self.kept is None:
+            raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
+        record = self.kept.record
+        if table not in record.tables:
+            raise UnsupportedError(not_recorded(table, self.world.name))
+        return record.rows(table, tick)
+
     def told(self, what: str, tick: int, a: int, b: int) -> list[float]:
         """What contacts or sensors told at a recorded tick.
 
         Raises:
             UnsupportedError: they are not recorded.
         """
-        if self.kept is None:
-            raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
-        record = self.kept.record
-
-        def rows(table: str) -> Mapping[str, Any]:
-            if table not in record.tables:
-                raise UnsupportedError(not_recorded(table, self.world.name))
-            return record.rows(table, tick)
-
-        return TOLD[what](rows, a, b)
+        return TOLD[what](partial(self._recorded, tick=tick), a, b)

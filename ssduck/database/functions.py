@@ -19,10 +19,11 @@ from ssduck.database.connection import Connection
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError
 from ssduck.functions import Function
 from ssduck.history import Near
+from ssduck.joints import Joints
 from ssduck.record import PAIR, Record
 from ssduck.shapes import ANSWERS
 from ssduck.types import Signature, Tag, converter, is_exactly
-from ssduck.udfs import NARROW, OF_WHOLE_TICK, THEN, THEN_COLLIDING, THEN_TOLD
+from ssduck.udfs import JOINTS, NARROW, OF_WHOLE_TICK, THEN, THEN_COLLIDING, THEN_TOLD
 from ssduck.world import World
 
 
@@ -70,6 +71,14 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
             side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
+    for name, more in JOINTS.items():
+        connection.add_function(
+            name,
+            partial(_of_joints, worlds, getattr(Joints, name.removeprefix("joints "))),
+            ("VARCHAR", "BIGINT", "BIGINT", *more),
+            "DOUBLE",
+            null_handling=FunctionNullHandling.SPECIAL,
+        )
     pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
     for name in THEN:
         collide = name == THEN_COLLIDING
@@ -113,6 +122,21 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
         return answer(shapes, *ids, *arguments[entities:])
 
     return call
+
+
+def _of_joints(
+    worlds: Mapping[str, Bound],
+    answer: Callable[..., float | None],
+    world: str,
+    *arguments: Any,
+) -> float | None:
+    """What the joints of an entity tell, of its tick, its id and a name."""
+    if None in arguments:
+        return None
+    if world not in worlds:
+        raise UnknownNameError(f"there is no world {world!r} here any more")
+    tick, id, *more = arguments
+    return answer(worlds[world].joints(tick, id), *more)
 
 
 def _then(worlds: Mapping[str, Bound], collide: bool, *arguments: pa.ChunkedArray) -> pa.ListArray:

@@ -81,6 +81,19 @@ def on_shapes(
     )
 
 
+_CARRIED = {
+    "on": (
+        "Checks if b rests on a: they touch (clearance at most 1 mm), a normal there is within "
+        "30 degrees of up, and the centre of the box of b is over the convex hull of the footprint "
+        "of a. See supports for what carries it with others."
+    ),
+    "supports": (
+        "Checks if a carries b, alone or with others: they touch (clearance at most 1 mm), and a "
+        "normal there from a to b is within 30 degrees of up, wherever the centre of b is. A plank "
+        "on two blocks is supported by both, and on neither."
+    ),
+}
+
 COLLIDES = _narrow(_ask("collides"))
 
 OF_SHAPES: tuple[Relation, ...] = (
@@ -168,20 +181,7 @@ OF_SHAPES: tuple[Relation, ...] = (
             asked="on pairs whose boxes are at most 1 mm apart",
             candidates=Candidates("meeting", "0.001"),
         )
-        for name, about in (
-            (
-                "on",
-                "Checks if b rests on a: they touch (clearance at most 1 mm), a normal there is "
-                "within 30 degrees of up, and the centre of the box of b is over the convex hull "
-                "of the footprint of a. See supports for what carries it with others.",
-            ),
-            (
-                "supports",
-                "Checks if a carries b, alone or with others: they touch (clearance at most 1 mm), "
-                "and a normal there from a to b is within 30 degrees of up, wherever the centre of "
-                "b is. A plank on two blocks is supported by both, and on neither.",
-            ),
-        )
+        for name, about in _CARRIED.items()
     ),
     on_shapes(
         "restsOn",
