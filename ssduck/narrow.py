@@ -489,8 +489,12 @@ class Narrow:
             meets = ((self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)).all(axis=1)
         for e in without:
             meets[self._starts[e] : self._starts[e + 1]] = False
-        found = np.flatnonzero(meets & self._known).tolist()
-        return [self._place(shape) for shape in found if not self._solids[shape].is_empty]
+        found = np.flatnonzero(meets).tolist()
+        return [
+            self._place(shape)
+            for shape in found
+            if self._known[shape] and not self._solids[shape].is_empty
+        ]
 
     @cached_property
     def _shapes(self) -> list[list[int]]:

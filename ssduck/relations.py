@@ -213,12 +213,28 @@ class Relation:
         if not self.tables:
             return tree
         if schema is not None:
-            return self._now_or_then(in_schema(tree, schema), schema)
+            return self._now_or_then(in_schema(_lenient(tree), schema), schema)
         reason = (
             f"{self.name}: in SQL it is for one world, and there is none or several; write the "
             f"name of the world that is meant before it, world.{self.name}(…)"
         )
         return exp.Anonymous(this="error", expressions=[exp.Literal.string(reason)])
+
+
+# What a function of joints is called where other rows may have what is asked for.
+ANY = "any "
+
+
+def _lenient(tree: exp.Expr) -> exp.Expr:
+    """A formula for raw SQL, whose conditions come in no order: see `ssduck.families.joints`."""
+
+    def renamed(part: exp.Expr) -> exp.Expr:
+        if isinstance(part, exp.Anonymous) and part.name.startswith("joints "):
+            part.set("this", exp.to_identifier(ANY + part.name, quoted=True))
+        return part
+
+    found: exp.Expr = tree.copy().transform(renamed)
+    return found
 
 
 # DuckDB has functions of texts that are called so; they go on being there.

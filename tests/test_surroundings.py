@@ -114,7 +114,7 @@ def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
     world = stage.open()
     random = np.random.default_rng(len(name))
     both = list(stage.interpreters(sim=world))
-    places = [np.zeros(3), *random.uniform(-0.3, 0.3, (24, 3))]
+    places = [np.zeros(3), [0.3, 0.3, 0.3], *random.uniform(-0.22, 0.22, (23, 3))]
     found = []
     for number, own in enumerate(places):
         turn = Rotation.identity() if number < 5 else Rotation.random(rng=random)
@@ -132,7 +132,7 @@ def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
     assert found[0] is in_middle
     assert False in found
     if in_middle:
-        assert found.count(True) > 2
+        assert found.count(True) > 3
 
 
 def test_the_hull_of_a_table_is_not_its_inside(stage, write):
@@ -143,13 +143,6 @@ def test_the_hull_of_a_table_is_not_its_inside(stage, write):
         assert ss.eval("[contains(table, ball), enclosed(table, ball)];") == [True, False]
         assert "enclosed" in ss.eval("help('contains');")
         assert "enclosed" in ss.eval("help('inside');")
-
-
-# In the middle of what: (inner, outer), by shapes of the stage; whether outer encloses inner.
-NESTED = [
-    ("ball in a cup", "cup", 0.5, True),
-    ("a cup in a cup twice as large", "cup", 2.0, False),
-]
 
 
 @pytest.mark.parametrize("scale", [0.5, 0.9])
@@ -172,9 +165,6 @@ def test_a_convex_shape_around_the_centre_is_no_wall(stage):
     for ss in stage.interpreters(sim=world):
         assert pairs_of(ss, "enclosed(p, q)") == []
         assert ss.eval("contains(block, ball);") is True
-
-
-GAP = 0.19  # between the middle of the tube and its walls
 
 
 # Of a rod along x through the middle of a tube that is 0.42 wide: (half its length, enclosed)
@@ -236,7 +226,7 @@ def test_a_drawer_is_of_its_cabinet(stage, write):
     stage.sphere("ball", radius=0.02)
     world = stage.open()
     for ss in stage.interpreters(sim=world):
-        for out, there in itertools.product((0.0, 0.15, 0.3), (0.0, 0.3)):
+        for out, there in itertools.product((0.0, 0.15, 0.3), (0.05, 0.25)):
             world["cabinet"].move([0, 0, 0], joints={"slide": out})
             world["ball"].move([-there, 0, 0])
             # Behind the drawer that is out, the ball is in the case.
@@ -271,8 +261,8 @@ BESIDE = {("post", "book"), ("book", "post")}
 MEANT = {"supports": SUPPORTS, "on": ON, "restsOn": RESTS, "nextTo": BESIDE, "enclosed": set()}
 
 
-def told(ss, relation, source, other=None):
-    """The pairs of which a relation holds, by a query of both its sources and by a constant."""
+def told(ss, relation, source):
+    """The pairs of names of which a relation holds, in SelectScript."""
     program = "SELECT id(p.this), id(q.this) FROM p={0}, q={0} WHERE {1}(p.this, q.this) AS list;"
     flat = ss.eval(program.format(source, relation))
     return set(zip(flat[::2], flat[1::2], strict=True))
@@ -291,6 +281,7 @@ def test_the_same_by_every_door(stage, relation, tmp_path):
         assert told(one, relation, "sim") == wanted
         assert set(pairs_of(one, f'"{relation}"(p, q)')) == wanted
     at = world.time
+    world.step(1)
     world["plank"].move([5, 5, 1])
     one_less = told(ss, relation, "sim")
     assert one_less != wanted or relation in ("nextTo", "enclosed")
@@ -304,7 +295,7 @@ def test_the_same_by_every_door(stage, relation, tmp_path):
         assert told(opened, relation, f"sim{{{at}}}") == wanted
         assert told(opened, relation, "sim") == one_less
         if relation != "enclosed":
-            a, b = sorted(wanted - one_less or wanted)[0]
+            a, b = min(wanted - one_less or wanted)
             opened.eval(f"a = SELECT obj FROM sim WHERE id(this) == '{a}' AS value;")
             opened.eval(f"b = SELECT obj FROM sim WHERE id(this) == '{b}' AS value;")
             assert opened.eval(f"count(holds({relation}(a, b)));") >= 1
@@ -333,7 +324,9 @@ def test_supports_at_its_edges(stage, place, holds):
         assert ss.eval("supports(plank, block);") is is_below
 
 
-@pytest.mark.parametrize(("degrees", "holds"), [(0, True), (29.9, True), (30.1, False), (60, False)])
+@pytest.mark.parametrize(
+    ("degrees", "holds"), [(0, True), (29.9, True), (30.1, False), (60, False)]
+)
 def test_supports_on_a_slope(stage, degrees, holds):
     turn = Rotation.from_euler("y", degrees, degrees=True)
     stage.box("slope", half=[0.5, 0.5, 0.1], turn=turn.as_quat())
@@ -343,12 +336,14 @@ def test_supports_on_a_slope(stage, degrees, holds):
 
 
 def test_what_rests_in_a_circle_ends(stage):
-    """Two hooks that lie on each other: each one's hanging end is on the other's foot."""
+    """As of two hooks, each of whose ends lies on the other's foot."""
     stage.box("a", half=[0.5, 0.5, 0.1])
     stage.box("b", (0, 0, 0.2), half=[0.5, 0.5, 0.1])
     world = stage.open()
     ss, _ = stage.interpreters(sim=world)
+    assert ss.eval("[restsOn(a, b), restsOn(b, a)];") == [True, False]
     around = world.snapshot.shapes()._around
+    around._resting.clear()
     a, b = (world.snapshot.shapes()._numbers[world[name].id] for name in "ab")
     around.__dict__["_on"] = {a: frozenset({b}), b: frozenset({a})}
     assert ss.eval("[restsOn(a, b), restsOn(b, a), restsOn(a, a)];") == [True, True, False]
@@ -391,13 +386,15 @@ SCENES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("degrees", [0, 37])
+TURNED = [name for name in SCENES if "bound" not in name and "beyond" not in name]
+
+
+@pytest.mark.parametrize(
+    ("name", "degrees"), [*((name, 0) for name in SCENES), *((name, 37) for name in TURNED)]
+)
 def test_next_to_is_beside_with_nothing_between(stage, name, degrees):
     boxes, holds = SCENES[name]
     turn = Rotation.from_euler("z", degrees, degrees=True)
-    if degrees and "bound" in name or degrees and "beyond" in name:
-        pytest.skip("the boxes are larger when they are turned")
     for body, half, place in boxes:
         stage.box(body, turn.apply(place), half=list(half), turn=turn.as_quat())
     for ss in stage.interpreters(sim=stage.open()):
@@ -412,7 +409,7 @@ def test_what_is_on_or_in_something_is_not_beside_it(stage, write):
     stage.add("mug", pybullet.GEOM_CYLINDER, (0.1, 0.07, -0.03), radius=0.03, height=0.1)
     stage.urdf("box", write("box.urdf", of_boxes(*PROFILES["cup"][0])), (2, 0, 0))
     stage.sphere("ball", (2.1, 0, -0.04), radius=0.05)
-    stage.sphere("marble", (2.0, 0.1, -0.07), radius=0.02)
+    stage.sphere("marble", (2.03, 0.03, -0.07), radius=0.02)
     for ss in stage.interpreters(sim=stage.open()):
         beside = {frozenset(pair) for pair in pairs_of(ss, "nextTo(p, q)")}
         assert beside == {frozenset(("cup", "mug")), frozenset(("ball", "marble"))}

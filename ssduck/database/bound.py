@@ -101,13 +101,24 @@ class Bound:
         snapshot = self.world.snapshot
         if tick == snapshot.number and "joints" not in snapshot.untold:
             member, rows = snapshot.members[snapshot.rows[id]], snapshot.tables["joints"]
-            own = {name: rows[name] for name in ("entity", "position")}
+            own: Mapping[str, Any] = {name: rows[name] for name in ("entity", "position")}
         else:
             own = self._recorded("joints", tick)
             assert self.kept is not None
             member = self.kept.record.members[id]
         joints = () if member.body is None else member.body.joints
         return Joints(member.name, joints, own["position"][own["entity"] == id].tolist())
+
+    def joint_owners(self) -> dict[str, set[int]]:
+        """The ids of the entities that have a joint of each name, now or at a recorded tick."""
+        members = {member.id: member for member in self.world.snapshot.members}
+        if self.kept is not None:
+            members.update(self.kept.record.members)
+        found: dict[str, set[int]] = {}
+        for id, member in members.items():
+            for joint in () if member.body is None else member.body.joints:
+                found.setdefault(joint.name, set()).add(id)
+        return found
 
     def _recorded(self, table: str, tick: int) -> Mapping[str, Any]:
         """The columns of a table at a recorded tick.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import accumulate
+from itertools import accumulate, product
 from typing import Any
 
 import pyarrow as pa
@@ -16,11 +16,12 @@ from duckdb.func import FunctionNullHandling, PythonUDFType
 
 from ssduck.database.bound import Bound
 from ssduck.database.connection import Connection
-from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError
+from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
 from ssduck.functions import Function
 from ssduck.history import Near
-from ssduck.joints import Joints
+from ssduck.joints import JointError, Joints
 from ssduck.record import PAIR, Record
+from ssduck.relations import ANY
 from ssduck.shapes import ANSWERS
 from ssduck.types import Signature, Tag, converter, is_exactly
 from ssduck.udfs import JOINTS, NARROW, OF_WHOLE_TICK, THEN, THEN_COLLIDING, THEN_TOLD
@@ -71,10 +72,11 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
             side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
         )
-    for name, more in JOINTS.items():
+    for (name, more), prefix in product(JOINTS.items(), ("", ANY)):
+        call = partial(_of_joints, worlds, getattr(Joints, name.removeprefix("joints ")))
         connection.add_function(
-            name,
-            partial(_of_joints, worlds, getattr(Joints, name.removeprefix("joints "))),
+            prefix + name,
+            partial(_if_any, worlds, call) if prefix else call,
             ("VARCHAR", "BIGINT", "BIGINT", *more),
             "DOUBLE",
             null_handling=FunctionNullHandling.SPECIAL,
@@ -137,6 +139,29 @@ def _of_joints(
         raise UnknownNameError(f"there is no world {world!r} here any more")
     tick, id, *more = arguments
     return answer(worlds[world].joints(tick, id), *more)
+
+
+def _if_any(
+    worlds: Mapping[str, Bound],
+    call: Callable[..., float | None],
+    world: str,
+    tick: int,
+    id: int,
+    *name: str,
+) -> float | None:
+    """The same of raw SQL: None of an entity without a joint that another one has."""
+    try:
+        return call(world, tick, id, *name)
+    except JointError:
+        owners = worlds[world].joint_owners()
+        if name[0] not in owners:
+            raise JointError(
+                f"no entity of {world!r} has a joint {name[0]!r}",
+                suggestions=nearest(name[0], list(owners)),
+            ) from None
+        if owners[name[0]] == {id}:
+            raise
+        return None
 
 
 def _then(worlds: Mapping[str, Bound], collide: bool, *arguments: pa.ChunkedArray) -> pa.ListArray:

@@ -1,4 +1,9 @@
-"""Relations of joints: their positions, and whether they are open."""
+"""Relations of joints: their positions, and whether they are open.
+
+In SelectScript it is an error to ask an entity for a joint that it does not have; a condition
+before may leave it out. Raw SQL's conditions come in no order: there, it is unknown of such an
+entity, and an error if no entity of the world has a joint of that name.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,12 @@ _OF = "$world, object.tick, object.id"
 _OPENNESS = (
     "How far a joint is open is a share of its range from its closed end, which is that of its two "
     "limits that is nearer to 0, or the lower one."
+)
+
+
+_MISSING = (
+    "A name that no joint of the object has is an error; in raw SQL it is NULL where another "
+    "entity has such a joint."
 )
 
 
@@ -25,7 +36,8 @@ def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
         ),
         "flag",
         condition.format(most, usual),
-        f"{about} {_OPENNESS} What has no joints with limits is neither open nor closed.",
+        f"{about} {_OPENNESS} What has no joints with limits is neither open nor closed. "
+        f"{_MISSING}",
         partly=condition.format(named, usual),
         sliced=condition.format(named, "share"),
         reads="joints",
@@ -40,7 +52,7 @@ OF_JOINTS: tuple[Relation, ...] = (
         "real",
         f'"joints position"({_OF}, name)',
         "Returns the position of a joint of the object: radians of a revolute one, metres of a "
-        "prismatic one.",
+        f"prismatic one. {_MISSING}",
         unit="rad or m",
         reads="joints",
         may_fail=True,
