@@ -486,7 +486,8 @@ class Narrow:
     def shapes_in(self, low: Array, high: Array, without: Iterable[int]) -> list[Placed]:
         """The known shapes whose boxes meet a box, those of some entities left out."""
         with np.errstate(invalid="ignore"):
-            meets = ((self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)).all(axis=1)
+            both = (self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)
+        meets: Flags = np.asarray(both.all(axis=1))
         for e in without:
             meets[self._starts[e] : self._starts[e + 1]] = False
         found = np.flatnonzero(meets).tolist()

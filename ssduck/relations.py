@@ -53,13 +53,14 @@ class Candidates:
     """Where the pairs of a tick are found of which a relation of two entities may hold.
 
     Attributes:
-        of: those that collide; whose clearance is at most `apart`; or whose boxes are no farther
-            apart along any axis, in which case the relation is still to be asked about each.
+        of: those that collide; whose clearance is at most `apart`; of which one rests on the other;
+            or whose boxes are no farther apart along any axis, in which case the relation is still
+            to be asked about each.
         apart: metres, a DuckDB expression over parameters that are values.
         sliced: the same with the optional parameters given.
     """
 
-    of: Literal["colliding", "within", "meeting"]
+    of: Literal["colliding", "within", "resting", "meeting"]
     apart: str = "0"
     sliced: str = "0"
 
@@ -67,6 +68,16 @@ class Candidates:
     def are_exact(self) -> bool:
         """Whether the relation holds of all of them."""
         return self.of != "meeting"
+
+    @property
+    def take_distance(self) -> bool:
+        """Whether they depend on `apart`."""
+        return self.of in ("within", "meeting")
+
+    @property
+    def are_of_many_ticks(self) -> bool:
+        """Whether they can be found at many ticks at once."""
+        return self.of in ("colliding", "within")
 
 
 @dataclass(frozen=True)

@@ -99,6 +99,12 @@ class Shapes:
             self._overlapping[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._overlapping[apart]
 
+    def all_resting(self) -> list[int]:
+        """The pairs of which the second rests on the first, through others or not."""
+        ids = {number: id for id, number in self._numbers.items()}
+        pairs = self._around.all_resting()
+        return sorted(ids[a] * MOST_IDS + ids[b] for a, b in pairs)
+
     def _meeting(self, apart: float) -> list[tuple[int, int]]:
         """The pairs of entities, by number, whose boxes are no farther apart along any axis, m."""
         numbers = np.array([self._numbers[id] for id in self._ids.tolist()], dtype=np.int64)
@@ -256,6 +262,7 @@ ANSWERS: dict[str, Answer] = {
         Shapes.all_colliding,
         Shapes.all_within,
         Shapes.all_meeting,
+        Shapes.all_resting,
         Shapes.collides,
         Shapes.penetration,
         Shapes.clearance,

@@ -104,6 +104,10 @@ class Surroundings:
             return None
         return b in self._resting_on(a)
 
+    def all_resting(self) -> list[tuple[int, int]]:
+        """All pairs of which the second rests on the first."""
+        return [(a, b) for a in self._on for b in self._resting_on(a) if a != b]
+
     def _resting_on(self, a: int) -> frozenset[int]:
         """All that rest on an entity, through others or not."""
         if a not in self._resting:
@@ -154,6 +158,8 @@ def encloses(a: Sequence[Placed], axes: Array, b: Sequence[Placed], centre: Arra
     ways = np.concatenate((axes, -axes))
     met = np.zeros(len(ways), dtype=bool)
     for one in a:
+        if not _may_be_met(one, axes, centre):
+            continue
         start = (centre - one.position) @ one.matrix
         shares = first_met(one.solid, start, ways @ one.matrix)
         met |= np.isfinite(shares) & (shares > ROUNDED)
@@ -162,6 +168,13 @@ def encloses(a: Sequence[Placed], axes: Array, b: Sequence[Placed], centre: Arra
         return False
     walled &= ~((_extents(b, ways) - _extents(a, ways)).reshape(2, 3) > PAST).all(axis=0)
     return bool(walled.sum() >= WALLED)
+
+
+def _may_be_met(one: Placed, axes: Array, centre: Array) -> bool:
+    """Whether a line along an axis through a point meets the sphere around a shape."""
+    off = axes @ (np.array(one.world(*one.solid.centre)) - centre)
+    beside = off @ off - off * off
+    return bool((beside <= (one.solid.reach + ROUNDED) ** 2).any())
 
 
 def _extents(shapes: Sequence[Placed], ways: Array) -> Array:

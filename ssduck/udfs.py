@@ -46,6 +46,7 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow all_colliding": ((), "BIGINT[]"),
     "narrow all_within": (("DOUBLE",), "BIGINT[]"),
     "narrow all_meeting": (("DOUBLE",), "BIGINT[]"),
+    "narrow all_resting": ((), "BIGINT[]"),
     "narrow collides": (_PAIR, "BOOLEAN"),
     "narrow penetration": (_PAIR, "DOUBLE"),
     "narrow clearance": (_PAIR, "DOUBLE"),

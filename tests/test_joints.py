@@ -234,7 +234,7 @@ def test_past_ticks_and_records(scene, tmp_path):
         "SELECT e.time, joint(e, 'drawer') FROM entities_history e "
         "WHERE name = 'cabinet' AND isOpen(e, 'drawer') ORDER BY tick"
     ).fetchall()
-    assert {time: position for time, position in rows}[times[2][0]] == pytest.approx(0.3)
+    assert dict(rows)[times[2][0]] == pytest.approx(0.3)
     ss.export(tmp_path / "run")
     with ssduck.open(tmp_path / "run") as opened:
         opened.eval("cabinet = SELECT obj FROM sim WHERE id(this) == 'cabinet' AS value;")

@@ -190,6 +190,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         "Checks if b is on a, or on something that rests on a: the cup on a plate on a table rests "
         "on the table. What is on what is found once a tick, for all entities.",
         asked="on all pairs of the tick whose boxes are at most 1 cm apart, once",
+        candidates=Candidates("resting"),
     ),
     on_shapes(
         "inside",
