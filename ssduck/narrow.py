@@ -18,6 +18,7 @@ from threading import RLock
 import numpy as np
 
 from ssduck.broad import Flags, Pairs
+from ssduck.carrying import UPRIGHT
 from ssduck.colliding import (
     Found,
     Scene,
@@ -54,8 +55,6 @@ ROUNDING = 1e-9
 CONTAINED = 0.95
 # What boxes and spheres tell of a share may be off by as much.
 TOLD = 0.01
-# The normal of what rests on something is at most 30 degrees off the vertical.
-UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
 
 
 class Narrow:
@@ -236,27 +235,18 @@ class Narrow:
         found = self.separation(i, j)
         return None if found is None else (found.point_a, found.point_b)
 
-    def supports(self, a: int, b: int) -> bool | None:
-        """Whether a carries b: they touch, and a normal there from a to b is near up.
-
-        It is enough that one of their shapes is within 1 mm of one of the other's, and that the
-        normal of the two is within 30 degrees of up; where the middle of b is does not matter.
-        """
-        if a == b:
-            return False
+    def pushes(self, a: int, b: int) -> list[Point]:
+        """The normals, from a to b, of their shapes that are within 1 mm of each other."""
         with self._lock:
-            if not (self._are_known[a] and self._are_known[b]):
-                return None
             found = (self._separation(s, t) for s, t in self._near(a, b, TOUCHES))
-            return any(
-                one.gap <= TOUCHES and one.normal is not None and -one.normal[2] >= UPRIGHT
-                for one in found
-            )
+            normals = [one.normal for one in found if one.gap <= TOUCHES]
+        return [(-x, -y, -z) for x, y, z in filter(None, normals)]
 
     def on(self, a: int, b: int) -> bool | None:
-        """Whether b rests on a: a supports it, and the middle of its box is over a's footprint.
+        """Whether b rests on a.
 
-        The footprint is the convex hull of a's shadow on the ground.
+        They are within 1 mm, a normal there from a to b is within 30 degrees of up, and the
+        middle of b's box is over the hull of a's footprint.
         """
         if a == b:
             return False
@@ -264,7 +254,9 @@ class Narrow:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             near = self._near(a, b, TOUCHES)
-            return bool(near) and self._is_over(a, b) and self.supports(a, b)
+            if not near or not self._is_over(a, b):
+                return False
+            return any(push[2] >= UPRIGHT for push in self.pushes(a, b))
 
     def _is_over(self, a: int, b: int) -> bool:
         """Whether the middle of b's box is over the hull of a's footprint."""

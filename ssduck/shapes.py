@@ -197,7 +197,7 @@ class Shapes:
 
     def supports(self, a: int, b: int) -> bool | None:
         """Whether a carries b, alone or with others."""
-        return self._narrow.supports(*self._pair(a, b))
+        return self._around.supports(*self._pair(a, b))
 
     def rests_on(self, a: int, b: int) -> bool | None:
         """Whether b is on a, or on something that rests on a."""

@@ -9,10 +9,12 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
 
+from ssduck.carrying import carries
 from ssduck.geometry import Array, rotation_matrices
 from ssduck.narrow import Narrow
 from ssduck.rays import ROUNDED, chords_of, crossings, first_met, is_of_triangles
@@ -78,7 +80,7 @@ class Surroundings:
             return False
         for first, second, turn in ((a, b, turn_a), (b, a, turn_b)):
             narrow = self._narrow
-            if narrow.supports(first, second) or narrow.contains(first, second):
+            if self.supports(first, second) or narrow.contains(first, second):
                 return False
             if self.encloses(first, second, turn) or second in self._resting_on(first):
                 return False
@@ -94,7 +96,27 @@ class Surroundings:
         others = narrow.shapes_in(low, high, (a, b))
         return is_in_sight(narrow.shapes_of(a), narrow.shapes_of(b), others, nearest)
 
-    # -- what rests on what -------------------------------------------------------------------
+    # -- what carries what, and rests on what -------------------------------------------------
+
+    def supports(self, a: int, b: int) -> bool | None:
+        """Whether a carries b, alone or with others: `ssduck.carrying.carries`."""
+        if not self._are_known(a, b):
+            return None
+        own = self._narrow.pushes(a, b) if self._have_shapes(a, b) else []
+        if not own:
+            return False
+        beside = (other for other in self._neighbours.get(b, ()) if other != a)
+        return carries(own, chain.from_iterable(self._narrow.pushes(c, b) for c in beside))
+
+    @cached_property
+    def _neighbours(self) -> dict[int, list[int]]:
+        """The known entities that may touch each entity."""
+        found: dict[int, list[int]] = {}
+        for a, b in self._pairs(RESTING):
+            if self._are_known(a, b):
+                found.setdefault(a, []).append(b)
+                found.setdefault(b, []).append(a)
+        return found
 
     def rests_on(self, a: int, b: int) -> bool | None:
         """Whether b is on a, or on something that rests on a."""
@@ -124,10 +146,10 @@ class Surroundings:
     def _on(self) -> dict[int, frozenset[int]]:
         """What is on each entity, of all pairs of the tick."""
         found: dict[int, set[int]] = {}
-        for a, b in self._pairs(RESTING):
-            for low, high in ((a, b), (b, a)):
-                if self._narrow.on(low, high):
-                    found.setdefault(low, set()).add(high)
+        for b, others in self._neighbours.items():
+            for a in others:
+                if self._narrow.on(a, b):
+                    found.setdefault(a, set()).add(b)
         return {a: frozenset(b) for a, b in found.items()}
 
     # -- of two -------------------------------------------------------------------------------

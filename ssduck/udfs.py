@@ -63,7 +63,7 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 # Those that look at all entities of the tick, and not only at the two that are asked about.
-OF_WHOLE_TICK = frozenset(("narrow rests_on", "narrow beside"))
+OF_WHOLE_TICK = frozenset(("narrow supports", "narrow rests_on", "narrow beside"))
 
 # The functions of joints: what they take besides a world, and an entity as its tick and its id.
 JOINTS: dict[str, tuple[str, ...]] = {

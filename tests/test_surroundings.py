@@ -335,6 +335,49 @@ def test_supports_on_a_slope(stage, degrees, holds):
         assert ss.eval("supports(slope, ball);") is holds
 
 
+# A ball of 0.1 m in a corner of plates: (each plate's tilt and place), what carries it
+CORNERS = {
+    "a groove": ({"p": (45, "y"), "q": (-45, "y")}, {"p", "q"}),
+    "a steep groove": ({"p": (79, "y"), "q": (-79, "y")}, {"p", "q"}),
+    "a steeper one": ({"p": (81, "y"), "q": (-81, "y")}, set()),
+    "a slope": ({"p": (45, "y")}, set()),
+    "a slope and a wall": ({"p": (45, "y"), "q": (-90, "y")}, {"p"}),
+    "a slope and a floor": ({"p": (45, "y"), "q": (0, "y")}, {"q"}),
+    "a slope, a wall and a floor": ({"p": (45, "y"), "q": (-90, "y"), "r": (0, "y")}, {"p", "r"}),
+    "two slopes at a right angle": ({"p": (45, "y"), "q": (45, "x")}, set()),
+    "three slopes": ({"p": (40, "y"), "q": (-40, "yz", 60), "r": (-40, "yz", -60)}, {"p", "q", "r"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CORNERS)
+def test_what_carries_together(stage, name):
+    plates, carriers = CORNERS[name]
+    for plate, (degrees, about, *more) in plates.items():
+        turn = Rotation.from_euler(about, [degrees, *more][: len(about)], degrees=True)
+        up = turn.apply([0, 0, 1])
+        stage.box(plate, -0.2 * up, half=[0.3, 0.3, 0.1], turn=turn.as_quat())
+    stage.sphere("ball", radius=0.1)
+    ss, slow = stage.interpreters(sim=stage.open())
+    for one in (ss, slow):
+        found = one.eval("SELECT id FROM sim WHERE supports(this, ball) AS list;")
+        assert set(found) == carriers
+
+
+def test_a_ball_on_three_balls(stage):
+    """Settled by the physics: the pushes are 35 degrees off up, and each one is needed."""
+    for number in range(3):
+        angle = 2 * np.pi * number / 3
+        place = 0.2 / np.sqrt(3) * np.array([np.cos(angle), np.sin(angle), 0])
+        stage.sphere(f"ball_{number}", place, radius=0.1)
+    stage.sphere("top", (0, 0, 0.2 * np.sqrt(2 / 3) + 0.001), radius=0.1, mass=1.0)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=stage.client)
+    world = stage.open()
+    world.step(120)
+    ss, _ = stage.interpreters(sim=world)
+    assert pairs_of(ss, "supports(p, q)") == [(f"ball_{number}", "top") for number in range(3)]
+    assert pairs_of(ss, "inContact(p, q) AND q.name = 'top'") == pairs_of(ss, "supports(p, q)")
+
+
 def test_what_rests_in_a_circle_ends(stage):
     """As of two hooks, each of whose ends lies on the other's foot."""
     stage.box("a", half=[0.5, 0.5, 0.1])

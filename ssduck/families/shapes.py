@@ -88,9 +88,10 @@ _CARRIED = {
         "of a. See supports for what carries it with others."
     ),
     "supports": (
-        "Checks if a carries b, alone or with others: they touch (clearance at most 1 mm), and a "
-        "normal there from a to b is within 30 degrees of up, wherever the centre of b is. A plank "
-        "on two blocks is supported by both, and on neither."
+        "Checks if a carries b, alone or with others, wherever the centre of b is: they touch "
+        "(clearance at most 1 mm), and a normal there from a to b is within 30 degrees of up, or "
+        "steeper and needed by others to push so together, as of the sides of a groove. A plank on "
+        "two blocks is supported by both, and on neither. Told by the shapes alone, not by forces."
     ),
 }
 
