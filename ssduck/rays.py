@@ -16,6 +16,8 @@ from ssduck.solids import Solid
 
 # As near as this a surface begins at a point, m.
 ROUNDED = 1e-9
+# A triangle is met that is as near, as a share of its sides: no ray slips between two of them.
+EDGE = 1e-9
 
 
 class Chords(NamedTuple):
@@ -146,7 +148,7 @@ def crossings(solid: Solid, starts: Array, ways: Array) -> Array:
         first = -_along(_cross(off, v), ways) / below
         second = _along(_cross(off, u), ways) / below
         share = (off * normal).sum(axis=-1) / below
-        met = (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0)
+        met = (first >= -EDGE) & (second >= -EDGE) & (first + second <= 1.0 + EDGE)
     shares: Array = np.where(met, share, np.inf)
     return shares
 

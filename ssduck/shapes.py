@@ -216,8 +216,9 @@ class Shapes:
             apart: how far from each other they are at most, m.
             turns: the orientation of a's link frame, then of b's.
         """
-        if not self.near(a, b, apart):
-            return self.near(a, b, apart)
+        is_near = self.near(a, b, apart)
+        if not is_near:
+            return is_near
         return self._around.are_beside(*self._pair(a, b), _turn(turns[:4]), _turn(turns[4:]))
 
     def inside(self, a: int, b: int) -> float | None:

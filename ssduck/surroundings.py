@@ -15,10 +15,11 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.carrying import carries
+from ssduck.colliding import pair_number
 from ssduck.geometry import Array, rotation_matrices
 from ssduck.narrow import Narrow
 from ssduck.rays import ROUNDED, chords_of, crossings, first_met, is_of_triangles
-from ssduck.separation import Placed, Separation
+from ssduck.separation import Placed, Point, Separation
 
 # The numbers w, x, y, z of a unit quaternion.
 Turn: TypeAlias = tuple[float, float, float, float]
@@ -102,11 +103,15 @@ class Surroundings:
         """Whether a carries b, alone or with others: `ssduck.carrying.carries`."""
         if not self._are_known(a, b):
             return None
-        own = self._narrow.pushes(a, b) if self._have_shapes(a, b) else []
+        own = self._pushes(a, b) if self._have_shapes(a, b) else []
         if not own:
             return False
         beside = (other for other in self._neighbours.get(b, ()) if other != a)
-        return carries(own, chain.from_iterable(self._narrow.pushes(c, b) for c in beside))
+        return carries(own, chain.from_iterable(self._pushes(other, b) for other in beside))
+
+    def _pushes(self, a: int, b: int) -> list[Point]:
+        self._narrow.note((pair_number(a, b),))
+        return self._narrow.pushes(a, b)
 
     @cached_property
     def _neighbours(self) -> dict[int, list[int]]:
@@ -147,6 +152,7 @@ class Surroundings:
         """What is on each entity, of all pairs of the tick."""
         found: dict[int, set[int]] = {}
         for b, others in self._neighbours.items():
+            self._narrow.note(pair_number(a, b) for a in others)
             for a in others:
                 if self._narrow.on(a, b):
                     found.setdefault(a, set()).add(b)

@@ -213,7 +213,7 @@ def test_every_relation_is_complete(relation, pair):
     arguments = ", ".join(argument_of(n, p) for n, p in enumerate(required))
     statement = f'SELECT "{relation.name}"({arguments}) FROM entities a, entities b'
     if relation.name == "joint":  # these boxes have none
-        with pytest.raises(UnknownNameError, match="a has no joints"):
+        with pytest.raises(UnknownNameError, match="no entity of 'sim' has a joint 'lid'"):
             ss.sql(statement)
         return
     assert len(ss.sql(statement).fetchall()) == 4
