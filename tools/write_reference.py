@@ -105,7 +105,7 @@ kitchen = ss.call_variable("kitchen").step(480)
 ss.eval("""
     plate = SELECT obj FROM kitchen WHERE id(this) == 'plate_b4e7' AS value;
     SELECT id FROM kitchen WHERE enclosed(this, plate) AS list;
-""")  # ['kitchen', 'microwave']
+""")  # ['microwave'], while its hull and the kitchen's contain it
 ss.eval("SELECT id FROM kitchen WHERE supports(this, plate) OR restsOn(this, plate) AS list;")
 ss.eval("""
     SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen WHERE nextTo(a.this, b.this) AS list;
