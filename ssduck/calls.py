@@ -61,6 +61,8 @@ def call(sql: Expressions, node: Call) -> SqlValue:
 
 def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
     count = len(node.arguments)
+    if relation.may_fail and (sql.rows or sql.around is not None):
+        sql.context.risk()  # of rows that no condition before it has left
     values = {
         parameter.name: _argument(sql, parameter, argument)
         for parameter, argument in zip(relation.parameters, node.arguments, strict=False)

@@ -156,7 +156,8 @@ def pairs_then(
         *(exp.Literal.number(0) if isinstance(id, exp.Column) else id.copy() for id in ids),
     ]
     called = f"then {candidates.of}"
-    arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    if candidates.take_distance:
+        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
     found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
     each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
     parts = [
@@ -235,7 +236,9 @@ class Pairs:
 def pairs_of(candidates: Candidates, apart: exp.Expr, schema: str, name: str) -> Pairs:
     """All pairs of entities of a world of which a relation may hold."""
     called = exp.to_identifier(f"narrow all_{candidates.of}", quoted=True)
-    arguments = [exp.Literal.string(schema), exp.cast(apart.copy(), "DOUBLE")]
+    arguments: list[exp.Expr] = [exp.Literal.string(schema)]
+    if candidates.take_distance:
+        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
     numbers = exp.func("unnest", exp.Anonymous(this=called, expressions=arguments))
     number, many = exp.column("n"), exp.Literal.number(MOST_IDS)
     table = (

@@ -16,6 +16,7 @@ from ssduck.errors import (
     SelectScriptError,
 )
 from ssduck.geometry import Array, Indices
+from ssduck.joints import openness
 from ssduck.kinematics import JointValues, finite, unit
 from ssduck.layout import Member
 from ssduck.openrave import EntitySpellings, SensorSpellings
@@ -57,6 +58,14 @@ class JointState:
     effort: float | None
     lower: float | None
     upper: float | None
+
+    @property
+    def openness(self) -> float | None:
+        """How far it is open, as a share of its range; None if it has no two limits.
+
+        The closed end is that of the two limits that is nearer to 0, or the lower one.
+        """
+        return openness(self, self.position)
 
 
 @dataclass(frozen=True, eq=False)

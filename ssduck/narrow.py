@@ -18,6 +18,7 @@ from threading import RLock
 import numpy as np
 
 from ssduck.broad import Flags
+from ssduck.carrying import UPRIGHT
 from ssduck.colliding import Found, Question, Scene, Sorts, entities_of, known_with_all
 from ssduck.geometry import Array, Indices, rotate, rotation_matrices, unit_quaternions
 from ssduck.meshes import mesh_apart, mesh_depth, surely_deeper
@@ -45,8 +46,6 @@ ROUNDING = 1e-9
 CONTAINED = 0.95
 # What boxes and spheres tell of a share may be off by as much.
 TOLD = 0.01
-# The normal of what rests on something is at most 30 degrees off the vertical.
-UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
 
 
 class Narrow:
@@ -238,6 +237,14 @@ class Narrow:
         found = self.separation(i, j)
         return None if found is None else (found.point_a, found.point_b)
 
+    def pushes(self, a: int, b: int) -> list[Point]:
+        """The normals, from a to b, of their shapes that touch, by 1 mm and the margins of both."""
+        with self._lock:
+            near = self._near(a, b, TOUCHES + self._margins_of(a, b))
+            found = ((self._separation(s, t), TOUCHES + self._margin(s, t)) for s, t in near)
+            normals = [one.normal for one, apart in found if one.gap <= apart]
+        return [(-x, -y, -z) for x, y, z in filter(None, normals)]
+
     def on(self, a: int, b: int) -> bool | None:
         """Whether b rests on a.
 
@@ -252,22 +259,16 @@ class Narrow:
             near = self._near(a, b, TOUCHES + self._margins_of(a, b))
             if not near or not self._is_over(a, b):
                 return False
-            found = ((self._separation(s, t), TOUCHES + self._margin(s, t)) for s, t in near)
-            return any(
-                one.gap <= apart and one.normal is not None and -one.normal[2] >= UPRIGHT
-                for one, apart in found
-            )
+            return any(push[2] >= UPRIGHT for push in self.pushes(a, b))
 
     def _is_over(self, a: int, b: int) -> bool:
         """Whether the middle of b's box is over the hull of a's footprint."""
-        rows = self._boxes[self._starts[b] : self._starts[b + 1]]
-        with np.errstate(invalid="ignore"):  # a plane's box has no middle
-            x, y = ((rows[:, :2].min(axis=0) + rows[:, 3:5].max(axis=0)) / 2).tolist()
+        x, y, _ = self.middle(b).tolist()
         if not (math.isfinite(x) and math.isfinite(y)):
             return False
         if a not in self._footprints:
-            self._footprints[a] = footprint(self._of(a))
-        return covers(self._of(a), self._footprints[a], x, y)
+            self._footprints[a] = footprint(self.shapes_of(a))
+        return covers(self.shapes_of(a), self._footprints[a], x, y)
 
     def inside(self, a: int, b: int) -> float | None:
         """The share of b's volume that is inside the convex hull of a, 0..1.
@@ -278,7 +279,7 @@ class Narrow:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             if (a, b) not in self._shares:
-                self._shares[a, b] = share_inside(self._hull(a), self._of(b))
+                self._shares[a, b] = share_inside(self._hull(a), self.shapes_of(b))
             return self._shares[a, b]
 
     def contains(self, a: int, b: int) -> bool | None:
@@ -303,11 +304,11 @@ class Narrow:
             self._arounds[a] = box_around(self._boxed(a))
         if most_in_box(self._arounds[a], self._boxed(b)) < CONTAINED - TOLD:
             return True
-        return most_in_hull(self._hull(a), self._of(b)) < CONTAINED - TOLD
+        return most_in_hull(self._hull(a), self.shapes_of(b)) < CONTAINED - TOLD
 
     def _hull(self, e: int) -> Hull | None:
         if e not in self._hulls:
-            self._hulls[e] = hull_around(self._of(e))
+            self._hulls[e] = hull_around(self.shapes_of(e))
         return self._hulls[e]
 
     def _boxed(self, e: int) -> list[tuple[Solid, Box]]:
@@ -486,8 +487,35 @@ class Narrow:
 
     # -- of one entity --------------------------------------------------------------------
 
-    def _of(self, e: int) -> list[Placed]:
+    def shapes_of(self, e: int) -> list[Placed]:
+        """The shapes of an entity that have points, where they are."""
         return [self._place(shape) for shape in self._shapes[e]]
+
+    def box(self, e: int) -> Array:
+        """The lower and the upper corner of the box of an entity that has shapes, (6,)."""
+        rows = self._boxes[self._starts[e] : self._starts[e + 1]]
+        return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
+
+    def middle(self, e: int) -> Array:
+        """The centre of that box, (3,); not finite where a plane's box has none."""
+        box = self.box(e)
+        with np.errstate(invalid="ignore"):
+            centre: Array = (box[:3] + box[3:]) / 2
+        return centre
+
+    def shapes_in(self, low: Array, high: Array, without: Iterable[int]) -> list[Placed]:
+        """The known shapes whose boxes meet a box, those of some entities left out."""
+        with np.errstate(invalid="ignore"):
+            both = (self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)
+        meets: Flags = np.asarray(both.all(axis=1))
+        for e in without:
+            meets[self._starts[e] : self._starts[e + 1]] = False
+        found = np.flatnonzero(meets).tolist()
+        return [
+            self._place(shape)
+            for shape in found
+            if self._known[shape] and not self._solids[shape].is_empty
+        ]
 
     @cached_property
     def _shapes(self) -> list[list[int]]:

@@ -27,6 +27,7 @@ from ssduck.errors import SelectScriptError, SqlError
 from ssduck.evaluate import Compiler, Frame, Scope, Thunk
 from ssduck.graphs import Vertex, simple_paths
 from ssduck.hierarchy import Hierarchy
+from ssduck.joints import JointError
 from ssduck.plan import Graph, Output, Plan, Shape
 from ssduck.resolve import Resolved
 from ssduck.rows import Clauses, Column, Paths, Rest, Rows, Selected, combinations, row_frames
@@ -132,6 +133,11 @@ class Planned:
                 raise
             if error.is_refused:  # our mistake: the answer is right, but slow
                 warnings.warn(f"DuckDB refused a query's SQL: {error.message}", stacklevel=2)
+            self._failures += 1
+            raise SqlFailedError from error
+        except JointError as error:  # of a row that a condition may leave out
+            if self.plan.cautious:
+                raise
             self._failures += 1
             raise SqlFailedError from error
         self._failures = 0

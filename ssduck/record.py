@@ -240,15 +240,17 @@ class Record:
         place = np.flatnonzero(is_it)
         return np.array([own[name][place[0]] if len(place) else _NAN for name in POSE])
 
-    def shapes(self, tick: int, ids: Sequence[int]) -> Shapes:
+    def shapes(self, tick: int, ids: Sequence[int] | None) -> Shapes:
         """The shapes at a tick, to be compared.
 
         Where few are asked for at a tick, only these are placed.
 
         Args:
             tick: which one.
-            ids: of the entities that are asked for.
+            ids: of the entities that are asked for; None for all.
         """
+        if ids is None:
+            return self.at(tick).shapes()
         self._asked[tick] = self._asked.get(tick, 0) + 1
         if tick in self._worlds or self._asked[tick] > FEW or len(set(ids)) < len(ids):
             return self.at(tick).shapes()

@@ -40,7 +40,10 @@ BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a relation; optional ones come last and together or not at all."""
+    """A parameter of a relation; optional ones come last.
+
+    They come together or not at all, but where a relation has a formula for the first one alone.
+    """
 
     name: str
     type: ValueType
@@ -54,14 +57,15 @@ class Candidates:
 
     Attributes:
         of: those that collide, deeper than `apart`; whose clearance is at most `apart`; that
-            touch, so far apart and the margins of both; or whose boxes are no farther apart along
-            any axis, or no farther and the margins of both, in which cases the relation is still
+            touch, so far apart and the margins of both; of which one rests on the other; or whose
+            boxes are no farther apart along any axis, or no farther and the margins of both, in
+            which cases the relation is still
             to be asked about each.
         apart: metres, a DuckDB expression over parameters that are values.
         sliced: the same with the optional parameters given.
     """
 
-    of: Literal["colliding", "within", "touching", "meeting", "reaching"]
+    of: Literal["colliding", "within", "touching", "resting", "meeting", "reaching"]
     apart: str = "0"
     sliced: str = "0"
 
@@ -69,6 +73,16 @@ class Candidates:
     def are_exact(self) -> bool:
         """Whether the relation holds of all of them."""
         return self.of not in ("meeting", "reaching")
+
+    @property
+    def take_distance(self) -> bool:
+        """Whether they depend on `apart`."""
+        return self.of != "resting"
+
+    @property
+    def are_of_many_ticks(self) -> bool:
+        """Whether they can be found at many ticks at once."""
+        return self.of in ("colliding", "within", "touching")
 
 
 @dataclass(frozen=True)
@@ -95,6 +109,9 @@ class Relation:
         far: what it yields of entities whose boxes are apart: at least as much, or 0.
         also: second names, for a name that raw SQL has to quote.
         second_of: of what is called by a second name, the first one.
+        partly: the formula with the first of two optional parameters given, and not the other.
+        looks_at: of one that calls Python for what is no shape, the table that it looks at.
+        may_fail: whether there are entities that it is an error of.
     """
 
     name: str
@@ -115,6 +132,9 @@ class Relation:
     far: Literal["", "more", "nothing"] = ""
     also: tuple[str, ...] = ()
     second_of: str = ""
+    partly: str | None = None
+    looks_at: str = ""
+    may_fail: bool = False
 
     @property
     def usage(self) -> str:
@@ -151,6 +171,8 @@ class Relation:
         found = {self.required: _parsed(self.formula)}
         if self.sliced is not None:
             found[len(self.parameters)] = _parsed(self.sliced)
+        if self.partly is not None:
+            found[self.required + 1] = _parsed(self.partly)
         return found
 
     def apart_of(self, count: int) -> exp.Expr:
@@ -164,7 +186,7 @@ class Relation:
         """Whether it may be infinite: it is of boxes, and that of a plane is."""
         tree = self.expressions[self.required]
         of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
-        of_shapes = tree.find(exp.Placeholder) is not None
+        of_shapes = tree.find(exp.Placeholder) is not None and not self.looks_at
         return self.result in ("real", "list") and (of_box or of_shapes)
 
     @cached_property
@@ -172,7 +194,7 @@ class Relation:
         """Whether it asks shapes or their boxes: where a box stands in for a shape it is off."""
         tree = self.expressions[self.required]
         of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
-        return of_box or tree.find(exp.Placeholder) is not None
+        return of_box or (tree.find(exp.Placeholder) is not None and not self.looks_at)
 
     @cached_property
     def when_apart(self) -> exp.Expr:
@@ -184,7 +206,9 @@ class Relation:
         """The tables that it looks things up in."""
         tree = self.expressions[self.required]
         tables = {table.name for table in tree.find_all(exp.Table)}
-        return frozenset(tables | {"shapes"} if tree.find(exp.Placeholder) else tables)
+        if tree.find(exp.Placeholder) is not None:
+            tables.add(self.looks_at or "shapes")
+        return frozenset(tables)
 
     @cached_property
     def reads(self) -> frozenset[str]:
@@ -253,7 +277,7 @@ class Relation:
         if not self.tables:
             return tree
         if schema is not None:
-            return self._of_rows(tree, schema)
+            return self._of_rows(_lenient(tree), schema)
         reason = (
             f"{self.name}: in SQL it is for one world, and there is none or several; write the "
             f"name of the world that is meant before it, world.{self.name}(…)"
@@ -300,6 +324,22 @@ def _with_checked_ticks(formula: exp.Expr, schema: str) -> exp.Expr:
         return exp.Anonymous(this=name, expressions=[world, *columns])
 
     found: exp.Expr = formula.transform(checked)
+    return found
+
+
+# What a function of joints is called where other rows may have what is asked for.
+ANY = "any "
+
+
+def _lenient(tree: exp.Expr) -> exp.Expr:
+    """A formula for raw SQL, whose conditions come in no order: see `ssduck.families.joints`."""
+
+    def renamed(part: exp.Expr) -> exp.Expr:
+        if isinstance(part, exp.Anonymous) and part.name.startswith("joints "):
+            part.set("this", exp.to_identifier(ANY + part.name, quoted=True))
+        return part
+
+    found: exp.Expr = tree.copy().transform(renamed)
     return found
 
 

@@ -19,6 +19,7 @@ from ssduck.geometry import Array
 from ssduck.narrow import COLLIDES, Narrow
 from ssduck.relations import MOST_IDS
 from ssduck.solids import PlacedSolids
+from ssduck.surroundings import Surroundings, Turn
 
 # After more pairs, or one for every four entities, all pairs of the tick are compared at once.
 FEW = 64
@@ -68,6 +69,7 @@ class Shapes:
         ids: Ids,
     ) -> None:
         self._narrow = narrow
+        self._around = Surroundings(narrow, self._reached)
         self._numbers = numbers
         self._sorts = sorts
         self._boxes = boxes
@@ -114,11 +116,28 @@ class Shapes:
     def all_reaching(self, apart: float) -> list[int]:
         """The same of boxes that are grown by the largest margin of their shapes."""
         if apart not in self._reaching:
-            margins = np.array([self._narrow.margin(self._numbers[id]) for id in self._ids])
-            grown = np.concatenate((self._boxes[:3] - margins, self._boxes[3:] + margins))
-            first, second = meeting(grown, apart + ROUNDED)
+            first, second = meeting(self._grown, apart + ROUNDED)
             self._reaching[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._reaching[apart]
+
+    def all_resting(self) -> list[int]:
+        """The pairs of which the second rests on the first, through others or not."""
+        ids = {number: id for id, number in self._numbers.items()}
+        pairs = self._around.all_resting()
+        return sorted(ids[a] * MOST_IDS + ids[b] for a, b in pairs)
+
+    @cached_property
+    def _grown(self) -> Array:
+        """The boxes, grown by the largest margin of their shapes, (6, n)."""
+        margins = np.array([self._narrow.margin(self._numbers[id]) for id in self._ids.tolist()])
+        grown: Array = np.concatenate((self._boxes[:3] - margins, self._boxes[3:] + margins))
+        return grown
+
+    def _reached(self, apart: float) -> list[tuple[int, int]]:
+        """The pairs of entities, by number, whose grown boxes are no farther apart, m."""
+        numbers = np.array([self._numbers[id] for id in self._ids.tolist()], dtype=np.int64)
+        first, second = meeting(self._grown, apart)
+        return list(zip(numbers[first].tolist(), numbers[second].tolist(), strict=True))
 
     def _pair(self, a: int, b: int) -> tuple[int, int]:
         """Which entities two ids are; a pair counts once a tick."""
@@ -205,6 +224,32 @@ class Shapes:
         """Whether b rests on a."""
         return self._narrow.on(*self._pair(a, b))
 
+    def supports(self, a: int, b: int) -> bool | None:
+        """Whether a carries b, alone or with others."""
+        return self._around.supports(*self._pair(a, b))
+
+    def rests_on(self, a: int, b: int) -> bool | None:
+        """Whether b is on a, or on something that rests on a."""
+        return self._around.rests_on(self._numbers[a], self._numbers[b])
+
+    def encloses(self, a: int, b: int, *turn: float) -> bool | None:
+        """Whether b is within walls of a, whose link frame has that orientation."""
+        return self._around.encloses(*self._pair(a, b), _turn(turn))
+
+    def beside(self, a: int, b: int, apart: float, *turns: float) -> bool | None:
+        """Whether two entities, whose heights overlap, are beside each other.
+
+        Args:
+            a: an entity.
+            b: another one.
+            apart: how far from each other they are at most, m.
+            turns: the orientation of a's link frame, then of b's.
+        """
+        is_near = self.near(a, b, apart)
+        if not is_near:
+            return is_near
+        return self._around.are_beside(*self._pair(a, b), _turn(turns[:4]), _turn(turns[4:]))
+
     def inside(self, a: int, b: int) -> float | None:
         """The share of b's volume that is inside a's convex hull; 0 if it has none."""
         i, j = self._pair(a, b)
@@ -239,6 +284,11 @@ def depth(deeper: float) -> float:
     return deeper
 
 
+def _turn(numbers: tuple[float, ...]) -> Turn:
+    w, x, y, z = numbers
+    return w, x, y, z
+
+
 def _both_ways(a: Ids, b: Ids) -> list[int]:
     """Pairs of ids as numbers, each pair both ways, in order."""
     numbers = np.concatenate((a * MOST_IDS + b, b * MOST_IDS + a))
@@ -255,6 +305,7 @@ ANSWERS: dict[str, Answer] = {
         Shapes.all_touching,
         Shapes.all_meeting,
         Shapes.all_reaching,
+        Shapes.all_resting,
         Shapes.collides,
         Shapes.penetration,
         Shapes.clearance,
@@ -262,6 +313,10 @@ ANSWERS: dict[str, Answer] = {
         Shapes.touching,
         Shapes.points,
         Shapes.on,
+        Shapes.supports,
+        Shapes.rests_on,
+        Shapes.encloses,
+        Shapes.beside,
         Shapes.inside,
         Shapes.contains,
         Shapes.volume,

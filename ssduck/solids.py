@@ -49,6 +49,7 @@ class Solid:
             without an inside, and of what has round sides.
         faces: (k, 3) triangles of core points, for boxes, hulls and meshes.
         known: whether the numbers make a shape; relations with others are unknown.
+        is_shell: whether a hull was given as a closed mesh, so that rays meet it from within.
         volume: m³; 0 of open meshes and flat hulls, infinite of planes.
         centre, reach: of a sphere around the shape.
         inner_centre, inner_radius: of a sphere in it; radius 0 where none is known.
@@ -64,6 +65,7 @@ class Solid:
     offsets: Array | None = None
     faces: Triangles = field(default_factory=lambda: np.zeros((0, 3), np.int32))
     known: bool = True
+    is_shell: bool = False
     closed: bool = True
     volume: float = 0.0
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -360,7 +362,7 @@ def _mesh(geometry: Geometry) -> Solid:
     hull = hull_of(vertices)
     volume = enclosed_volume(surface.triangles) if surface.closed else 0.0
     if surface.closed and volume > 0 and abs(volume - hull.volume) <= 1e-9 * hull.volume:
-        return hull
+        return replace(hull, is_shell=True)
     return Solid(
         "mesh",
         vertices,

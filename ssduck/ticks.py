@@ -73,7 +73,7 @@ class Ticks:
     ) -> SqlValue | None:
         """A relation of shapes at all ticks of a window at once; None where there are none."""
         candidates = relation.candidates
-        if candidates is None or not candidates.are_exact:
+        if candidates is None or not candidates.are_of_many_ticks:
             return None
         a, b, *others = values.values()
         if not (a.tag.past and b.tag.past):

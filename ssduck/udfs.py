@@ -23,6 +23,7 @@ import sqlglot
 from ssduck.colliding import Asked
 from ssduck.families.contacts import OF_CONTACTS
 from ssduck.families.entities import OF_ENTITIES
+from ssduck.families.joints import OF_JOINTS
 from ssduck.families.ode import OF_ODE
 from ssduck.families.places import OF_PLACES
 from ssduck.families.sensors import OF_SENSORS
@@ -31,7 +32,7 @@ from ssduck.relations import Relation, by_name
 
 RELATIONS: dict[str, Relation] = by_name(
     relation
-    for family in (OF_ENTITIES, OF_SHAPES, OF_CONTACTS, OF_PLACES, OF_ODE, OF_SENSORS)
+    for family in (OF_ENTITIES, OF_SHAPES, OF_CONTACTS, OF_PLACES, OF_JOINTS, OF_ODE, OF_SENSORS)
     for relation in family
 )
 
@@ -47,6 +48,7 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
         f"narrow all_{of}": (("DOUBLE",), "BIGINT[]")
         for of in ("colliding", "within", "touching", "meeting", "reaching")
     },
+    "narrow all_resting": ((), "BIGINT[]"),
     "narrow collides": ((*_PAIR, "DOUBLE"), "BOOLEAN"),
     "narrow penetration": (_PAIR, "DOUBLE"),
     "narrow clearance": (_PAIR, "DOUBLE"),
@@ -54,6 +56,10 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
     "narrow touching": ((*_PAIR, "DOUBLE"), "BOOLEAN"),
     "narrow points": (_PAIR, "DOUBLE[][]"),
     "narrow on": (_PAIR, "BOOLEAN"),
+    "narrow supports": (_PAIR, "BOOLEAN"),
+    "narrow rests_on": (_PAIR, "BOOLEAN"),
+    "narrow encloses": ((*_PAIR, *["DOUBLE"] * 4), "BOOLEAN"),
+    "narrow beside": ((*_PAIR, *["DOUBLE"] * 9), "BOOLEAN"),
     "narrow inside": (_PAIR, "DOUBLE"),
     "narrow contains": (_PAIR, "BOOLEAN"),
     "narrow volume": (_ONE, "DOUBLE"),
@@ -61,6 +67,16 @@ NARROW: dict[str, tuple[tuple[str, ...], str]] = {
 
 # How far apart shapes of a world may be that touch by their margins alone, metres.
 MARGINS = "narrow margins"
+
+# Those that look at all entities of the tick, and not only at the two that are asked about.
+OF_WHOLE_TICK = frozenset(("narrow supports", "narrow rests_on", "narrow beside"))
+
+# The functions of joints: what they take besides a world, and an entity as its tick and its id.
+JOINTS: dict[str, tuple[str, ...]] = {
+    "joints position": ("VARCHAR",),
+    "joints openness": ("VARCHAR",),
+    "joints most_open": (),
+}
 
 # Those over many ticks: of a world, the first and the last tick, the ids of two entities (0 for
 # any), and a distance. They yield [tick, a, b, 1] of each pair of which it holds, with a 0 at the

@@ -134,7 +134,7 @@ WILD = {
 }
 COMPARISONS = ("==", "<", ">=", "!=", ">", "<=")
 REAL_RELATIONS = ("z", "x", "y", "aabbVolume", "volume")
-FLAG_RELATIONS = ("isRobot", "isKinbody", "isSensor")
+FLAG_RELATIONS = ("isRobot", "isKinbody", "isSensor", "isOpen", "isClosed")
 PAIR_RELATIONS = ("above", "within", "below", "isSensing")
 
 

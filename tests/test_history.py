@@ -451,6 +451,11 @@ LOOKED_UP = [
     ('"on"(a, b)', "on(a.this, b.this)"),
     ("penetration(a, b)", "penetration(a.this, b.this)"),
     ("nextTo(a, b)", "nextTo(a.this, b.this)"),
+    ("enclosed(a, b)", "enclosed(a.this, b.this)"),
+    ("supports(a, b)", "supports(a.this, b.this)"),
+    ("restsOn(a, b)", "restsOn(a.this, b.this)"),
+    ("isOpen(a)", "isOpen(a.this)"),
+    ("isClosed(a)", "isClosed(a.this)"),
 ]
 
 

@@ -22,7 +22,8 @@ BOX, SPHERE, PLANE = pybullet.GEOM_BOX, pybullet.GEOM_SPHERE, pybullet.GEOM_PLAN
 CYLINDER, CAPSULE = pybullet.GEOM_CYLINDER, pybullet.GEOM_CAPSULE
 EDGE = 2e-9
 HOLDS = RELATIONS.keys() & {
-    "overlaps", "collides", "collision", "touching", "on", "supports", "contains", "nextTo", "inContact"
+    "overlaps", "collides", "collision", "touching", "on", "supports", "restsOn", "contains",
+    "enclosed", "nextTo", "inContact",
 }  # fmt: skip
 
 
@@ -187,9 +188,9 @@ EDGES = [
     ("contains(a, b)", (0.05 - EDGE, 0, 0), True),
     ("contains(a, b)", (0.05 + EDGE, 0, 0), False),
     ("contains(a, b)", (0, 0, 0), True),
-    # A sixth of the mean of six sides of 1.
-    ("nextTo(a, b)", (1 + 1 / 6 - EDGE, 0, 0), True),
-    ("nextTo(a, b)", (1 + 1 / 6 + EDGE, 0, 0), False),
+    # A third of the mean of six sides of 1.
+    ("nextTo(a, b)", (1 + 1 / 3 - EDGE, 0, 0), True),
+    ("nextTo(a, b)", (1 + 1 / 3 + EDGE, 0, 0), False),
     ("nextTo(a, b)", (1.1, 0, 1 - EDGE), True),
     ("nextTo(a, b)", (0, 0, 1 + EDGE), False),
     ("inBox(b, [1.0, 2.0, 3.0], [2.0, 3.0, 4.0])", (1, 2, 3), True),
@@ -826,7 +827,10 @@ def test_a_pose_that_is_no_number_is_unknown(stage):
     nan = [math.nan] * 3
     pybullet.resetBasePositionAndOrientation(lost, nan, [0, 0, 0, 1], stage.client)
     world.tick()
-    flags = ("collides", "touching", "on", "contains", "nextTo", "overlaps")
+    flags = (
+        "collides", "touching", "on", "supports", "restsOn", "contains", "enclosed", "nextTo",
+        "overlaps",
+    )  # fmt: skip
     values = ("clearance", "penetration", "inside", "nearestPoints")
     for name in flags + values:
         for first, second in (("a", "lost"), ("lost", "a")):

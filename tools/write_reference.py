@@ -35,10 +35,11 @@ but only for the pairs that are said there, wherever the relation stands: in `WH
 under `NOT` and in `OR`. A pair is compared once a tick, however often it is asked for. `clearance`
 compares every pair that it is asked for; where a distance will do, `near(a, b, d)` is cheaper.
 
-Of two sources that are one world, `collides`, `near`, `touching`, `on` and `contains` in the WHERE
-of a SelectScript query find all of the tick's pairs at once: milliseconds for a thousand bodies. In
-raw SQL, DuckDB compares the boxes of every row with those of every other one, which from some 3,000
-bodies on takes longer than the shapes do; the pairs are there as tables, too:
+Of two sources that are one world, `collides`, `near`, `touching`, `on`, `supports`, `restsOn`,
+`contains` and `enclosed` in the WHERE of a SelectScript query find all of the tick's pairs at once:
+`collides` takes milliseconds for a thousand bodies. In raw SQL, DuckDB compares the boxes of every
+row with those of every other one, which from some 3,000 bodies on takes longer than the shapes do;
+the pairs are there as tables, too:
 
 ```python
 import ssduck
@@ -70,6 +71,68 @@ ss.eval("SELECT id FROM kitchen WHERE contains(this, var('table')) AS list;")  #
 ss.eval("SELECT id, clearance(table, this) FROM kitchen WHERE near(table, this, 0.5);")
 ss.sql("SELECT a.name, b.name, penetration(a, b) FROM entities a, entities b WHERE collides(a, b)")
 print(ss.statistics()["kitchen"])  # how many pairs that took, and how many calls
+```
+
+## On, in and beside
+
+These are told by shapes and poses alone, so that they are the same live, at a past tick, in a
+record and in a what-if world. What the physics solver found is `inContact` and `contactForce`.
+
+- `on(a, b)`: b stands on a by itself, for its centre is over a. `supports(a, b)`: a carries b,
+  maybe with others, and b's centre may be anywhere: both blocks support the plank that bridges
+  them. Contacts within 30 degrees of up carry alone. Steeper ones, up to 80 degrees, carry where
+  they need each other to push up: the sides of a groove, three balls under a fourth, a slope where
+  a wall holds against it. Friction and moments are not looked at, so that a ladder is carried by
+  the floor only.
+- `restsOn(a, b)`: b is on a, or on something that rests on a, and so on.
+- `contains(a, b)` and `inside(a, b)` are of a's convex hull: a ball between the legs of a table is
+  in it. `enclosed(a, b)` asks for walls: rays from the centre of b's box meet a on both sides along
+  two of a's three axes at least. Cups, drawers, shelves and rooms enclose; a table, a tray and a
+  corner do not. Rays meet the surfaces of meshes from within, too, but no convex shape that they
+  begin in: of two blocks in each other neither is enclosed. So that a box is not in the cup that it
+  holds, an axis along which b reaches past a at both ends does not count.
+- `nextTo(a, b)`: beside each other, on nothing of each other's and in nothing, and with nothing
+  between them: on some horizontal line that runs through both, no third body is between. The lines
+  run along the connection of the nearest points and along that of the boxes' centres, through the
+  nearest points and through 25 places over the breadth and the height that both have in common; a
+  gap that is smaller than the space between these may be missed.
+
+```python
+import ssduck
+
+ss = ssduck.load("kitchen")
+kitchen = ss.call_variable("kitchen").step(480)
+ss.eval("""
+    plate = SELECT obj FROM kitchen WHERE id(this) == 'plate_b4e7' AS value;
+    SELECT id FROM kitchen WHERE enclosed(this, plate) AS list;
+""")  # ['microwave'], while its hull and the kitchen's contain it
+ss.eval("SELECT id FROM kitchen WHERE supports(this, plate) OR restsOn(this, plate) AS list;")
+ss.eval("""
+    SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen WHERE nextTo(a.this, b.this) AS list;
+""")
+```
+
+## Is it open
+
+`joint(e, name)` is where a joint is, in radians or metres. `isOpen(e, name)` checks if it is open
+by half of its range, `isClosed(e, name)` if it is open by a 20th at most; another share may be
+given. The closed end is that of the two limits that is nearer to 0, or the lower one. Without a
+name, any joint that has limits is to be open, or all of them closed; what has none is neither. A
+name that the entity has no joint of is an error that tells the nearest one; so a query of several
+entities says first which are meant. In raw SQL, whose conditions come in no order, it is NULL of an
+entity without such a joint, and an error where no entity of the world has one. In Python,
+`entity.joints` tells of each joint its `position` and its `openness`. Of a past tick they are known
+if the table `joints` was recorded.
+
+```python
+import ssduck
+
+ss = ssduck.load("kitchen")
+ss.eval("""
+    SELECT joint(this, 'f1'), isOpen(this, 'f1'), isClosed(this, 'f1', 0.2)
+    FROM kitchen WHERE id(this) == 'barrett_4918';
+""")
+ss.sql("SELECT name FROM entities e WHERE isOpen(e, 'f1', 0.1)").fetchall()  # [('barrett_4918',)]
 ```
 
 ## In SelectScript and in raw SQL

@@ -7,12 +7,14 @@ import weakref
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from ssduck.errors import EvaluationError, UnsupportedError
 from ssduck.history import POSE, Archive, Shown, history_name, not_recorded
+from ssduck.joints import Joints
 from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.shapes import Shapes
@@ -148,8 +150,12 @@ class Bound:
         parts = len(self.kept.shown) if self.kept is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
 
-    def shapes(self, tick: int | None, ids: Sequence[int]) -> Shapes:
+    def shapes(self, tick: int | None, ids: Sequence[int] | None) -> Shapes:
         """The shapes at a tick, those of some entities at least, or at the present one.
+
+        Args:
+            tick: its number; None for the present one.
+            ids: of the entities; None for all.
 
         Raises:
             EvaluationError: the tick is not recorded.
@@ -167,22 +173,54 @@ class Bound:
         now = self.world.snapshot.layout.margins
         return now if self.kept is None else max(now, self.kept.record.margins)
 
+    def joints(self, tick: int, id: int) -> Joints:
+        """The joints of an entity at a tick.
+
+        Raises:
+            UnsupportedError: they are not recorded.
+        """
+        snapshot = self.world.snapshot
+        if tick == snapshot.number and "joints" not in snapshot.untold:
+            member, rows = snapshot.members[snapshot.rows[id]], snapshot.tables["joints"]
+            own: Mapping[str, Any] = {name: rows[name] for name in ("entity", "position")}
+        else:
+            own = self._recorded("joints", tick)
+            assert self.kept is not None
+            member = self.kept.record.members[id]
+        joints = () if member.body is None else member.body.joints
+        return Joints(member.name, joints, own["position"][own["entity"] == id].tolist())
+
+    def joint_owners(self) -> dict[str, set[int]]:
+        """The ids of the entities that have a joint of each name, now or at a recorded tick."""
+        members = {member.id: member for member in self.world.snapshot.members}
+        if self.kept is not None:
+            members.update(self.kept.record.members)
+        found: dict[str, set[int]] = {}
+        for id, member in members.items():
+            for joint in () if member.body is None else member.body.joints:
+                found.setdefault(joint.name, set()).add(id)
+        return found
+
+    def _recorded(self, table: str, tick: int) -> Mapping[str, Any]:
+        """The columns of a table at a recorded tick.
+
+        Raises:
+            UnsupportedError: it is not recorded.
+        """
+        if self.kept is None:
+            raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
+        record = self.kept.record
+        if table not in record.tables:
+            raise UnsupportedError(not_recorded(table, self.world.name))
+        return record.rows(table, tick)
+
     def told(self, what: str, tick: int, a: int, b: int) -> list[float]:
         """What contacts or sensors told at a recorded tick.
 
         Raises:
             UnsupportedError: they are not recorded.
         """
-        if self.kept is None:
-            raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
-        record = self.kept.record
-
-        def rows(table: str) -> Mapping[str, Any]:
-            if table not in record.tables:
-                raise UnsupportedError(not_recorded(table, self.world.name))
-            return record.rows(table, tick)
-
-        return TOLD[what](rows, a, b)
+        return TOLD[what](partial(self._recorded, tick=tick), a, b)
 
 
 def _listed(pose: Sequence[float | None]) -> str:

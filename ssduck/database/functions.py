@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from itertools import accumulate
+from itertools import accumulate, product
 from typing import Any, TypeVar
 
 import pyarrow as pa
@@ -17,14 +17,15 @@ from duckdb.func import FunctionNullHandling, PythonUDFType
 from ssduck.colliding import Asked, Question
 from ssduck.database.bound import Bound
 from ssduck.database.connection import Connection
-from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError
+from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
 from ssduck.functions import Function
 from ssduck.history import Near
+from ssduck.joints import JointError, Joints
 from ssduck.record import PAIR, Record
-from ssduck.relations import CHECKED_TICK
+from ssduck.relations import ANY, CHECKED_TICK
 from ssduck.shapes import ANSWERS, depth
 from ssduck.types import Converter, Signature, Tag, converter, is_exactly
-from ssduck.udfs import MARGINS, NARROW, THEN, THEN_TOLD
+from ssduck.udfs import JOINTS, MARGINS, NARROW, OF_WHOLE_TICK, THEN, THEN_TOLD
 
 
 def add_users(
@@ -118,6 +119,15 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
         "BIGINT",
         null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
     )
+    for (name, more), prefix in product(JOINTS.items(), ("", ANY)):
+        call = partial(_of_joints, worlds, getattr(Joints, name.removeprefix("joints ")))
+        connection.add_function(
+            prefix + name,
+            partial(_if_any, worlds, call) if prefix else call,
+            ("VARCHAR", "BIGINT", "BIGINT", *more),
+            "DOUBLE",
+            null_handling=FunctionNullHandling.SPECIAL,
+        )
     pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
     for name, of in THEN.items():
         # In columns: as lists, some thousand pairs took as long as comparing them.
@@ -155,7 +165,8 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
                 f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
             )
         ids = arguments[1:entities:2]
-        shapes = worlds[world].shapes(ticks.pop() if ticks else None, ids)
+        tick = ticks.pop() if ticks else None
+        shapes = worlds[world].shapes(tick, None if name in OF_WHOLE_TICK else ids)
         return answer(shapes, *ids, *arguments[entities:])
 
     return call
@@ -181,6 +192,44 @@ def _checked_tick(
         raise UnknownNameError(f"there is no world {world!r} here any more")
     worlds[world].check_row(run, tick, id, pose)
     return tick
+
+
+def _of_joints(
+    worlds: Mapping[str, Bound],
+    answer: Callable[..., float | None],
+    world: str,
+    *arguments: Any,
+) -> float | None:
+    """What the joints of an entity tell, of its tick, its id and a name."""
+    if None in arguments:
+        return None
+    if world not in worlds:
+        raise UnknownNameError(f"there is no world {world!r} here any more")
+    tick, id, *more = arguments
+    return answer(worlds[world].joints(tick, id), *more)
+
+
+def _if_any(
+    worlds: Mapping[str, Bound],
+    call: Callable[..., float | None],
+    world: str,
+    tick: int,
+    id: int,
+    *name: str,
+) -> float | None:
+    """The same of raw SQL: None of an entity without a joint that another one has."""
+    try:
+        return call(world, tick, id, *name)
+    except JointError:
+        owners = worlds[world].joint_owners()
+        if name[0] not in owners:
+            raise JointError(
+                f"no entity of {world!r} has a joint {name[0]!r}",
+                suggestions=nearest(name[0], list(owners)),
+            ) from None
+        if owners[name[0]] == {id}:
+            raise
+        return None
 
 
 def _then(worlds: Mapping[str, Bound], of: Asked, *arguments: pa.ChunkedArray) -> pa.ListArray:

@@ -8,8 +8,9 @@ from ssduck.families.forms import A_B, ENTITY
 from ssduck.intervals import RELATIONS_OF_INTERVALS
 from ssduck.relations import Candidates, Parameter, Relation, ValueType
 
-# A sixth of the mean of the six sides of two boxes.
-_BESIDE = "(" + " + ".join(f"{o}.{s}max - {o}.{s}min" for o in "ab" for s in "xyz") + ") / 36"
+# A third of the mean of the six sides of two boxes.
+_BESIDE = "(" + " + ".join(f"{o}.{s}max - {o}.{s}min" for o in "ab" for s in "xyz") + ") / 18"
+_TURNS = {entity: tuple(f"{entity}.q{part}" for part in "wxyz") for entity in "ab"}
 
 
 def boxes_within(apart: str) -> str:
@@ -93,6 +94,23 @@ _DEPTH_CHECKED = (
     "error('collides: the depth is a number of metres from 0 up, not ' || depth)::DOUBLE "
     "ELSE 0.0::DOUBLE END"
 )
+
+_CARRIED = {
+    "on": (
+        "Checks if b rests on a: they touch (at most 1 mm apart and the collision margins of the "
+        "shapes, see touching), a normal there is within 30 degrees of up, and the centre of the "
+        "box of b is over the convex hull of the footprint of a. See supports for what carries it "
+        "with others."
+    ),
+    "supports": (
+        "Checks if a carries b, alone or with others, wherever the centre of b is: they touch (at "
+        "most 1 mm apart and the collision margins of the shapes, see touching), and a normal "
+        "there from a to b is within 30 degrees of up, or steeper and needed by others to push so "
+        "together, as of the sides of a groove. A plank on two blocks is supported by both, and "
+        "on neither. Told by the shapes alone, not by forces."
+    ),
+}
+
 
 OF_SHAPES: tuple[Relation, ...] = (
     Relation(
@@ -181,29 +199,49 @@ OF_SHAPES: tuple[Relation, ...] = (
         on_shapes(
             name,
             "flag",
-            _narrow(_ask("on"), f"0.001 + {_MARGINS}"),
-            "Checks if b rests on a: they touch (at most 1 mm apart and the collision margins of "
-            "the shapes, see touching), a normal there is within 30 degrees of up, and the centre "
-            "of the box of b is over the convex hull of the footprint of a.",
+            _narrow(_ask(name), f"0.001 + {_MARGINS}"),
+            about,
             asked="on pairs whose boxes are at most 1 mm and the largest margins apart",
             candidates=Candidates("reaching", "0.001"),
-            also=also,
+            also=("onTop",) if name == "on" else (),
         )
-        for name, also in (("on", ("onTop",)), ("supports", ()))
+        for name, about in _CARRIED.items()
+    ),
+    on_shapes(
+        "restsOn",
+        "flag",
+        f"a.id <> b.id AND CASE WHEN a.id <> b.id THEN {_ask('rests_on')} END",
+        "Checks if b is on a, or on something that rests on a: the cup on a plate on a table rests "
+        "on the table. What is on what is found once a tick, for all entities.",
+        asked="on all pairs of the tick whose boxes are at most 1 cm apart, once",
+        candidates=Candidates("resting"),
     ),
     on_shapes(
         "inside",
         "real",
         _narrow(_ask("inside"), otherwise="0.0::DOUBLE"),
         "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
-        "0 if b has no volume. Open meshes have none: see solidVolume.",
+        "0 if b has no volume. Open meshes have none: see solidVolume. What is between the legs of "
+        "a table is in its hull: enclosed asks for walls.",
         far="nothing",
     ),
     on_shapes(
         "contains",
         "flag",
         _narrow(_ask("contains")),
-        "Checks if at least 95 percent of the volume of b is inside the convex hull of a.",
+        "Checks if at least 95 percent of the volume of b is inside the convex hull of a. What is "
+        "between the legs of a table is in its hull: enclosed asks for walls.",
+        candidates=Candidates("meeting"),
+    ),
+    on_shapes(
+        "enclosed",
+        "flag",
+        _narrow(_ask("encloses", *_TURNS["a"])),
+        "Checks if b is within walls of a, as in a cup, a drawer or a room: along at least two of "
+        "the three axes of a's link frame, rays from the centre of the box of b meet a on both "
+        "sides. Grazing counts. A convex shape that holds the centre is no wall, a mesh is one "
+        "from either side. An axis along which b reaches past a by more than 1 mm at both ends "
+        "does not count.",
         candidates=Candidates("meeting"),
     ),
     on_shapes(
@@ -211,12 +249,14 @@ OF_SHAPES: tuple[Relation, ...] = (
         "flag",
         _narrow(
             f"CASE WHEN a.zmin <= b.zmax AND b.zmin <= a.zmax AND {_BESIDE} < 1e300 "
-            f"THEN {_ask('near', _BESIDE)} ELSE FALSE END",
+            f"THEN {_ask('beside', _BESIDE, *_TURNS['a'], *_TURNS['b'])} ELSE FALSE END",
             _BESIDE,
         ),
-        "Checks if a and b are beside each other: the heights of their boxes overlap, and their "
-        "clearance is at most a sixth of the mean of the six sides of the two boxes. A box "
-        "without end has nothing beside it.",
+        "Checks if a and b are beside each other: the heights of their boxes overlap, their "
+        "clearance is at most a third of the mean of the six sides of the two boxes, a horizontal "
+        "ray from one meets the other before anything else, and neither supports, contains, "
+        "encloses or carries through others the other one. A box without end has nothing beside "
+        "it.",
         asked="on pairs whose boxes are at most that far apart",
         symmetric=True,
     ),
