@@ -114,7 +114,7 @@ def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
     world = stage.open()
     random = np.random.default_rng(len(name))
     both = list(stage.interpreters(sim=world))
-    places = [np.zeros(3), [0.3, 0.3, 0.3], *random.uniform(-0.22, 0.22, (23, 3))]
+    places = [np.zeros(3), [0.3, 0.3, 0.3], *random.uniform(-0.18, 0.18, (12, 3))]
     found = []
     for number, own in enumerate(places):
         turn = Rotation.identity() if number < 5 else Rotation.random(rng=random)
