@@ -65,12 +65,15 @@ class Question:
             found += sorts.margins[first] + sorts.margins[second]
         return found
 
-    def apart(self, sorts: Sorts) -> float:
-        """How far apart shapes may be, metres; less than 0 if it holds of none."""
+    def candidates(self, scene: Scene) -> Pairs:
+        """The pairs of shapes whose boxes are near enough."""
         if self.of == "colliding":
-            return 0.0
-        two = np.sort(sorts.margins)[-2:].sum() if self.of == "touching" else 0.0
-        return self.distance + float(two)
+            return _candidates(scene, scene.boxes, 0.0)
+        if self.of == "within":
+            return _candidates(scene, scene.boxes, self.distance + _MARGIN)
+        margins = scene.sorts.margins
+        grown = np.concatenate((scene.boxes[:3] - margins, scene.boxes[3:] + margins))
+        return _candidates(scene, grown, max(self.distance, 0.0) + _MARGIN)
 
 
 class Sorts:
@@ -208,13 +211,7 @@ def entities_of(
         holds: whether it does, asked of those that nothing else decides.
         among: the pairs of shapes that are compared; None for all that are near enough.
     """
-    if among is None:
-        apart = question.apart(scene.sorts)
-        if not apart >= 0.0:  # nor a number that is none
-            return Found(np.zeros(0, np.intp), np.zeros(0, np.intp))
-        among = _candidates(scene, apart if question.of == "colliding" else apart + _MARGIN)
-    else:
-        among = _usable(scene, among)
+    among = question.candidates(scene) if among is None else _usable(scene, among)
     bounds = question.bounds(scene.sorts, *among)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
     if question.of == "colliding":
@@ -273,14 +270,19 @@ def _found(
     return Found(np.sort(found) if single else np.unique(found), compared)
 
 
-def _candidates(scene: Scene, apart: float) -> Pairs:
-    """The pairs of known shapes, of two entities, whose boxes are no farther apart."""
+def _candidates(scene: Scene, boxes: Array, apart: float) -> Pairs:
+    """The pairs of known shapes, of two entities, whose boxes (6, n) are no farther apart.
+
+    There are none if that is below 0, or no number.
+    """
+    if not apart >= 0.0:
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
     sorts = scene.sorts
     usable = np.flatnonzero(scene.known & sorts.is_shown)
     if apart == np.inf:
         first, second = np.triu_indices(len(usable), 1)
     else:
-        first, second = meeting(scene.boxes[:, usable], apart)
+        first, second = meeting(boxes[:, usable], apart)
     first, second = usable[first], usable[second]
     if sorts.single:
         return first, second

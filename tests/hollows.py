@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pairs import PATCH, TURNS, Shape, ell, patch_vertices
 
 from ssduck.geometry import Geometry
+from tests.pairs import PATCH, TURNS, Shape, ell, patch_vertices
 
 
 def mesh(vertices, faces):

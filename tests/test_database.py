@@ -531,8 +531,8 @@ def test_tables_columns_and_functions_are_commented(sim):
     assert views == {}
     for place in ("temp", "sim"):
         said = sim.sql(
-            "SELECT comment FROM duckdb_functions() WHERE function_name = 'collides' AND "
-            "$place IN (database_name, schema_name)",
+            "SELECT DISTINCT comment FROM duckdb_functions() "
+            "WHERE function_name = 'collides' AND $place IN (database_name, schema_name)",
             {"place": place},
         )
         assert said.fetchall() == [(RELATIONS["collides"].help,)]

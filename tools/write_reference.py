@@ -50,6 +50,7 @@ ss.sql("""
     FROM colliding_pairs() p JOIN entities e ON e.id = p.a JOIN entities f ON f.id = p.b
 """)
 ss.sql("SELECT a, b FROM kitchen.pairs_within(0.02) WHERE a < b")  # of clearances, in metres
+ss.sql("SELECT a, b FROM colliding_pairs(0.001)")  # deeper than a millimetre in each other
 ```
 
 An entity is all its shapes, those of all its links: a relation of two holds for their closest
@@ -72,6 +73,25 @@ ss.eval("SELECT id, clearance(table, this) FROM kitchen WHERE near(table, this, 
 ss.sql("SELECT a.name, b.name, penetration(a, b) FROM entities a, entities b WHERE collides(a, b)")
 print(ss.statistics()["kitchen"])  # how many pairs that took, and how many calls
 ```
+
+## Rest and intrusion
+
+Simulators do not let things rest surface on surface. PyBullet presses boxes, balls, cylinders and
+capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from it
+by a margin of 1 mm each: so a cup of hulls on a plate of hulls has a clearance of 1.99 mm. Each
+shape's margin is in the table of shapes (`margin`), as it was when the body was first seen, and in
+records. What to ask for:
+
+| question | ask |
+|---|---|
+| does b rest on a? | `on(a, b)`, margins included |
+| do they touch? | `touching(a, b)`, margins included |
+| are they pressed together? | `inContact(a, b)`: the solver found a force |
+| how near are the surfaces? | `clearance(a, b)`, `near(a, b, d)`: of the shapes alone |
+| is one in the other? | `collides(a, b, 1e-3)`: deeper than 1 mm; `collides(a, b)` may only rest |
+
+`clearance`, `penetration`, `contactForce` and `nearestPoints` of (a, b) and of (b, a) are the same
+to the last bit, and so they are of the present, of recorded ticks and of opened records.
 
 ## On, in and beside
 
