@@ -491,7 +491,7 @@ def test_soft_bodies_are_refused(client):
         world.excerpt(world)
 
 
-def test_what_stands_in_for_a_shape_is_told_of(client, tmp_path):
+def test_a_concave_mesh_without_a_file_is_copied(client, tmp_path):
     file = tmp_path / "bowl.obj"
     file.write_text(box_obj((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)), encoding="utf-8")
     shape = pybullet.createCollisionShape(
@@ -502,11 +502,28 @@ def test_what_stands_in_for_a_shape_is_told_of(client, tmp_path):
     )
     number = pybullet.createMultiBody(0, shape, physicsClientId=client)
     file.unlink()
+    world = ssduck.World.attach(client, names={number: "bowl"})
+    copy = world.excerpt(world)
+    assert copy["bowl"].aabb[0] == pytest.approx([-0.1, -0.1, -0.1])
+
+
+def test_what_stands_in_for_a_shape_is_told_of(client):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_HEIGHTFIELD,
+        heightfieldData=[0.0, 1.0] * 8,
+        numHeightfieldRows=4,
+        numHeightfieldColumns=4,
+        physicsClientId=client,
+    )
+    number = pybullet.createMultiBody(0, shape, physicsClientId=client)
     with pytest.warns(UserWarning, match="bounding boxes"):
-        world = ssduck.World.attach(client, names={number: "bowl"})
-    with pytest.warns(UserWarning, match="bowl: not all shapes are given back"):
+        world = ssduck.World.attach(client, names={number: "field"})
+    with pytest.warns(UserWarning, match="field: not all shapes are given back"):
         copy = world.excerpt(world)
-    assert copy["bowl"].aabb[0] == pytest.approx(world["bowl"].aabb[0])
+    assert copy["field"].aabb[0] == pytest.approx(world["field"].aabb[0])
+    with ssduck.Interpreter() as ss:  # it is marked in the copy, too
+        ss.add_variable("copy", copy)
+        assert ss.sql("SELECT exact FROM copy.shapes").fetchall() == [(False,)]
 
 
 # -- other ticks -------------------------------------------------------------------------------
