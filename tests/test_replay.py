@@ -71,9 +71,7 @@ def test_a_query_holds_the_record_at_its_tick(opened: Any) -> None:
 RELATIONS = (
     "collides(a.this, b.this)",
     "near(a.this, b.this, 1)",
-    "clearance(a.this, b.this) < 1",
     "inContact(a.this, b.this)",
-    "contactForce(a.this, b.this) >= 0",
 )
 SOURCES = (
     "a=lab, b=lab{0.04}",
