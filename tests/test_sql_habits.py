@@ -437,6 +437,7 @@ REFUSED = [
     ("SELECT this FROM true=[1];", "true", "source's name"),
     ("SELECT this FROM [1] this;", "this", "words of the language"),
     ("SELECT this FROM [1] START WITH this=1 CONNECT BY a=1 STOP WITH True;", "this", "words"),
+    ("SELECT DISTINCT this FROM [1] CONNECT BY a=1 STOP WITH 1;", "CONNECT", "UNIQUE"),
     ("SELECT this FROM [1] CONNECT BY false=1 STOP WITH True;", "false", "words"),
     ("'it''s;", "'it''s;", "never closed"),
 ]
