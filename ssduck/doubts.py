@@ -36,6 +36,7 @@ from ssduck.tree import (
     Query,
     Source,
     This,
+    Unary,
 )
 from ssduck.world import World
 
@@ -67,7 +68,7 @@ class Facts:
         texts: texts in the place of a name, with the clause.
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
-        bare: names that are selected, or keys.
+        bare: names that are selected, keys or conditions.
     """
 
     names: list[NameSite] = field(default_factory=list)
@@ -100,7 +101,8 @@ def _look(node: Node, around: _Around, only: Source | None, facts: Facts) -> Non
             _look_in_query(node, around, facts)
             return
         case Assignment(name=name, span=span):
-            facts.given.append((name, Span(span.start, span.start + len(name))))
+            if len(name) > 1:  # the others are told of where they are looked up
+                facts.given.append((name, Span(span.start, span.start + len(name))))
         case Binary(operator="==" | "!=", left=left, right=right):
             for side, other in ((left, right), (right, left)):
                 _look_at_name(side, (other,), around, only, facts)
@@ -135,6 +137,10 @@ def _look_in_query(query: Query, around: _Around, facts: Facts) -> None:
         for node in keys
         if isinstance(node, Name) and node.name not in own_states
     ]
+    conditions = [part for part in (query.where, query.having) if part is not None]
+    facts.bare += [
+        (name.name, name.span) for name in _conditions(conditions) if name.name not in own_states
+    ]
     given = {s.alias for s in query.sources if not isinstance(s.value, Name | Aged)} - {None}
     given |= {
         s.alias for s in query.sources if isinstance(s.value, Name) and s.value.name != s.alias
@@ -142,6 +148,22 @@ def _look_in_query(query: Query, around: _Around, facts: Facts) -> None:
     given -= own_states
     parts = (child for child in query.children() if not isinstance(child, Source))
     facts.aliases += [(n.name, n.span) for n in _bare(parts) if n.name in given]
+
+
+def _conditions(nodes: Iterable[Node]) -> Iterator[Name]:
+    """Bare names that are conditions themselves, or are compared with what is written out."""
+    for node in nodes:
+        match node:
+            case Name():
+                yield node
+            case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
+                yield from _conditions((left, right))
+            case Unary(operator="NOT", operand=operand):
+                yield from _conditions((operand,))
+            case Binary(left=Name() as name, right=Literal()):
+                yield name
+            case Binary(left=Literal(), right=Name() as name):
+                yield name
 
 
 def _bare(nodes: Iterable[Node]) -> Iterator[Name]:

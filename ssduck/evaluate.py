@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from operator import attrgetter
 from typing import Any, Protocol, TypeAlias
 
 from ssduck.aggregate_arguments import argument_check
@@ -247,8 +248,8 @@ class Compiler:
             return known
         thunk = self._thunk(node)
         if node in self._constants:
-            return _kept(node, thunk)
-        return _kept_in_state(node, thunk) if node in self._of_state else thunk
+            return _kept(node, thunk, attrgetter("kept"))
+        return _kept(node, thunk, attrgetter("state")) if node in self._of_state else thunk
 
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """A part as a function that tells whether it holds."""
@@ -563,24 +564,12 @@ def _placed(node: Node, thunk: Thunk) -> Thunk:
     return placed
 
 
-def _kept(node: Node, thunk: Thunk) -> Thunk:
+def _kept(node: Node, thunk: Thunk, values: Callable[[Frame], dict[Node, Any]]) -> Thunk:
     def kept(frame: Frame) -> Any:
-        known = frame.kept
+        known = values(frame)
         if node in known:
             return known[node]
-        value = known[node] = thunk(frame)
-        return value
-
-    return kept
-
-
-def _kept_in_state(node: Node, thunk: Thunk) -> Thunk:
-    def kept(frame: Frame) -> Any:
-        known = frame.state
-        if node in known:
-            return known[node]
-        value = known[node] = thunk(frame)
-        return value
+        return known.setdefault(node, thunk(frame))
 
     return kept
 

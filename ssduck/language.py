@@ -181,6 +181,8 @@ class _Parser(SqlForms):
         sources = self.separated(self.source)
         self.is_listed = True
         where = self.condition() if self.take_words("WHERE") else None
+        if distinct and self.at_word("START", "CONNECT"):
+            self.fail("expected no CONNECT BY (DISTINCT is of rows; write UNIQUE or NO CYCLE)")
         recursion = self.recursion()
         group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
         having = self.condition() if self.take_words("HAVING") else None

@@ -42,7 +42,14 @@ def ss():
 MISTAKES = [
     ("x = 1; y = unknwn + 1;", UnknownNameError, "unknwn", "no variable 'unknwn'", []),
     ("SELECT id FROM kitchn;", UnknownNameError, "kitchn", "no variable 'kitchn'", ["kitchen"]),
-    ("SELECT id FROM kitchen WHERE id == 'can';", UnknownNameError, "id", "write id(this)", []),
+    ("id == 'can';", UnknownNameError, "id", "write id(this)", []),
+    (
+        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE id == 'can';",
+        UnknownNameError,
+        "id",
+        "write id(this)",
+        [],
+    ),
     ("tabel;", UnknownNameError, "tabel", "no variable 'tabel'", ["table"]),
     (
         "SELECT id FROM kitchen WHERE isRobott(this);",
