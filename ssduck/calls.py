@@ -13,9 +13,10 @@ from ssduck.dependencies import IMPURE, OVER_TIME
 from ssduck.errors import ArgumentError
 from ssduck.formulas import expanded, looked_up
 from ssduck.lists import element_at
+from ssduck.own import SIGNS, SIGNS_OF_ONE
 from ssduck.relations import Parameter, Relation
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue, copied, failure, or_failure
-from ssduck.tree import Call, Node, Query
+from ssduck.tree import Binary, Call, Node, Query, Unary
 from ssduck.types import INTEGER, REAL, TEXT, Tag
 from ssduck.udfs import RELATIONS
 
@@ -38,6 +39,11 @@ def call(sql: Expressions, node: Call) -> SqlValue:
         raise NotSqlError
     if node.name in RELATIONS:
         return _relation(sql, RELATIONS[node.name], node)
+    if node.name in SIGNS:
+        left, right = node.arguments
+        return sql.value(Binary(node.span, SIGNS[node.name], left, right))
+    if node.name in SIGNS_OF_ONE:
+        return sql.value(Unary(node.span, SIGNS_OF_ONE[node.name], *node.arguments))
     if node.name == "count" and isinstance(node.arguments[0], Query):
         return subqueries.counted(sql, node.arguments[0])
     values = [sql.value(argument) for argument in node.arguments]

@@ -23,17 +23,8 @@ from ssduck.errors import (
 from ssduck.keys import NUMPYS, written
 from ssduck.limits import Meter
 from ssduck.messages import bounded, shown, unusable
-from ssduck.operators import (
-    CHAINS,
-    GROWING,
-    OPERATORS,
-    QUICK,
-    apply,
-    apply_unary,
-    check_size,
-    indexed,
-    truth,
-)
+from ssduck.operations import binary, chain, is_decided, unary
+from ssduck.operators import check_size, indexed, truth
 from ssduck.temporal import horizon_of
 from ssduck.tree import (
     Aged,
@@ -41,6 +32,7 @@ from ssduck.tree import (
     Bare,
     Binary,
     Call,
+    Chain,
     Endless,
     Given,
     If,
@@ -80,6 +72,9 @@ class Scope(Protocol):
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
 
     def is_users(self, name: str) -> bool:
         """Whether that is a user's function."""
@@ -250,7 +245,7 @@ class Compiler:
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """A part as a function that tells whether it holds."""
         thunk = self.thunk(node)
-        if isinstance(node, Binary) and node.operator in CHAINS:
+        if is_decided(node):
             return thunk  # which is True or False
 
         def holds(frame: Frame) -> bool:
@@ -294,14 +289,12 @@ class Compiler:
                 return self._call(node)
             case Index():
                 return self._index(node)
-            case Unary(operator=sign, operand=operand):
-                if sign == "NOT":
-                    holds = self.condition(operand)
-                    return lambda frame: not holds(frame)
-                inner = self.thunk(operand)
-                return lambda frame: apply_unary(sign, inner(frame), node.span)
+            case Unary():
+                return unary(self, node)
             case Binary():
-                return self._binary(node)
+                return binary(self, node)
+            case Chain():
+                return chain(self, node)
             case If():
                 return self._choice(node)
             case Assignment():
@@ -357,7 +350,7 @@ class Compiler:
 
     def _bare(self, node: Bare) -> Thunk:
         name = node.name
-        call = Call(node.span, name, (This(node.span, None),), node.span)
+        this = (This(node.span, None),)
 
         def value(frame: Frame) -> Any:
             element = frame.elements.get(None)
@@ -371,6 +364,7 @@ class Compiler:
                     f"there is no key, variable or function {shown(name)}",
                     suggestions=nearest(name, [*keys, *frame.scope.names()]),
                 )
+            call = Call(node.span, frame.scope.meant(name), this, node.span)
             frame.scope.check_call(call)
             return frame.scope.call(call, [element], frame)
 
@@ -423,64 +417,21 @@ class Compiler:
 
         return element
 
-    def _binary(self, node: Binary) -> Thunk:
-        sign = node.operator
-        if sign in CHAINS:
-            return self._chain(node)
-        operate = OPERATORS[sign]
-        if sign in GROWING:
-            left, right = self.thunk(node.left), self.thunk(node.right)
-            quick = QUICK[sign]
-
-            def growing(frame: Frame) -> Any:
-                a, b = left(frame), right(frame)
-                if type(a) is type(b) and type(a) in quick:
-                    return operate(a, b)
-                return apply(sign, a, b, node.span)
-
-            return growing
-        left, right = self._operand(node.left), self._operand(node.right)
-
-        def operation(frame: Frame) -> Any:
-            a, b = left(frame), right(frame)
-            try:
-                return operate(a, b)
-            except Exception:  # noqa: BLE001  # `apply` tells which
-                return apply(sign, a, b, node.span)
-
-        return operation
-
-    def _operand(self, node: Node) -> Thunk:
-        """A side of an operator, which keeps nothing of it: a list is made once."""
-        if not isinstance(node, ListOf) or not _is_written_out(node):
-            return self.thunk(node)
-        fixed = self._thunk(node)(Frame(self._scope))
-        return lambda _: fixed
-
-    def _chain(self, node: Binary) -> Callable[[Frame], bool]:
-        """AND, OR: the right side counts if the left one does not decide."""
-        decides = node.operator == "OR"
-        left, right = self.thunk(node.left), self.thunk(node.right)
-
-        def holds(frame: Frame) -> bool:
-            value = left(frame)
-            if value is not True and value is not False:
-                value = truth(value, node.left)
-            if value is decides:
-                return decides
-            value = right(frame)
-            return value if value is True or value is False else truth(value, node.right)
-
-        return holds
+    def made(self, node: Node) -> Any:
+        """The value of a part that depends on nothing."""
+        return self._thunk(node)(Frame(self._scope))
 
     def _choice(self, node: If) -> Thunk:
-        condition = self.condition(node.condition)
-        then = [self.thunk(part) for part in node.then]
-        otherwise = [self.thunk(part) for part in node.otherwise]
+        branches = [
+            (self.condition(branch.condition), list(map(self.thunk, branch.then)))
+            for branch in node.branches
+        ]
+        otherwise = list(map(self.thunk, node.otherwise))
 
         def choice(frame: Frame) -> Any:
+            chosen = next((then for condition, then in branches if condition(frame)), otherwise)
             value: Any = False
-            for part in then if condition(frame) else otherwise:
+            for part in chosen:
                 value = part(frame)
             return value
 
@@ -520,12 +471,6 @@ class Compiler:
 def _refuse_state(name: str, frame: Frame) -> None:
     if name in frame.local:
         raise ArgumentError(f"{name} is a state variable here, and these have no history")
-
-
-def _is_written_out(node: Node) -> bool:
-    if isinstance(node, ListOf):
-        return all(map(_is_written_out, node.items))
-    return isinstance(node, Literal)
 
 
 def _placed(node: Node, thunk: Thunk) -> Thunk:

@@ -14,7 +14,8 @@ from ssduck.errors import FunctionError, LimitError, SelectScriptError
 from ssduck.hints import Hints, hints_of
 from ssduck.keys import ATOMS, NUMPYS, hashable
 from ssduck.messages import bounded, reason
-from ssduck.operators import apply
+from ssduck.operators import apply, apply_unary
+from ssduck.own import NAMES
 
 # A double has no digits beyond these, before or behind the point.
 MOST_DIGITS = 400
@@ -173,8 +174,18 @@ _OTHERS = (
     _builtin("float", float, "Returns a value as a float.", "float(value) -> float"),
 )
 
+# A name that is a word of the language calls nothing; `pow` is among the others.
+_OF_OPERATORS = (
+    _builtin("neg", partial(apply_unary, "-"), "Returns -a.", "neg(a) -> number"),
+    *(
+        _builtin(name, partial(apply, sign), f"Returns a {sign} b.", f"{name}(a, b) -> value", 2)
+        for sign, name in NAMES.items()
+        if not sign.isalpha() and sign != "^"
+    ),
+)
+
 AGGREGATES: dict[str, Function] = {function.name: function for function in _OF_LISTS}
 
 BUILTINS: dict[str, Function] = {
-    function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS
+    function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS + _OF_OPERATORS
 }

@@ -30,6 +30,7 @@ from ssduck.language import parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
 from ssduck.names import check_name
+from ssduck.own import NAMED
 from ssduck.programs import Compiled, tree_of
 from ssduck.recording import Recording
 from ssduck.result import Result
@@ -39,7 +40,6 @@ from ssduck.shown import MOST_ROWS, Shown
 from ssduck.spelled import Columns, Condition, Elements, Part
 from ssduck.tree import Query
 from ssduck.triggers import Triggers, TriggerVerbs
-from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
 # Seconds of simulated time whose ticks are kept in memory, if nothing else is asked for.
@@ -196,22 +196,35 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
             help: what `help('name')` tells; by default its docstring.
 
         Raises:
-            ArgumentError: the name is that of a relation or of a function of the language.
+            ArgumentError: the name is none, or that of what no function can replace.
+
+        Warns:
+            UserWarning: the function replaces a relation, a function or an operator of the
+                language (`on`, `count`, `add` for `+`) in this interpreter's programs.
         """
-        check_name(name, "a function")
-        known = self._functions.get(name)
-        if name in RELATIONS or (known is not None and known.builtin):
-            raise ArgumentError(f"{name!r} is a function of the language; choose another name")
+        if not isinstance(name, str) or name not in NAMED:
+            check_name(name, "a function")
         if not callable(function):
             raise ArgumentError(f"{name}: {shown(function)} is no function")
         with self._lock:
-            self._functions[name] = Function.of(name, function, help)
-            self._planner.forget()
+            self._adopt(Function.of(name, function, help))
+            self._functions_changed()
+
+    def del_function(self, name: str) -> None:
+        """Remove a function that was added; what it replaced is there again.
+
+        Raises:
+            UnknownNameError: there is none, with the nearest names.
+        """
+        with self._lock:
+            self._drop(name)
+            self._functions_changed()
 
     # The tutorial's spellings.
     addVariable = add_variable  # noqa: N815
     callVariable = call_variable  # noqa: N815
     addFunction = add_function  # noqa: N815
+    delFunction = del_function  # noqa: N815
 
     # -- simulated time -------------------------------------------------------------------
 

@@ -9,19 +9,20 @@ no database and no variable: names are looked up when a program runs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import ClassVar, NoReturn, TypeVar
 
 from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
 from sqlglot.tokens import Tokenizer
 
+from ssduck.chains import Row
 from ssduck.errors import ParseError, Span, nearest
 from ssduck.tree import (
     Adapter,
     Aged,
     Assignment,
-    Binary,
+    Branch,
     Call,
     Endless,
     If,
@@ -184,7 +185,11 @@ class _Parser:
         return _span(self.token)
 
     def since(self, start: Span) -> Span:
-        return Span(start.start, _span(self.tokens[self.index - 1]).end)
+        return Span(start.start, self.end())
+
+    def end(self) -> int:
+        """Where the text of what was taken last ends."""
+        return _span(self.tokens[self.index - 1]).end
 
     def fail(self, message: str) -> NoReturn:
         token = self.token
@@ -386,10 +391,12 @@ class _Parser:
         else:
             left = self.unary()
         while (level := self.operator_level()) >= loosest:
-            operator = self.tokens[self.index].text.upper()
-            self.index += 1
-            right = self.operation(level + 1)
-            left = Binary(self.since(start), operator, left, right)
+            row = Row(start.start, left, self.end())
+            while self.operator_level() == level:
+                operator = self.tokens[self.index].text.upper()
+                self.index += 1
+                row.add(operator, self.operation(level + 1), self.end())
+            left = row.node()
         return left
 
     def operator_level(self) -> int:
@@ -418,19 +425,16 @@ class _Parser:
     def postfix(self) -> Node:
         start = self.here()
         node = self.primary()
-        depth = self.depth
+        indices: list[Node] = []
         while self.at(TokenType.L_BRACKET) or self.at(TokenType.DOT):
-            self.descend()
             if self.take(TokenType.L_BRACKET):
-                indices = self.separated(self.expression)
+                indices.extend(self.separated(self.expression))
                 self.expect(TokenType.R_BRACKET, "']'")
             else:
                 self.expect(TokenType.DOT, "'.'")
                 key = self.expect_name("a key")
-                indices = (Literal(_span(key), key.text),)
-            node = Index(self.since(start), node, indices)
-        self.depth = depth
-        return node
+                indices.append(Literal(_span(key), key.text))
+        return Index(self.since(start), node, tuple(indices)) if indices else node
 
     def primary(self) -> Node:
         token = self.token
@@ -487,16 +491,52 @@ class _Parser:
         return Name(start, name.text)
 
     def choice(self) -> If:
+        """`IF(condition; …; …)`; an `IF` that is a whole else branch is a branch of this one."""
         start = self.here()
         self.index += 2
-        condition = self.statement()
-        self.expect(TokenType.SEMICOLON, "';' after the condition")
-        then = self.separated(self.statement)
+        branches = [self.branch(start)]
         otherwise: tuple[Node, ...] = ()
-        if self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
-            otherwise = self.separated(self.statement)
-        self.expect(TokenType.R_PAREN, "')'")
-        return If(self.since(start), condition, then, otherwise)
+        open_ones = 1
+        while self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
+            if not self.at_last_choice():
+                otherwise = self.separated(self.statement)
+                break
+            inner = self.here()
+            self.index += 2
+            open_ones += 1
+            branches.append(self.branch(inner))
+        for _ in range(open_ones):
+            self.expect(TokenType.R_PAREN, "')'")
+        first, *further = branches
+        return If(self.since(start), first.condition, first.then, otherwise, tuple(further))
+
+    def branch(self, start: Span) -> Branch:
+        """`condition; then, …`; without a then it is True, as in the published grammar."""
+        condition = self.statement()
+        if self.at(TokenType.R_PAREN):
+            return Branch(self.since(start), condition, (Literal(self.since(start), True),))
+        self.expect(TokenType.SEMICOLON, "';' or ')' after the condition")
+        return Branch(self.since(start), condition, self.separated(self.statement))
+
+    def at_last_choice(self) -> bool:
+        """Whether an `IF(…)` comes next, and then the end of the one that it is in."""
+        if not self.at_word("IF") or not _is(self.ahead(), TokenType.L_PAREN):
+            return False
+        close = self.closings.get(self.index + 1)
+        behind = None if close is None else self.ahead(close + 1 - self.index)
+        return _is(behind, TokenType.R_PAREN)
+
+    @cached_property
+    def closings(self) -> dict[int, int]:
+        """Where the token is that closes a parenthesis, by where that is."""
+        found: dict[int, int] = {}
+        open_ones: list[int] = []
+        for index, token in enumerate(self.tokens):
+            if token.token_type == TokenType.L_PAREN:
+                open_ones.append(index)
+            elif token.token_type == TokenType.R_PAREN and open_ones:
+                found[open_ones.pop()] = index
+        return found
 
 
 def _last_opening(text: str) -> int:

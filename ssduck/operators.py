@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import Any
 
@@ -14,6 +14,14 @@ from ssduck.tree import Node
 # Larger results are refused: they are mistakes, and nothing could stop them.
 MOST_BITS = 1_000_000
 MOST_ELEMENTS = 10_000_000
+
+
+def _remainder(left: Any, right: Any) -> Any:
+    """A remainder: of a text, Python's % would be its formatting, of whatever length."""
+    if isinstance(left, str | bytes | bytearray):
+        raise TypeError("texts have no remainder")
+    return left % right
+
 
 OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "XOR": lambda left, right: bool(left) != bool(right),
@@ -28,7 +36,7 @@ OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "-": operator.sub,
     "*": operator.mul,
     "/": operator.truediv,
-    "%": operator.mod,
+    "%": _remainder,
     "^": operator.pow,
 }
 _UNARY: dict[str, Callable[[Any], Any]] = {
@@ -75,11 +83,11 @@ def _is_endless(sign: str, left: Any, right: Any) -> bool:
         if sign == "^":
             return abs(left) > 1 and right * left.bit_length() > MOST_BITS
         return sign == "*" and left.bit_length() + right.bit_length() > MOST_BITS
-    if sign == "+" and isinstance(left, str | list) and type(left) is type(right):
+    if sign == "+" and isinstance(left, Sequence) and isinstance(right, Sequence):
         return len(left) + len(right) > MOST_ELEMENTS
     if sign == "*":
         for sequence, times in ((left, right), (right, left)):
-            if isinstance(sequence, str | list) and isinstance(times, int):
+            if isinstance(sequence, Sequence) and isinstance(times, int):
                 return len(sequence) * times > MOST_ELEMENTS
     return False
 
@@ -110,7 +118,7 @@ def _leaves(values: list[Any], counted: dict[int, int]) -> int:
     return count
 
 
-def apply_unary(sign: str, value: Any, span: Span) -> Any:
+def apply_unary(sign: str, value: Any, span: Span | None = None) -> Any:
     """The value of - or +.
 
     Raises:

@@ -8,6 +8,7 @@ from typing import Literal, Protocol, TypeAlias
 
 from sqlglot import exp
 
+from ssduck import tree
 from ssduck.rows import Column, Rest
 from ssduck.tree import Call, Node, Query
 from ssduck.types import Signature, Tag
@@ -62,6 +63,9 @@ class Names(Protocol):
 
     def deferred(self, name: str) -> Node | None:
         """The list that a variable holds for the query that uses it, None if it holds none."""
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
@@ -185,6 +189,8 @@ class Plan:
 
     def is_left(self, node: Node) -> bool:
         """Whether a part is evaluated in Python for each row."""
+        if isinstance(node, tree.Literal):
+            return False
         return node not in self.known and node not in self.once
 
 

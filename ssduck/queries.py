@@ -77,7 +77,9 @@ class Planned:
         self._clauses: Clauses | None = None
         if plan.outputs is None:
             known = {node: self._column(output) for node, output in plan.known.items()}
-            compiler = Compiler(scope, known, plan.once, memorize=not is_impure(plan.query))
+            compiler = Compiler(
+                scope, known, frozenset(plan.once), memorize=not is_impure(plan.query)
+            )
             self._clauses = Clauses(plan.rest, compiler)
 
     @property

@@ -12,6 +12,7 @@ from typing import Any, overload
 
 from ssduck.errors import ArgumentError
 from ssduck.evaluate import Frame
+from ssduck.own import plain
 from ssduck.rows import Column
 from ssduck.tree import Aged, Bare, Call, Index, Literal, Name, Node, Query, This
 
@@ -146,7 +147,7 @@ def _plain_name(node: Node) -> str:
     """What a column is called that `to` does not name."""
     match node:
         case Call(name=name) | Bare(name=name) | Name(name=name) | Aged(name=name):
-            return name
+            return plain(name)
         case Index(indices=(*_, Literal(value=str() as key))):
             return key
         case This(alias=alias):

@@ -16,6 +16,7 @@ from typing import Literal
 from sqlglot import exp
 
 from ssduck import subqueries, tree
+from ssduck.chains import conjuncts
 from ssduck.dependencies import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
@@ -107,9 +108,9 @@ class _Translator:
             return self._recursive()
         self._note_only()
         conditions = [
-            self._pairs(node) or self._condition(node) for node in _conjuncts(self.query.where)
+            self._pairs(node) or self._condition(node) for node in conjuncts(self.query.where)
         ]
-        left = [n for n, c in zip(_conjuncts(self.query.where), conditions, strict=True) if not c]
+        left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
         for column in self.selected:
             self._item(column.node)
             if isinstance(column.name, Node):
@@ -223,7 +224,7 @@ class _Translator:
         worlds = {shape.alias: shape.schema for shape in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
-        others = [part for part in _conjuncts(self.query.where) if part is not node]
+        others = [part for part in conjuncts(self.query.where) if part is not node]
         alone = any(len(free_aliases(part) & aliases) == 1 for part in others)
         if alone or len(schemas) > 1 or None in schemas:
             return None
@@ -240,7 +241,7 @@ class _Translator:
 
     def _note_only(self) -> None:
         """Note of which one entity sources are: by `this == cup`, by `id(this) == 'cup'`."""
-        for node in _conjuncts(self.query.where):
+        for node in conjuncts(self.query.where):
             match node:
                 case Binary(operator="==", left=This() as row, right=other):
                     pass
@@ -393,7 +394,7 @@ class _Translator:
 
     def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
         """Leave a part to Python: fetch the largest parts of it that SQL can do."""
-        if node in but:
+        if node in but or isinstance(node, tree.Literal):
             return
         if self.sql.is_constant(node):
             self.result.once.append(node)
@@ -409,17 +410,17 @@ class _Translator:
         except NotSqlError:
             # A nested query runs by itself, and sees the elements.
             if not isinstance(node, Query):
-                for child in node.children():
+                for child in _parts(node):
                     self._leave(child, but)
 
 
-def _conjuncts(node: Node | None) -> Iterator[Node]:
-    """The parts of a condition that are joined by AND, in order."""
-    if isinstance(node, Binary) and node.operator == "AND":
-        yield from _conjuncts(node.left)
-        yield from _conjuncts(node.right)
-    elif node is not None:
-        yield node
+def _parts(node: Node) -> Iterator[Node]:
+    """What is fetched of a part that SQL cannot do; of so many comparisons, what they compare."""
+    for child in node.children():
+        if isinstance(node, tree.Chain) and isinstance(child, Binary):
+            yield from child.children()
+        else:
+            yield child
 
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:

@@ -151,12 +151,52 @@ class Binary(Node):
 
 
 @dataclass(frozen=True, eq=False)
+class Chain(Node):
+    """`a + b - c …`: so many operators of one level in a row that they are kept flat.
+
+    Attributes:
+        operators: one less than there are operands.
+        operands: from the left.
+        ends: where the text of each operand ends.
+    """
+
+    operators: tuple[str, ...]
+    operands: tuple[Node, ...]
+    ends: tuple[int, ...]
+
+    def until(self, index: int) -> Span:
+        """The place of the operands up to this one."""
+        return Span(self.span.start, self.ends[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Branch(Node):
+    """An `IF` that is all there is in the else branch of another one, without its own."""
+
+    condition: Node
+    then: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class If(Node):
-    """`IF(condition; then, …; else, …)`: of each branch the last value counts."""
+    """`IF(condition; then, …; else, …)`: of each branch the last value counts.
+
+    Attributes:
+        condition: what decides.
+        then: what is evaluated where it holds.
+        otherwise: what is evaluated where nothing holds.
+        further: what is asked where it does not hold, one after another.
+    """
 
     condition: Node
     then: tuple[Node, ...]
     otherwise: tuple[Node, ...]
+    further: tuple[Branch, ...] = ()
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """All conditions, with what is evaluated where they hold."""
+        return (Branch(self.span, self.condition, self.then), *self.further)
 
 
 @dataclass(frozen=True, eq=False)
