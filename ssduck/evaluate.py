@@ -22,6 +22,7 @@ from ssduck.errors import (
 )
 from ssduck.keys import NUMPYS, written
 from ssduck.limits import Meter
+from ssduck.memo import MEMOS, Memo
 from ssduck.messages import bounded, shown, unusable
 from ssduck.operations import binary, chain, is_decided, unary
 from ssduck.operators import check_size, indexed, truth
@@ -378,7 +379,7 @@ class Compiler:
 
         function = self._scope.builtin(node.name)
         if self.calls_once(node):  # what a name means does not change while a query runs
-            function = self._scope.function(node.name)
+            return self._remembered(node, thunks)
 
         def call(frame: Frame) -> Any:
             arguments = [thunk(frame) for thunk in thunks]
@@ -392,18 +393,29 @@ class Compiler:
             except (ValueError, ArithmeticError, MemoryError) as error:
                 raise unusable(error, node.span) from error
 
-        if not self.calls_once(node):
-            return call
-        key = written(node)
+        return call
 
-        def once_a_row(frame: Frame) -> Any:
+    def _remembered(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
+        """A call of a user's function: made once for a row, and once for the same values."""
+        key, name = written(node), node.name
+        function = self._scope.function(name)
+        assert function is not None
+
+        def call(frame: Frame) -> Any:
             calls = frame.calls
             if key in calls:
                 return calls[key]
-            value = calls[key] = call(frame)
+            arguments = [thunk(frame) for thunk in thunks]
+            memos = frame.kept.get(MEMOS)
+            asked = function
+            if memos is not None:
+                asked = memos.get(name)
+                if asked is None:
+                    asked = memos[name] = Memo(function)
+            value = calls[key] = asked(arguments)
             return value
 
-        return once_a_row
+        return _placed(node, call)
 
     def _index(self, node: Index) -> Thunk:
         base = self.thunk(node.base)

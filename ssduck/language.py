@@ -263,8 +263,11 @@ class _Parser:
             self.fail(f"expected '=' ({what} has no history)")
         return self.assignment()
 
-    def state(self) -> Assignment:
-        return self.plain_assignment("a state variable")
+    def state(self) -> Node:
+        """An assignment to a state variable, or what is evaluated beside those."""
+        if self.at_assignment():
+            return self.plain_assignment("a state variable")
+        return self.expression()
 
     # -- queries --------------------------------------------------------------------------
 
@@ -328,7 +331,7 @@ class _Parser:
 
     def recursion(self) -> Recursion | None:
         start = self.here()
-        initial: tuple[Assignment, ...] = ()
+        initial: tuple[Node, ...] = ()
         if self.take_words("START", "WITH"):
             initial = self.separated(self.state)
         elif not self.at_word("CONNECT"):

@@ -107,7 +107,7 @@ class Output:
 class Graph:
     """What is made of the edges that a statement yields: how long its paths, how many."""
 
-    longest: int | None
+    longest: int
     most: int | None
 
 

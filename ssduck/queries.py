@@ -26,6 +26,7 @@ from ssduck.errors import SelectScriptError, SqlError
 from ssduck.evaluate import Compiler, Frame, Scope, Thunk
 from ssduck.graphs import Vertex, simple_paths
 from ssduck.hierarchy import Hierarchy
+from ssduck.memo import MEMOS
 from ssduck.plan import Graph, Output, Plan, Shape
 from ssduck.resolve import Resolved
 from ssduck.rows import Clauses, Column, Paths, Rest, Rows, Selected, combinations, row_frames
@@ -216,7 +217,7 @@ class Planned:
         around.pop(None, None)
         getters = [(shape.alias, self._element(shape, sources)) for shape in plan.shapes]
         only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
-        kept = dict(outer.kept)
+        kept = {MEMOS: {}, **outer.kept}
         step = outer.scope.meter.step
         for columns in fetched:
             step()
@@ -370,7 +371,7 @@ class RowByRow:
             values: those of the sources.
         """
         elements = all_elements(values)
-        kept = dict(outer.kept)
+        kept = {MEMOS: {}, **outer.kept}
         if self._search is None:
             return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
         return self._search.selected(outer, self._rows_of_states(outer, elements, kept), kept)

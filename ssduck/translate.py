@@ -111,6 +111,8 @@ class _Translator:
             self._pairs(node) or self._condition(node) for node in conjuncts(self.query.where)
         ]
         left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
+        if left and self._is_product_of_lists() and not any(conditions):
+            raise NotSqlError  # all of their combinations come to Python, which can make them
         for column in self.selected:
             self._item(column.node)
             if isinstance(column.name, Node):
@@ -211,6 +213,13 @@ class _Translator:
         ]
 
     # -- clauses ----------------------------------------------------------------------------
+
+    def _is_product_of_lists(self) -> bool:
+        """Whether the sources are several lists that Python has."""
+        shapes = self.result.shapes
+        return len(shapes) > 1 and all(
+            s.given and s.tag is not None and s.tag.type != "record" for s in shapes
+        )
 
     def _pairs(self, node: Node) -> exp.Expr | None:
         """A condition on two sources that are one world, with all of its pairs joined.

@@ -231,15 +231,18 @@ class Key(Node):
 
 @dataclass(frozen=True, eq=False)
 class Recursion(Node):
-    """`START WITH … CONNECT BY … STOP WITH …`; `memorize` is the n of `MEMORIZE n`."""
+    """`START WITH … CONNECT BY … STOP WITH …`; `memorize` is the n of `MEMORIZE n`.
 
-    start: tuple[Assignment, ...]
+    In `start` and `step` are assignments to state variables, and what is evaluated beside those.
+    """
+
+    start: tuple[Node, ...]
     no_cycle: bool
     unique: bool
     memorizes: bool
     memorize: Node | None
     maximum: Node | None
-    step: tuple[Assignment, ...]
+    step: tuple[Node, ...]
     stop: Node
 
 
