@@ -455,6 +455,12 @@ class Compiler:
         seen = free_aliases(node.value) if isinstance(node.value, ListOf) else frozenset()
 
         def assign(frame: Frame) -> Any:
+            if node.is_bare and name not in frame.local and not frame.scope.has_variable(name):
+                raise UnknownNameError(
+                    f"there is no variable {shown(name)} that could be assigned here: "
+                    "write == to compare, or assign it before the query",
+                    span=node.span,
+                )
             seconds = None if horizon is None else horizon(frame)
             if seen and None not in seen and not frame.elements:
                 assigned: Any = frame.scope.deferred(node.value)

@@ -37,7 +37,7 @@ from ssduck.result import Result
 from ssduck.running import run
 from ssduck.shapes import Statistics
 from ssduck.shown import MOST_ROWS, Shown
-from ssduck.spelled import Columns, Condition, Elements, Part
+from ssduck.spelled import Columns, Condition, Elements, Part, SpelledForms, takes_results
 from ssduck.tree import Query
 from ssduck.triggers import Triggers, TriggerVerbs
 from ssduck.world import World
@@ -46,7 +46,7 @@ from ssduck.world import World
 KEPT = 60.0
 
 
-class Interpreter(Execution, RecordVerbs, TriggerVerbs):
+class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -310,19 +310,27 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
     def _spelled(self, node: Query, frame: Frame) -> tuple[Any, ...]:
         """The arguments of `evalAs`."""
         resolved, values = self._planner.spelled(node, frame)
-        parts = Columns(node, resolved, frame)
+        parts, names, elements = Columns(node, resolved, frame), aliases_of(node), Elements(values)
         where: Condition | list[Any] = [] if node.where is None else Condition(node.where, frame)
-        return parts.form, parts, Elements(values), aliases_of(node), where
+        if not takes_results(type(self).evalAs):
+            return parts.form, parts, elements, names, where
+        given = () if node.adapter is None else node.adapter.arguments
+        left = [e for e in elements if not isinstance(where, Condition) or where.value(e, names)]
+        return parts.form, [frame.value(part) for part in given], parts, names, left
 
     def evalAs(  # noqa: N802  # the tutorial's name
         self,
         form: str,
-        select: Columns,
-        elements: Elements,  # noqa: ARG002
+        select: Columns | list[Any],
+        elements: Elements | Columns,
         names: list[str],  # noqa: ARG002
         where: Condition | list[Any],  # noqa: ARG002
     ) -> Any:
         """What a query gives; a subclass that overrides it makes forms of its own.
+
+        A subclass may also have the parameters `(AS, PARAMS, SELECT, FROM_n, RESULTS)` of the
+        published interpreters: the form, the values of its arguments, the columns, the names of
+        the sources, and a list of tuples of elements: the rows that WHERE leaves.
 
         Of such a subclass it is called for each query that Python evaluates; one that is a part
         of another's SQL is not seen. `ssduck.adapter` is the shorter way.
@@ -335,8 +343,10 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
             names: of the sources.
             where: a part, too; `[]` if there is none.
         """
-        query, frame = select.query, select.frame
-        asked = form_of(query, frame) if form == select.form else Form(form, find(form))
+        parts = elements if isinstance(elements, Columns) else select
+        assert isinstance(parts, Columns)
+        query, frame = parts.query, parts.frame
+        asked = form_of(query, frame) if form == parts.form else Form(form, find(form))
         return self._formed(query, frame, asked)
 
 

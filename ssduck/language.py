@@ -9,6 +9,7 @@ no database and no variable: names are looked up when a program runs.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import ClassVar, NoReturn, TypeVar
 
@@ -18,6 +19,7 @@ from sqlglot.tokens import Tokenizer
 
 from ssduck.chains import Row
 from ssduck.errors import ParseError, Span, nearest
+from ssduck.quotes import unquoted
 from ssduck.tree import (
     Adapter,
     Aged,
@@ -276,12 +278,12 @@ class _Parser:
         self.descend()
         self.expect_word("SELECT")
         star = self.at(TokenType.STAR)
-        items = () if self.take(TokenType.STAR) else self.separated(self.expression)
+        items = () if self.take(TokenType.STAR) else self.separated(self.part)
         if star and not self.at_word("FROM"):
             self.fail("expected FROM after *")
         self.expect_word("FROM")
         sources = self.separated(self.source)
-        where = self.expression() if self.take_words("WHERE") else None
+        where = self.part() if self.take_words("WHERE") else None
         recursion = self.recursion()
         group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
         having = self.expression() if self.take_words("HAVING") else None
@@ -301,6 +303,15 @@ class _Parser:
             limit,
             adapter,
         )
+
+    def part(self) -> Node:
+        """What stands in SELECT or WHERE: an expression, or an assignment to a variable."""
+        if not self.at_assignment():
+            return self.expression()
+        self.descend()
+        node = replace(self.assignment(), is_bare=True)
+        self.depth -= 1
+        return node
 
     def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
         parts = [part()]
@@ -447,7 +458,7 @@ class _Parser:
         if self.take(TokenType.NUMBER):
             return Literal(start, self.number(token))
         if self.take(TokenType.STRING):
-            return Literal(start, token.text)
+            return Literal(start, unquoted(self.text[_slice(token)]))
         if self.take(TokenType.L_PAREN):
             node = self.statement()
             self.expect(TokenType.R_PAREN, "')'")

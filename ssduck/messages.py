@@ -70,7 +70,7 @@ def described(value: Any) -> str:
         return "an empty list"
     kinds = list(dict.fromkeys(map(kind_of, islice(value, MOST_LETTERS))))
     more = ", …" if len(kinds) > _MOST_KINDS else ""
-    return f"a list of {', '.join(kinds[:_MOST_KINDS])}{more}"
+    return f"a list with {', '.join(kinds[:_MOST_KINDS])}{more}"
 
 
 def unusable(error: Exception, span: Span | None) -> EvaluationError:

@@ -157,7 +157,10 @@ def indexed(value: Any, index: Any, span: Span) -> Any:
     """
     try:
         return value[index]
-    except (SelectScriptError, RecursionError):
+    except RecursionError:
+        raise
+    except SelectScriptError as error:  # a world knows its entities, and not where they stand
+        error.span = error.span or span
         raise
     except (IndexError, KeyError) as error:
         raise _no_such(value, index, span, error) from error

@@ -8,7 +8,6 @@ from typing import Literal, Protocol, TypeAlias
 
 from sqlglot import exp
 
-from ssduck import tree
 from ssduck.rows import Column, Rest
 from ssduck.tree import Call, Node, Query
 from ssduck.types import Signature, Tag
@@ -189,8 +188,6 @@ class Plan:
 
     def is_left(self, node: Node) -> bool:
         """Whether a part is evaluated in Python for each row."""
-        if isinstance(node, tree.Literal):
-            return False
         return node not in self.known and node not in self.once
 
 

@@ -10,7 +10,7 @@ from ssduck.errors import ArgumentError
 from ssduck.own import plain
 from ssduck.plan import Names, Shape
 from ssduck.rows import Column
-from ssduck.tree import Aged, Bare, Call, Index, Key, Literal, Name, Node, Query, This
+from ssduck.tree import Aged, Assignment, Bare, Call, Index, Key, Literal, Name, Node, Query, This
 
 
 @dataclass
@@ -82,6 +82,8 @@ class _Resolver:
                     raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
                 case Call(name=name) | Name(name=name) | Aged(name=name):
                     yield Column(self._meant(node), plain(name))
+                case Assignment(name=name, is_bare=True):
+                    yield Column(self._meant(node), name)
                 case This(alias=alias):
                     yield Column(node, alias or "this")
                 case Index(indices=(*_, Literal(value=str() as key))):

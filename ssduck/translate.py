@@ -403,7 +403,7 @@ class _Translator:
 
     def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
         """Leave a part to Python: fetch the largest parts of it that SQL can do."""
-        if node in but or isinstance(node, tree.Literal):
+        if node in but:
             return
         if self.sql.is_constant(node):
             self.result.once.append(node)

@@ -206,11 +206,19 @@ class Endless(Node):
 
 @dataclass(frozen=True, eq=False)
 class Assignment(Node):
-    """`name = value`, or `name{horizon} = value`."""
+    """`name = value`, or `name{horizon} = value`.
+
+    Attributes:
+        name: of the variable.
+        horizon: how long it keeps its values.
+        value: what it is assigned.
+        is_bare: whether it stands as a whole in SELECT or WHERE, where `==` may have been meant.
+    """
 
     name: str
     horizon: Node | None
     value: Node
+    is_bare: bool = False
 
 
 @dataclass(frozen=True, eq=False)
