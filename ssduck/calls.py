@@ -68,7 +68,7 @@ def call(sql: Expressions, node: Call) -> SqlValue:
 def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
     count = len(node.arguments)
     values = {
-        parameter.name: _argument(sql, parameter, argument)
+        parameter.name: _argument(sql, relation, parameter, argument)
         for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
     }
     sql.ticks.follow(values)
@@ -98,7 +98,7 @@ def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
     return SqlValue(found, tag, natural=relation.name == "tick", extent=extent)
 
 
-def _argument(sql: Expressions, parameter: Parameter, node: Node) -> SqlValue:
+def _argument(sql: Expressions, relation: Relation, parameter: Parameter, node: Node) -> SqlValue:
     value = sql.value(node)
     if value.tag.nullable:
         raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
@@ -115,17 +115,19 @@ def _argument(sql: Expressions, parameter: Parameter, node: Node) -> SqlValue:
     element = value.tag.element
     if parameter.type == "place" and value.tag.type == "list" and element and element.is_number:
         if value.tag.length != 3:
-            raise _wrong(sql, parameter, "a list of another length", node)
+            raise _wrong(sql, relation, parameter, "a list of another length", node)
         index = {"x": 1, "y": 2, "z": 3}
         return replace(value, column=lambda name: element_at(value, index[name]))
-    raise _wrong(sql, parameter, value.tag.words, node)
+    raise _wrong(sql, relation, parameter, value.tag.words, node)
 
 
-def _wrong(sql: Expressions, parameter: Parameter, found: str, node: Node) -> Exception:
+def _wrong(
+    sql: Expressions, relation: Relation, parameter: Parameter, found: str, node: Node
+) -> Exception:
     """What to raise of an argument: in a query it is wrong only if a row comes to it."""
     if sql.rows or sql.around is not None:
         return NotSqlError()
-    message = f"{parameter.name} is to be {parameter.meaning}, not {found}"
+    message = f"{relation.name}: {parameter.name} is to be {parameter.meaning}, not {found}"
     return ArgumentError(message, span=node.span)
 
 

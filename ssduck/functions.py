@@ -69,6 +69,8 @@ class Function:
         except (LimitError, RecursionError):
             raise
         except SelectScriptError as error:
+            if self.builtin and isinstance(error, ArgumentError) and error.span is None:
+                raise ArgumentError(f"{self.name}: {error.message}") from error
             if self.builtin:
                 raise
             raise self._failed(error, bounded(error.message)) from error

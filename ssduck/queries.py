@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -22,7 +23,7 @@ from ssduck.dependencies import (
     mentions,
     states,
 )
-from ssduck.errors import SelectScriptError, SqlError
+from ssduck.errors import ArgumentError, SelectScriptError, SqlError
 from ssduck.evaluate import Compiler, Frame, Scope, Thunk
 from ssduck.graphs import Vertex, simple_paths
 from ssduck.hierarchy import Hierarchy
@@ -130,7 +131,7 @@ class Planned:
             fetched = self._fetched(outer, sources)
         except SqlError as error:
             if self.plan.cautious or error.is_final:
-                raise
+                raise _of_relation(error) from error
             if error.is_refused:  # our mistake: the answer is right, but slow
                 warnings.warn(f"DuckDB refused a query's SQL: {error.message}", stacklevel=2)
             self._failures += 1
@@ -241,6 +242,14 @@ class Planned:
         if convert is None:
             return lambda columns: columns[index]
         return lambda columns: convert(columns[index])
+
+
+def _of_relation(error: SqlError) -> SelectScriptError:
+    """What a relation's formula says of its arguments, as an error of the language."""
+    told = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
+    if told is None or told[2] not in RELATIONS:
+        return error
+    return ArgumentError(told[1], span=error.span)
 
 
 def _is_long(past: Any) -> bool:

@@ -107,9 +107,7 @@ class _Translator:
         if self.query.recursion is not None:
             return self._recursive()
         self._note_only()
-        conditions = [
-            self._pairs(node) or self._condition(node) for node in conjuncts(self.query.where)
-        ]
+        conditions = list(self._conditions())
         left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
         if left and self._is_product_of_lists() and not any(conditions):
             raise NotSqlError  # all of their combinations come to Python, which can make them
@@ -214,6 +212,17 @@ class _Translator:
 
     # -- clauses ----------------------------------------------------------------------------
 
+    def _conditions(self) -> Iterator[exp.Expr | None]:
+        """The conditions in SQL; none for those from the first one on that does something."""
+        happens = False
+        for node in conjuncts(self.query.where):
+            happens = happens or is_impure(node)
+            if happens:
+                self._leave(node)
+                yield None
+            else:
+                yield self._pairs(node) or self._condition(node)
+
     def _is_product_of_lists(self) -> bool:
         """Whether the sources are several lists that Python has."""
         shapes = self.result.shapes
@@ -302,6 +311,8 @@ class _Translator:
         ordered: list[exp.Expr] = []
         left: tuple[Key, ...] = ()
         try:
+            if is_impure(self.query):
+                raise NotSqlError  # what happens at rows happens in the order of the sources
             ordered.extend(subqueries.ordered(self.sql, self.query.order))
         except NotSqlError:
             left = self.query.order
