@@ -7,7 +7,7 @@ import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, wraps
 from typing import Any
 
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
@@ -137,6 +137,7 @@ def _avg(values: list[Any]) -> Any:
 def _of_elements(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """A function of the elements of a list: a text's letters are none."""
 
+    @wraps(call)
     def of_list(values: Any) -> Any:
         if isinstance(values, str | bytes):
             raise TypeError("a text is no list")

@@ -27,10 +27,12 @@ class Memo:
 
     Args:
         call: the function.
+        keeps_same: whether the same objects may be given again; SQL makes new ones each time.
     """
 
-    def __init__(self, call: Callable[[list[Any]], Any]) -> None:
+    def __init__(self, call: Callable[[list[Any]], Any], *, keeps_same: bool = True) -> None:
         self._call = call
+        self._keeps_same = keeps_same
         self._same: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
         self._alike: dict[tuple[Any, ...], Any] = {}
         self._asked = self._found = 0
@@ -55,15 +57,23 @@ class Memo:
             value = self._alike[alike]
         else:
             value = self._alike[alike] = self._call(arguments)
-        self._same[same] = (arguments, value)  # which keeps them, so that no other has their ids
+        if self._keeps_same:  # which keeps them, so that no other has their ids
+            self._same[same] = (arguments, value)
         self._tidy()
         return value
 
     def _tidy(self) -> None:
-        if len(self._same) > MOST_KEPT:
+        if len(self._same) > MOST_KEPT or len(self._alike) > MOST_KEPT:
             self._same.clear()
             self._alike.clear()
         if self._asked == TRIED and self._found * _WORTH < self._asked:
             self._is_worth_it = False
             self._same.clear()
             self._alike.clear()
+
+    def forget(self) -> None:
+        """Forget everything: another query begins."""
+        self._same.clear()
+        self._alike.clear()
+        self._asked = self._found = 0
+        self._is_worth_it = True

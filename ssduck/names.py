@@ -7,6 +7,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from inspect import unwrap
 from typing import Any
 
 from ssduck.adapters import tables_of_forms
@@ -147,7 +148,7 @@ class Names:
         if is_own or not (name in RELATIONS or name in NAMED or known is not None):
             self._functions[name] = function
             return
-        if known is not None and known.call is function.call:
+        if known is not None and unwrap(known.call) is function.call:
             return  # `addFunction('str', str)` of the published programs
         self._replaced[name] = known
         self._functions[name] = function

@@ -19,6 +19,7 @@ from ssduck.database.connection import Connection
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError
 from ssduck.functions import Function
 from ssduck.history import Near
+from ssduck.memo import Memo
 from ssduck.record import PAIR, Record
 from ssduck.shapes import ANSWERS
 from ssduck.types import Signature, Tag, converter, is_exactly
@@ -36,15 +37,22 @@ def add_users(
     """Make a user's function one of SQL; replaces one of that signature."""
     converters = [converter(tag, worlds, records) for tag in signature.parameters]
 
-    def call(*arguments: Any) -> Any:
+    def given(arguments: list[Any]) -> Any:
         values = [
             value if convert is None else convert(value)
             for convert, value in zip(converters, arguments, strict=True)
         ]
         return _usable(function(values), signature.result)
 
+    memo = Memo(given, keeps_same=False)
+
+    def call(*arguments: Any) -> Any:
+        return memo(list(arguments))
+
     types = [tag.sql_type for tag in signature.parameters]
-    connection.add_function(signature.name, call, types, signature.result.sql_type)
+    connection.add_function(
+        signature.name, call, types, signature.result.sql_type, at_start=memo.forget
+    )
 
 
 def _usable(value: Any, tag: Tag) -> Any:
