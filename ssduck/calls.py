@@ -13,9 +13,10 @@ from ssduck.dependencies import IMPURE, OVER_TIME
 from ssduck.errors import ArgumentError
 from ssduck.formulas import expanded, looked_up
 from ssduck.lists import element_at
+from ssduck.own import SIGNS, SIGNS_OF_ONE
 from ssduck.relations import Parameter, Relation
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue, copied, failure, or_failure
-from ssduck.tree import Call, Node, Query
+from ssduck.tree import Binary, Call, Node, Query, Unary
 from ssduck.types import INTEGER, REAL, TEXT, Tag
 from ssduck.udfs import RELATIONS
 
@@ -38,6 +39,11 @@ def call(sql: Expressions, node: Call) -> SqlValue:
         raise NotSqlError
     if node.name in RELATIONS:
         return _relation(sql, RELATIONS[node.name], node)
+    if node.name in SIGNS:
+        left, right = node.arguments
+        return sql.value(Binary(node.span, SIGNS[node.name], left, right))
+    if node.name in SIGNS_OF_ONE:
+        return sql.value(Unary(node.span, SIGNS_OF_ONE[node.name], *node.arguments))
     if node.name == "count" and isinstance(node.arguments[0], Query):
         return subqueries.counted(sql, node.arguments[0])
     values = [sql.value(argument) for argument in node.arguments]
@@ -64,7 +70,7 @@ def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
     if relation.may_fail and (sql.rows or sql.around is not None):
         sql.context.risk()  # of rows that no condition before it has left
     values = {
-        parameter.name: _argument(sql, parameter, argument)
+        parameter.name: _argument(sql, relation, parameter, argument)
         for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
     }
     sql.ticks.follow(values)
@@ -94,7 +100,7 @@ def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
     return SqlValue(found, tag, natural=relation.name == "tick", extent=extent)
 
 
-def _argument(sql: Expressions, parameter: Parameter, node: Node) -> SqlValue:
+def _argument(sql: Expressions, relation: Relation, parameter: Parameter, node: Node) -> SqlValue:
     value = sql.value(node)
     if value.tag.nullable:
         raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
@@ -111,17 +117,19 @@ def _argument(sql: Expressions, parameter: Parameter, node: Node) -> SqlValue:
     element = value.tag.element
     if parameter.type == "place" and value.tag.type == "list" and element and element.is_number:
         if value.tag.length != 3:
-            raise _wrong(sql, parameter, "a list of another length", node)
+            raise _wrong(sql, relation, parameter, "a list of another length", node)
         index = {"x": 1, "y": 2, "z": 3}
         return replace(value, column=lambda name: element_at(value, index[name]))
-    raise _wrong(sql, parameter, value.tag.words, node)
+    raise _wrong(sql, relation, parameter, value.tag.words, node)
 
 
-def _wrong(sql: Expressions, parameter: Parameter, found: str, node: Node) -> Exception:
+def _wrong(
+    sql: Expressions, relation: Relation, parameter: Parameter, found: str, node: Node
+) -> Exception:
     """What to raise of an argument: in a query it is wrong only if a row comes to it."""
     if sql.rows or sql.around is not None:
         return NotSqlError()
-    message = f"{parameter.name} is to be {parameter.meaning}, not {found}"
+    message = f"{relation.name}: {parameter.name} is to be {parameter.meaning}, not {found}"
     return ArgumentError(message, span=node.span)
 
 

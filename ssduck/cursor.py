@@ -146,7 +146,11 @@ class Cursor:
 
     def since(self, start: Span) -> Span:
         """The place from there to the token before the current one."""
-        return Span(start.start, span_of(self.tokens[self.index - 1]).end)
+        return Span(start.start, self.end())
+
+    def end(self) -> int:
+        """Where the text of the token before the current one ends."""
+        return span_of(self.tokens[self.index - 1]).end
 
     def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
         """One or more parts with commas between them."""

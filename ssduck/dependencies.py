@@ -90,7 +90,10 @@ def is_impure(node: Node) -> bool:
             return True
         case Recursion(start=start, step=step, stop=stop):
             # State variables are nothing that anything else sees.
-            return is_impure(stop) or any(is_impure(a.value) for a in (*start, *step))
+            parts = (
+                part.value if isinstance(part, Assignment) else part for part in (*start, *step)
+            )
+            return is_impure(stop) or any(map(is_impure, parts))
     return any(map(is_impure, node.children()))
 
 
@@ -124,8 +127,8 @@ def states(query: Query) -> frozenset[str]:
     """The state variables of a hierarchical query."""
     if query.recursion is None:
         return frozenset()
-    assignments = (*query.recursion.start, *query.recursion.step)
-    return frozenset(assignment.name for assignment in assignments)
+    parts = (*query.recursion.start, *query.recursion.step)
+    return frozenset(part.name for part in parts if isinstance(part, Assignment))
 
 
 def changing(query: Query) -> frozenset[str]:

@@ -17,23 +17,16 @@ from ssduck.dependencies import OVER_TIME, aliases_of, free_aliases, is_impure
 from ssduck.errors import (
     ArgumentError,
     SelectScriptError,
+    UnknownNameError,
     UnsupportedError,
 )
 from ssduck.keys import NUMPYS, written
 from ssduck.limits import Meter
-from ssduck.messages import unusable
+from ssduck.memo import MEMOS, Memo
+from ssduck.messages import shown, unusable
 from ssduck.missing import is_a_key, no_element, no_name
-from ssduck.operators import (
-    CHAINS,
-    GROWING,
-    OPERATORS,
-    QUICK,
-    apply,
-    apply_unary,
-    check_size,
-    indexed,
-    truth,
-)
+from ssduck.operations import binary, chain, is_decided, unary
+from ssduck.operators import check_size, indexed, truth
 from ssduck.temporal import horizon_of
 from ssduck.tree import (
     Aged,
@@ -41,6 +34,7 @@ from ssduck.tree import (
     Bare,
     Binary,
     Call,
+    Chain,
     Dotted,
     Endless,
     Given,
@@ -81,6 +75,9 @@ class Scope(Protocol):
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
 
     def is_users(self, name: str) -> bool:
         """Whether that is a user's function."""
@@ -254,7 +251,7 @@ class Compiler:
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """A part as a function that tells whether it holds."""
         thunk = self.thunk(node)
-        if isinstance(node, Binary) and node.operator in CHAINS:
+        if is_decided(node):
             return thunk  # which is True or False
 
         def holds(frame: Frame) -> bool:
@@ -300,16 +297,12 @@ class Compiler:
                 return self._call(node)
             case Index():
                 return self._index(node)
-            case Unary(operator=sign, operand=operand):
-                if sign == "NOT":
-                    holds = self.condition(operand)
-                    return lambda frame: not holds(frame)
-                inner = self.thunk(operand)
-                if sign == "IS NULL":
-                    return lambda frame: inner(frame) is None
-                return lambda frame: apply_unary(sign, inner(frame), node.span)
+            case Unary():
+                return unary(self, node)
             case Binary():
-                return self._binary(node)
+                return binary(self, node)
+            case Chain():
+                return chain(self, node)
             case If():
                 return self._choice(node)
             case Assignment():
@@ -380,7 +373,7 @@ class Compiler:
 
     def _bare(self, node: Bare) -> Thunk:
         name = node.name
-        call = Call(node.span, name, (This(node.span, None),), node.span)
+        this = (This(node.span, None),)
 
         def value(frame: Frame) -> Any:
             element = frame.elements.get(None)
@@ -390,6 +383,7 @@ class Compiler:
                 return _variable(frame, name)
             if isinstance(element, dict):
                 raise no_name(name, element, frame.scope.names())
+            call = Call(node.span, frame.scope.meant(name), this, node.span)
             frame.scope.check_call(call)
             return frame.scope.call(call, [element], frame)
 
@@ -404,7 +398,7 @@ class Compiler:
         function = self._scope.builtin(node.name)
         check = argument_check(node, self._query)
         if self.calls_once(node):  # what a name means does not change while a query runs
-            function = self._scope.function(node.name)
+            return self._remembered(node, thunks)
 
         def call(frame: Frame) -> Any:
             arguments = [thunk(frame) for thunk in thunks]
@@ -419,18 +413,29 @@ class Compiler:
             except (ValueError, ArithmeticError, MemoryError) as error:
                 raise unusable(error, node.span) from error
 
-        if not self.calls_once(node):
-            return call
-        key = written(node)
+        return call
 
-        def once_a_row(frame: Frame) -> Any:
+    def _remembered(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
+        """A call of a user's function: made once for a row, and once for the same values."""
+        key, name = written(node), node.name
+        function = self._scope.function(name)
+        assert function is not None
+
+        def call(frame: Frame) -> Any:
             calls = frame.calls
             if key in calls:
                 return calls[key]
-            value = calls[key] = call(frame)
+            arguments = [thunk(frame) for thunk in thunks]
+            memos = frame.kept.get(MEMOS)
+            asked = function
+            if memos is not None:
+                asked = memos.get(name)
+                if asked is None:
+                    asked = memos[name] = Memo(function)
+            value = calls[key] = asked(arguments)
             return value
 
-        return once_a_row
+        return _placed(node, call)
 
     def _index(self, node: Index) -> Thunk:
         base = self.thunk(node.base)
@@ -444,64 +449,21 @@ class Compiler:
 
         return element
 
-    def _binary(self, node: Binary) -> Thunk:
-        sign = node.operator
-        if sign in CHAINS:
-            return self._chain(node)
-        operate = OPERATORS[sign]
-        if sign in GROWING:
-            left, right = self.thunk(node.left), self.thunk(node.right)
-            quick = QUICK[sign]
-
-            def growing(frame: Frame) -> Any:
-                a, b = left(frame), right(frame)
-                if type(a) is type(b) and type(a) in quick:
-                    return operate(a, b)
-                return apply(sign, a, b, node.span)
-
-            return growing
-        left, right = self._operand(node.left), self._operand(node.right)
-
-        def operation(frame: Frame) -> Any:
-            a, b = left(frame), right(frame)
-            try:
-                return operate(a, b)
-            except Exception:  # noqa: BLE001  # `apply` tells which
-                return apply(sign, a, b, node.span)
-
-        return operation
-
-    def _operand(self, node: Node) -> Thunk:
-        """A side of an operator, which keeps nothing of it: a list is made once."""
-        if not isinstance(node, ListOf) or not _is_written_out(node):
-            return self.thunk(node)
-        fixed = self._thunk(node)(Frame(self._scope))
-        return lambda _: fixed
-
-    def _chain(self, node: Binary) -> Callable[[Frame], bool]:
-        """AND, OR: the right side counts if the left one does not decide."""
-        decides = node.operator == "OR"
-        left, right = self.thunk(node.left), self.thunk(node.right)
-
-        def holds(frame: Frame) -> bool:
-            value = left(frame)
-            if value is not True and value is not False:
-                value = truth(value, node.left)
-            if value is decides:
-                return decides
-            value = right(frame)
-            return value if value is True or value is False else truth(value, node.right)
-
-        return holds
+    def made(self, node: Node) -> Any:
+        """The value of a part that depends on nothing."""
+        return self._thunk(node)(Frame(self._scope))
 
     def _choice(self, node: If) -> Thunk:
-        condition = self.condition(node.condition)
-        then = [self.thunk(part) for part in node.then]
-        otherwise = [self.thunk(part) for part in node.otherwise]
+        branches = [
+            (self.condition(branch.condition), list(map(self.thunk, branch.then)))
+            for branch in node.branches
+        ]
+        otherwise = list(map(self.thunk, node.otherwise))
 
         def choice(frame: Frame) -> Any:
+            chosen = next((then for condition, then in branches if condition(frame)), otherwise)
             value: Any = False
-            for part in then if condition(frame) else otherwise:
+            for part in chosen:
                 value = part(frame)
             return value
 
@@ -513,6 +475,12 @@ class Compiler:
         seen = free_aliases(node.value) if isinstance(node.value, ListOf) else frozenset()
 
         def assign(frame: Frame) -> Any:
+            if node.is_bare and name not in frame.local and not frame.scope.has_variable(name):
+                raise UnknownNameError(
+                    f"there is no variable {shown(name)} that could be assigned here: "
+                    "write == to compare, or assign it before the query",
+                    span=node.span,
+                )
             seconds = None if horizon is None else horizon(frame)
             if seen and None not in seen and not frame.elements:
                 assigned: Any = frame.scope.deferred(node.value)
@@ -541,12 +509,6 @@ class Compiler:
 def _refuse_state(name: str, frame: Frame) -> None:
     if name in frame.local:
         raise ArgumentError(f"{name} is a state variable here, and these have no history")
-
-
-def _is_written_out(node: Node) -> bool:
-    if isinstance(node, ListOf):
-        return all(map(_is_written_out, node.items))
-    return isinstance(node, Literal)
 
 
 def _placed(node: Node, thunk: Thunk) -> Thunk:

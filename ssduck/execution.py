@@ -33,6 +33,7 @@ from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
 from ssduck.names import Names
 from ssduck.over_time import FORMS, OverTime
+from ssduck.own import meant
 from ssduck.past import together as entities_together
 from ssduck.planner import Planner
 from ssduck.rows import formed
@@ -72,6 +73,7 @@ class Execution(Names, ABC):
         self._over_time = OverTime()
         self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._texts: list[str] = []
+        self._meant: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
 
     @contextmanager
     def _running(self, program: Program) -> Iterator[None]:
@@ -101,6 +103,20 @@ class Execution(Names, ABC):
         if self._database.sweep():
             self._planner.forget()
 
+    def _functions_changed(self) -> None:
+        """What names of functions mean is looked up anew."""
+        self._planner.forget()
+        self._meant.clear()
+
+    def _as_meant(self, program: Program) -> Program:
+        """A program with users' functions where they replace something of the language."""
+        if not self._replaced:
+            return program
+        found = self._meant.get(program)
+        if found is None:
+            found = self._meant[program] = meant(program, self._replaced)
+        return found
+
     def _run(self, program: Program) -> Any:
         if program.explain:
             return self._explained(program)
@@ -112,7 +128,7 @@ class Execution(Names, ABC):
             self._tell(
                 ArgumentError(d.message, text=program.text, span=d.span) for d in program.doubts
             )
-        for node in program.statements:
+        for node in self._as_meant(program).statements:
             self.meter.step()
             self._tell(self._doubts.found(program.text, node, frame.local))
             value = frame.value(node)
@@ -137,6 +153,7 @@ class Execution(Names, ABC):
     # -- what a program becomes -------------------------------------------------------------
 
     def _explained(self, program: Program) -> str:
+        program = self._as_meant(program)
         with self._rehearsed(program) as frame:
             plan_of = partial(self._planner.plan, frame=frame)
             stand_ins = {
@@ -149,7 +166,8 @@ class Execution(Names, ABC):
             )
 
     def _sql_of(self, program: Program, dialect: str) -> str:
-        with self._running(program), self._rehearsed(program) as frame:
+        with self._running(program), self._rehearsed(self._as_meant(program)) as frame:
+            program = self._as_meant(program)
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
                 raise ArgumentError("the program does not end with a query")
@@ -173,8 +191,8 @@ class Execution(Names, ABC):
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call outside SQL."""
-        function = self._functions.get(node.name)
-        if function is None:
+        function = self.function(node.name)
+        if function is None or (node.name in RELATIONS and node.name in self._replaced):
             if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
                 return RELATIONS_OF_INTERVALS[node.name].function(arguments)
             if node.name in RELATIONS:

@@ -16,6 +16,7 @@ from sqlglot import exp
 from ssduck import subqueries, tree
 from ssduck.arithmetic import arithmetic
 from ssduck.calls import call
+from ssduck.chains import MOST_JOINED, MOST_NESTED
 from ssduck.comparisons import COMPARISONS, comparison, likeness, membership, missing, truth
 from ssduck.dependencies import IMPURE, OVER_TIME, free_aliases, is_impure
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
@@ -37,6 +38,7 @@ from ssduck.tree import (
     Bare,
     Binary,
     Call,
+    Chain,
     Dotted,
     Given,
     If,
@@ -51,6 +53,7 @@ from ssduck.tree import (
 from ssduck.types import FLAG, TEXT
 from ssduck.udfs import RELATIONS
 
+LOGIC = ("AND", "OR", "XOR")
 # Longer lists of literals are parameters.
 MOST_WRITTEN = 32
 
@@ -207,12 +210,14 @@ class Expressions:
                 return replace(inner, given=exp.Neg(this=wrapped(inner.sql)), elements=None)
             case Binary():
                 return self._binary(node)
+            case Chain():
+                return self._chain(node)
             case Index():
                 return self._index(node)
             case ListOf(items=items):
                 return list_of(self.context, [self.value(item) for item in items])
-            case If(condition=condition, then=(then,), otherwise=(otherwise,)):
-                return self._choice(condition, then, otherwise)
+            case If(otherwise=(otherwise,)) if len(node.further) < MOST_NESTED:
+                return self._choice(node, otherwise)
         raise NotSqlError
 
     def _key_of(self, node: Dotted) -> Index:
@@ -269,14 +274,9 @@ class Expressions:
 
     def _binary(self, node: Binary) -> SqlValue:
         sign = node.operator
-        if sign in ("AND", "OR", "XOR"):
-            left, right = (truth(self.value(side)) for side in (node.left, node.right))
-            joined: exp.Expr
-            if sign == "XOR":
-                joined = exp.NEQ(this=wrapped(left), expression=wrapped(right))
-            else:
-                joined = exp.and_(left, right) if sign == "AND" else exp.or_(left, right)
-            return SqlValue(exp.paren(joined), FLAG)
+        if sign in LOGIC:
+            sides = [truth(self.value(side)) for side in (node.left, node.right)]
+            return SqlValue(_joined(sign, sides), FLAG)
         if sign in ("==", "!="):
             found = subqueries.emptiness(self, node) or subqueries.equality(self, node)
             if found is not None:
@@ -299,19 +299,35 @@ class Expressions:
             return concatenation(left_value, right_value)
         return arithmetic(self.context, node, left_value, right_value)
 
+    def _chain(self, node: Chain) -> SqlValue:
+        """AND, OR, XOR in any order of brackets; all else would be nested too deeply for SQL."""
+        sign = node.operators[0]
+        if sign not in LOGIC or len(node.operands) > MOST_JOINED:
+            raise NotSqlError
+        return SqlValue(_joined(sign, [truth(self.value(side)) for side in node.operands]), FLAG)
+
     def _index(self, node: Index) -> SqlValue:
+        if len(node.indices) > MOST_NESTED:
+            raise NotSqlError
         value = self.value(node.base)
         for index in node.indices:
             value = indexed(self, value, index)
         return value
 
-    def _choice(self, condition: Node, then: Node, otherwise: Node) -> SqlValue:
-        first, second = self.value(then), self.value(otherwise)
-        if first.tag != second.tag or first.tag.type == "entity":
+    def _choice(self, node: If, otherwise: Node) -> SqlValue:
+        if any(len(branch.then) != 1 for branch in node.branches):
             raise NotSqlError
-        case = exp.case().when(truth(self.value(condition)), first.sql).else_(second.sql)
-        extent = max(first.extent, second.extent)
-        return SqlValue(case, first.tag, wide=first.wide or second.wide, extent=extent)
+        values = [self.value(branch.then[0]) for branch in node.branches]
+        last = self.value(otherwise)
+        if last.tag.type == "entity" or any(value.tag != last.tag for value in values):
+            raise NotSqlError
+        case = exp.case()
+        for branch, value in zip(node.branches, values, strict=True):
+            case = case.when(truth(self.value(branch.condition)), value.sql)
+        every = (*values, last)
+        extent = max(value.extent for value in every)
+        wide = any(value.wide for value in every)
+        return SqlValue(case.else_(last.sql), last.tag, wide=wide, extent=extent)
 
     def number(self, node: Node) -> SqlValue:
         """A part that is a number.
@@ -323,6 +339,17 @@ class Expressions:
         if not value.tag.is_number or value.tag.nullable:
             raise NotSqlError
         return value
+
+
+def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
+    """Conditions with AND, OR or XOR between them, nested as little as can be."""
+    if len(sides) == 1:
+        return sides[0]
+    middle = (len(sides) + 1) // 2
+    left, right = _joined(sign, sides[:middle]), _joined(sign, sides[middle:])
+    if sign == "XOR":
+        return exp.paren(exp.NEQ(this=wrapped(left), expression=wrapped(right)))
+    return exp.paren(exp.and_(left, right) if sign == "AND" else exp.or_(left, right))
 
 
 def _is_short(items: Sequence[Node]) -> bool:

@@ -7,14 +7,15 @@ import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, wraps
 from typing import Any
 
-from ssduck.errors import FunctionError, LimitError, SelectScriptError
+from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
 from ssduck.hints import Hints, hints_of
 from ssduck.keys import ATOMS, NUMPYS, hashable
-from ssduck.messages import bounded, reason
-from ssduck.operators import apply
+from ssduck.messages import bounded, described, reason
+from ssduck.operators import apply, apply_unary
+from ssduck.own import NAMES
 
 # A double has no digits beyond these, before or behind the point.
 MOST_DIGITS = 400
@@ -55,7 +56,8 @@ class Function:
         """Call it.
 
         Raises:
-            FunctionError: it raised; the original is the cause.
+            FunctionError: a user's one raised; the original is the cause.
+            ArgumentError: one of the language does not take these values.
             LimitError: a program that it ran used up what there is.
         """
         try:
@@ -67,11 +69,21 @@ class Function:
         except (LimitError, RecursionError):
             raise
         except SelectScriptError as error:
+            if self.builtin and isinstance(error, ArgumentError) and error.span is None:
+                raise ArgumentError(f"{self.name}: {error.message}") from error
             if self.builtin:
                 raise
             raise self._failed(error, bounded(error.message)) from error
         except Exception as error:
+            if self.builtin:
+                raise ArgumentError(self._refused(arguments)) from error
             raise self._failed(error, reason(error)) from error
+
+    def _refused(self, arguments: Sequence[Any]) -> str:
+        """What the language's own function did not take, and what it takes."""
+        given = ", ".join(map(described, arguments)) or "no arguments"
+        usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
+        return f"{self.name} does not take {given}: it is {usage}"
 
     def _failed(self, error: Exception, why: str) -> FunctionError:
         return FunctionError(f"{self.name}: {type(error).__name__}: {why}")
@@ -122,6 +134,18 @@ def _avg(values: list[Any]) -> Any:
     return sum(values) / len(values)
 
 
+def _of_elements(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A function of the elements of a list: a text's letters are none."""
+
+    @wraps(call)
+    def of_list(values: Any) -> Any:
+        if isinstance(values, str | bytes):
+            raise TypeError("a text is no list")
+        return call(values)
+
+    return of_list
+
+
 def _builtin(
     name: str, call: Callable[..., Any], about: str, usage: str, most: int = 1
 ) -> Function:
@@ -135,13 +159,16 @@ def _round(number: float, digits: int | None = None) -> float:
     return round(number, digits)
 
 
-_OF_LISTS = (
-    _builtin("count", len, "Returns how many elements a list has.", "count(list) -> int"),
-    _builtin("sum", sum, "Returns the sum of a list.", "sum(list) -> number"),
-    _builtin("min", min, "Returns the least element of a list.", "min(list) -> value"),
-    _builtin("max", max, "Returns the greatest element of a list.", "max(list) -> value"),
-    _builtin("avg", _avg, "Returns the mean of a list.", "avg(list) -> float"),
-    _builtin("uniq", _uniq, "Returns a list without its repetitions.", "uniq(list) -> list"),
+_OF_LISTS = tuple(
+    _builtin(name, _of_elements(call), about, f"{name}(list) -> {result}")
+    for name, call, about, result in (
+        ("count", len, "Returns how many elements a list has.", "int"),
+        ("sum", sum, "Returns the sum of a list.", "number"),
+        ("min", min, "Returns the least element of a list.", "value"),
+        ("max", max, "Returns the greatest element of a list.", "value"),
+        ("avg", _avg, "Returns the mean of a list.", "float"),
+        ("uniq", _uniq, "Returns a list without its repetitions.", "list"),
+    )
 )
 
 _OF_NUMBERS = tuple(
@@ -173,8 +200,18 @@ _OTHERS = (
     _builtin("float", float, "Returns a value as a float.", "float(value) -> float"),
 )
 
+# A name that is a word of the language calls nothing; `pow` is among the others.
+_OF_OPERATORS = (
+    _builtin("neg", partial(apply_unary, "-"), "Returns -a.", "neg(a) -> number"),
+    *(
+        _builtin(name, partial(apply, sign), f"Returns a {sign} b.", f"{name}(a, b) -> value", 2)
+        for sign, name in NAMES.items()
+        if not sign.isalpha() and sign != "^"
+    ),
+)
+
 AGGREGATES: dict[str, Function] = {function.name: function for function in _OF_LISTS}
 
 BUILTINS: dict[str, Function] = {
-    function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS
+    function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS + _OF_OPERATORS
 }

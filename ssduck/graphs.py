@@ -35,16 +35,19 @@ def simple_paths(
 ) -> Iterator[list[T]]:
     """The paths from a root to a vertex that is found, none met twice; the shortest first.
 
+    All simple paths of any length are more than anybody can wait for: without a longest length
+    they are those that are as short as the shortest.
+
     At the end the graph is taken apart, for the garbage collector would be slower.
 
     Args:
         roots: where paths begin.
         vertices: all there are.
-        longest: how many vertices a path may have; None for any number.
+        longest: how many vertices a path may have; None for as few as any path has.
         count: is called once a step.
     """
     _measure(vertices)
-    most = len(vertices) if longest is None else min(longest, len(vertices))
+    most = _shortest(roots) if longest is None else min(longest, len(vertices))
     try:
         for length in range(1, most + 1):
             for root in roots:
@@ -54,6 +57,11 @@ def simple_paths(
     finally:
         for vertex in vertices:
             vertex.next.clear()
+
+
+def _shortest(roots: Sequence[Vertex[T]]) -> int:
+    """How many vertices the shortest path has; 0 if there is none."""
+    return min((1 + root.distance for root in roots if root.distance is not None), default=0)
 
 
 def _measure(vertices: Sequence[Vertex[T]]) -> None:

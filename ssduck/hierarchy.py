@@ -197,7 +197,8 @@ class Hierarchy:
         for name, value in self._start:
             frame = Frame(outer.scope, outer.elements, state, outer.given, (), outer.kept)
             made = value(frame)
-            state[name] = resolved(made, frame) if isinstance(made, Deferred) else made
+            if name is not None:
+                state[name] = resolved(made, frame) if isinstance(made, Deferred) else made
         most_states = 0 if self._happens else MOST_STATES
         states = _States(self._steps_of(outer, rows, kept), self._called_with, most_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
@@ -295,8 +296,10 @@ class Hierarchy:
         if step.after is None:
             state = dict(step.frame.local)
             for name, value in self._next:
-                made = state[name] = value(step.frame)
+                made = value(step.frame)
                 check_size(made, self._recursion.span)
+                if name is not None:
+                    state[name] = made
             step.after = states(state)
         return _again(step.after)
 
@@ -353,12 +356,17 @@ class Hierarchy:
     def _graph(
         self, states: _States, state: dict[str, Any], levels: int | None
     ) -> tuple[list[Vertex[Step]], list[Vertex[Step]]]:
-        """The distinct rows that are reached, breadth first, and those of the first level."""
+        """The distinct rows that are reached, breadth first, and those of the first level.
+
+        Without a number of levels there are as many as it takes to find a path.
+        """
         keys = states.keys
+        deepest = levels
         known: dict[int, Vertex[Step]] = {}
         waiting: deque[tuple[Vertex[Step], int]] = deque()
 
         def reached(steps: Iterator[Step], level: int) -> list[Vertex[Step]]:
+            nonlocal deepest
             found: dict[Vertex[Step], None] = {}  # in order, each one once
             for step in steps:
                 key = self._key(step, keys)
@@ -367,20 +375,28 @@ class Hierarchy:
                     vertex = known[key] = Vertex(step, step.found)
                     if not step.found:
                         waiting.append((vertex, level))
+                    elif deepest is None:  # what lies deeper is on no shortest path
+                        deepest = level
                 found[vertex] = None
             return list(found)
 
         roots = reached(_again(states(state)), 1) if levels != 0 else []
         while waiting:
             vertex, level = waiting.popleft()
-            if levels is None or level < levels:
+            if deepest is None or level < deepest:
                 self._check_depth(level, "the graph", "levels")
                 vertex.next = reached(self._after(vertex.value, states), level + 1)
         return roots, list(known.values())
 
 
-def _assignments(assignments: Sequence[Assignment], compiler: Compiler) -> list[tuple[str, Thunk]]:
-    return [(assignment.name, compiler.thunk(assignment.value)) for assignment in assignments]
+def _assignments(parts: Sequence[Node], compiler: Compiler) -> list[tuple[str | None, Thunk]]:
+    """The state variables and their values; without a name, what is evaluated beside them."""
+    return [
+        (part.name, compiler.thunk(part.value))
+        if isinstance(part, Assignment)
+        else (None, compiler.thunk(part))
+        for part in parts
+    ]
 
 
 def _called_with(query: Query, compiler: Compiler) -> frozenset[str] | None:

@@ -29,23 +29,23 @@ from ssduck.language import parse
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
 from ssduck.names import check_name
+from ssduck.own import NAMED
 from ssduck.programs import Compiled, tree_of
 from ssduck.recording import Recording
 from ssduck.result import Result
 from ssduck.running import run
 from ssduck.shapes import Statistics
 from ssduck.shown import MOST_ROWS, Shown
-from ssduck.spelled import Columns, Condition, Elements, Part
+from ssduck.spelled import Columns, Condition, Elements, Part, SpelledForms, takes_results
 from ssduck.tree import Query
 from ssduck.triggers import Triggers, TriggerVerbs
-from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
 # Seconds of simulated time whose ticks are kept in memory, if nothing else is asked for.
 KEPT = 60.0
 
 
-class Interpreter(Execution, RecordVerbs, TriggerVerbs):
+class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -210,22 +210,35 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
             help: what `help('name')` tells; by default its docstring.
 
         Raises:
-            ArgumentError: the name is that of a relation or of a function of the language.
+            ArgumentError: the name is none, or that of what no function can replace.
+
+        Warns:
+            UserWarning: the function replaces a relation, a function or an operator of the
+                language (`on`, `count`, `add` for `+`) in this interpreter's programs.
         """
-        check_name(name, "a function")
-        known = self._functions.get(name)
-        if name in RELATIONS or (known is not None and known.builtin):
-            raise ArgumentError(f"{name!r} is a function of the language; choose another name")
+        if not isinstance(name, str) or name not in NAMED:
+            check_name(name, "a function")
         if not callable(function):
             raise ArgumentError(f"{name}: {shown(function)} is no function")
         with self._lock:
-            self._functions[name] = Function.of(name, function, help)
-            self._planner.forget()
+            self._adopt(Function.of(name, function, help))
+            self._functions_changed()
+
+    def del_function(self, name: str) -> None:
+        """Remove a function that was added; what it replaced is there again.
+
+        Raises:
+            UnknownNameError: there is none, with the nearest names.
+        """
+        with self._lock:
+            self._drop(name)
+            self._functions_changed()
 
     # The tutorial's spellings.
     addVariable = add_variable  # noqa: N815
     callVariable = call_variable  # noqa: N815
     addFunction = add_function  # noqa: N815
+    delFunction = del_function  # noqa: N815
 
     # -- simulated time -------------------------------------------------------------------
 
@@ -312,20 +325,28 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
     def _spelled(self, node: Query, frame: Frame) -> tuple[Any, ...]:
         """The arguments of `evalAs`."""
         resolved, values = self._planner.spelled(node, frame)
-        parts = Columns(node, resolved.columns, frame)
-        holds = resolved.query.where
+        parts, names = Columns(node, resolved.columns, frame), aliases_of(node)
+        holds, elements = resolved.query.where, Elements(values)
         where: Condition | list[Any] = [] if holds is None else Condition(holds, frame)
-        return parts.form, parts, Elements(values), aliases_of(node), where
+        if not takes_results(type(self).evalAs):
+            return parts.form, parts, elements, names, where
+        given = () if node.adapter is None else node.adapter.arguments
+        left = [e for e in elements if not isinstance(where, Condition) or where.value(e, names)]
+        return parts.form, [frame.value(part) for part in given], parts, names, left
 
     def evalAs(  # noqa: N802  # the tutorial's name
         self,
         form: str,
-        select: Columns,
-        elements: Elements,  # noqa: ARG002
+        select: Columns | list[Any],
+        elements: Elements | Columns,
         names: list[str],  # noqa: ARG002
         where: Condition | list[Any],  # noqa: ARG002
     ) -> Any:
         """What a query gives; a subclass that overrides it makes forms of its own.
+
+        A subclass may also have the parameters `(AS, PARAMS, SELECT, FROM_n, RESULTS)` of the
+        published interpreters: the form, the values of its arguments, the columns, the names of
+        the sources, and a list of tuples of elements: the rows that WHERE leaves.
 
         Of such a subclass it is called for each query that Python evaluates; one that is a part
         of another's SQL is not seen. `ssduck.adapter` is the shorter way.
@@ -338,8 +359,10 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs):
             names: of the sources.
             where: a part, too; `[]` if there is none.
         """
-        query, frame = select.query, select.frame
-        asked = form_of(query, frame) if form == select.form else Form(form, find(form))
+        parts = elements if isinstance(elements, Columns) else select
+        assert isinstance(parts, Columns)
+        query, frame = parts.query, parts.frame
+        asked = form_of(query, frame) if form == parts.form else Form(form, find(form))
         return self._formed(query, frame, asked)
 
 

@@ -96,7 +96,8 @@ def exactly(value: Any) -> Any:
         return (kind, *map(exactly, value))
     if kind is dict:
         return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])
-    return (kind, hashable(value), _told_apart(value))
+    moment = getattr(value, "moment", None)  # an entity at another tick is another one
+    return (kind, hashable(value), _told_apart(value), moment and moment.tick)
 
 
 def _told_apart(value: Any) -> str:

@@ -8,22 +8,25 @@ no database and no variable: names are looked up when a program runs.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import replace
+from functools import cached_property, lru_cache
 from typing import ClassVar
 
 from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
 from sqlglot.tokens import Tokenizer
 
+from ssduck.chains import Row
 from ssduck.comments import last_opening, without_dashes
-from ssduck.cursor import LEVEL_OF, RESERVED, is_kind, is_word, span_of
+from ssduck.cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
 from ssduck.errors import ParseError, Span
+from ssduck.quotes import unquoted
 from ssduck.sql_forms import SqlForms
 from ssduck.tree import (
     Adapter,
     Aged,
     Assignment,
-    Binary,
+    Branch,
     Call,
     Endless,
     If,
@@ -159,8 +162,11 @@ class _Parser(SqlForms):
             self.fail(f"expected '=' ({what} has no history)")
         return self.assignment()
 
-    def state(self) -> Assignment:
-        return self.plain_assignment("a state variable")
+    def state(self) -> Node:
+        """An assignment to a state variable, or what is evaluated beside those."""
+        if self.at_assignment():
+            return self.plain_assignment("a state variable")
+        return self.expression()
 
     # -- queries --------------------------------------------------------------------------
 
@@ -172,7 +178,7 @@ class _Parser(SqlForms):
         self.expect_word("SELECT")
         distinct = self.takes_distinct()
         star = self.at(TokenType.STAR)
-        items = () if self.take(TokenType.STAR) else self.separated(self.item)
+        items = () if self.take(TokenType.STAR) else self.separated(self.selected)
         if star and not self.at_word("FROM"):
             self.fail("expected FROM after *")
         if not self.take_words("FROM"):
@@ -180,7 +186,7 @@ class _Parser(SqlForms):
         self.is_listed = is_listed
         sources = self.separated(self.source)
         self.is_listed = True
-        where = self.condition() if self.take_words("WHERE") else None
+        where = self.filtered() if self.take_words("WHERE") else None
         if distinct and self.at_word("START", "CONNECT"):
             self.fail("expected no CONNECT BY (DISTINCT is of rows; write UNIQUE or NO CYCLE)")
         recursion = self.recursion()
@@ -209,6 +215,21 @@ class _Parser(SqlForms):
         self.note_keys(query)
         return self.dotted(query)
 
+    def assigned(self) -> Node:
+        """An assignment that stands as a whole in SELECT or WHERE."""
+        self.descend()
+        node = replace(self.assignment(), is_bare=True)
+        self.depth -= 1
+        return node
+
+    def selected(self) -> Node:
+        """What stands in SELECT: a value, perhaps with a name, or an assignment to a variable."""
+        return self.assigned() if self.at_assignment() else self.item()
+
+    def filtered(self) -> Node:
+        """What stands in WHERE: a condition, or an assignment to a variable."""
+        return self.assigned() if self.at_assignment() else self.condition()
+
     def source(self) -> Source:
         start = self.here()
         alias = None
@@ -236,7 +257,7 @@ class _Parser(SqlForms):
 
     def recursion(self) -> Recursion | None:
         start = self.here()
-        initial: tuple[Assignment, ...] = ()
+        initial: tuple[Node, ...] = ()
         if self.take_words("START", "WITH"):
             initial = self.separated(self.state)
         elif not self.at_word("CONNECT"):
@@ -295,13 +316,16 @@ class _Parser(SqlForms):
             if self.condition_level() >= 0:
                 left = self.conditioned(start, left)
                 continue
-            word = self.tokens[self.index].text.upper()
-            operator = {"<>": "!=", "=": "=="}.get(word, word)
-            self.index += 1
-            place = self.here()
-            right = self.members() if operator == "IN" else self.operation(level + 1)
-            self.note_chain(operator, (left, start, right, place))
-            left = Binary(self.since(start), operator, left, right)
+            row = Row(start.start, left, self.end())
+            while self.operator_level(row.last) == level and self.condition_level() < 0:
+                word = self.tokens[self.index].text.upper()
+                operator = {"<>": "!=", "=": "=="}.get(word, word)
+                self.index += 1
+                place = self.here()
+                right = self.members() if operator == "IN" else self.operation(level + 1)
+                self.note_chain(operator, (row.last, start, right, place))
+                row.add(operator, right, self.end())
+            left = row.node()
         return left
 
     def operator_level(self, left: Node) -> int:
@@ -340,19 +364,16 @@ class _Parser(SqlForms):
     def postfix(self) -> Node:
         start = self.here()
         node = self.primary()
-        depth = self.depth
+        indices: list[Node] = []
         while self.at(TokenType.L_BRACKET) or self.at(TokenType.DOT):
-            self.descend()
             if self.take(TokenType.L_BRACKET):
-                indices = self.separated(self.expression)
+                indices.extend(self.separated(self.expression))
                 self.expect(TokenType.R_BRACKET, "']'")
             else:
                 self.expect(TokenType.DOT, "'.'")
                 key = self.expect_name("a key")
-                indices = (Literal(span_of(key), key.text),)
-            node = Index(self.since(start), node, indices)
-        self.depth = depth
-        return node
+                indices.append(Literal(span_of(key), key.text))
+        return Index(self.since(start), node, tuple(indices)) if indices else node
 
     def primary(self) -> Node:
         token = self.token
@@ -362,7 +383,7 @@ class _Parser(SqlForms):
         if self.take(TokenType.NUMBER):
             return Literal(start, self.number(token))
         if self.take(TokenType.STRING):
-            return Literal(start, token.text)
+            return Literal(start, unquoted(self.text[slice_of(token)]))
         if self.take(TokenType.L_PAREN):
             is_listed, self.is_listed = self.is_listed, False
             node = self.statement()
@@ -428,13 +449,49 @@ class _Parser(SqlForms):
         return found
 
     def choice(self) -> If:
+        """`IF(condition; …; …)`; an `IF` that is a whole else branch is a branch of this one."""
         start = self.here()
         self.index += 2
-        condition = self.statement()
-        self.expect(TokenType.SEMICOLON, "';' after the condition")
-        then = self.parts()
+        branches = [self.branch(start)]
         otherwise: tuple[Node, ...] = ()
-        if self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
-            otherwise = self.parts()
-        self.expect(TokenType.R_PAREN, "')'")
-        return If(self.since(start), condition, then, otherwise)
+        open_ones = 1
+        while self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
+            if not self.at_last_choice():
+                otherwise = self.parts()
+                break
+            inner = self.here()
+            self.index += 2
+            open_ones += 1
+            branches.append(self.branch(inner))
+        for _ in range(open_ones):
+            self.expect(TokenType.R_PAREN, "')'")
+        first, *further = branches
+        return If(self.since(start), first.condition, first.then, otherwise, tuple(further))
+
+    def branch(self, start: Span) -> Branch:
+        """`condition; then, …`; without a then it is True, as in the published grammar."""
+        condition = self.statement()
+        if self.at(TokenType.R_PAREN):
+            return Branch(self.since(start), condition, (Literal(self.since(start), True),))
+        self.expect(TokenType.SEMICOLON, "';' or ')' after the condition")
+        return Branch(self.since(start), condition, self.parts())
+
+    def at_last_choice(self) -> bool:
+        """Whether an `IF(…)` comes next, and then the end of the one that it is in."""
+        if not self.at_word("IF") or not is_kind(self.ahead(), TokenType.L_PAREN):
+            return False
+        close = self.closings.get(self.index + 1)
+        behind = None if close is None else self.ahead(close + 1 - self.index)
+        return is_kind(behind, TokenType.R_PAREN)
+
+    @cached_property
+    def closings(self) -> dict[int, int]:
+        """Where the token is that closes a parenthesis, by where that is."""
+        found: dict[int, int] = {}
+        open_ones: list[int] = []
+        for index, token in enumerate(self.tokens):
+            if token.token_type == TokenType.L_PAREN:
+                open_ones.append(index)
+            elif token.token_type == TokenType.R_PAREN and open_ones:
+                found[open_ones.pop()] = index
+        return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import islice
 from reprlib import Repr
 from typing import Any
 
@@ -13,6 +14,7 @@ from ssduck.errors import EvaluationError, Span
 # So many keys and letters of what is wrong are told.
 MOST_KEYS = 20
 MOST_LETTERS = 200
+_MOST_KINDS = 5
 
 # So many names.
 MOST_NAMED = 50
@@ -66,6 +68,19 @@ def kind_of(value: Any) -> str:
         Deferred: "a list for the query that uses it",
     }
     return words.get(type(value), type(value).__name__)
+
+
+def described(value: Any) -> str:
+    """A value as an argument that is refused: what it is, and of a list what is in it."""
+    if isinstance(value, bool | int | float | str):
+        return shown(value)
+    if not isinstance(value, list | tuple):
+        return kind_of(value)
+    if not value:
+        return "an empty list"
+    kinds = list(dict.fromkeys(map(kind_of, islice(value, MOST_LETTERS))))
+    more = ", …" if len(kinds) > _MOST_KINDS else ""
+    return f"a list with {', '.join(kinds[:_MOST_KINDS])}{more}"
 
 
 def unusable(error: Exception, span: Span | None) -> EvaluationError:

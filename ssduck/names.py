@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import threading
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from inspect import unwrap
 from typing import Any
 
 from ssduck.adapters import tables_of_forms
@@ -19,6 +21,7 @@ from ssduck.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language import is_reserved
 from ssduck.messages import shown
 from ssduck.over_time import FORMS
+from ssduck.own import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked, plain
 from ssduck.past import Past, past_of
 from ssduck.relations import Relation
 from ssduck.sources import within
@@ -42,6 +45,8 @@ class Names:
         self._lock = threading.RLock()
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
+        # What the language has of its own; and users' functions that stand in the place of that.
+        self._replaced: dict[str, Function | None] = {}
         self._functions.update((command.name, command) for command in self._commands())
         self._functions.update((name, form.function) for name, form in FORMS.items())
         for name, allen in RELATIONS_OF_INTERVALS.items():
@@ -133,11 +138,59 @@ class Names:
 
     def function(self, name: str) -> Function | None:
         """A function that is no relation."""
-        return self._functions.get(name)
+        return self._functions.get(plain(name))
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
+        return marked(name) if name in self._replaced else name
+
+    def _adopt(self, function: Function) -> None:
+        """Take a user's function; one of the language's name replaces that, with a warning.
+
+        Raises:
+            ArgumentError: nothing can replace what has this name.
+        """
+        name = function.name
+        known = self._functions.get(name)
+        if name in FIXED or name in FORMS:
+            raise ArgumentError(f"{name!r} is a part of the language; choose another name")
+        is_own = known is not None and not known.builtin
+        if is_own or not (name in RELATIONS or name in NAMED or known is not None):
+            self._functions[name] = function
+            return
+        if known is not None and unwrap(known.call) is function.call:
+            return  # `addFunction('str', str)` of the published programs
+        self._replaced[name] = known
+        self._functions[name] = function
+        sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
+        what = f"the operator {sign}" if sign else f"the language's own {name}"
+        kept = "; raw SQL keeps its own" if name in RELATIONS else ""
+        warnings.warn(
+            f"your function {name!r} replaces {what} in programs{kept}; "
+            f"del_function({name!r}) brings that back",
+            stacklevel=4,
+        )
+
+    def _drop(self, name: str) -> None:
+        """Forget a user's function; what it replaced is there again.
+
+        Raises:
+            UnknownNameError: there is none, with the nearest names.
+        """
+        if not self.is_users(name) or name != plain(name):
+            own = [n for n, function in self._functions.items() if not function.builtin]
+            raise UnknownNameError(
+                f"there is no function {shown(name)} of yours", suggestions=nearest(name, own)
+            )
+        before = self._replaced.pop(name, None)
+        if before is None:
+            del self._functions[name]
+        else:
+            self._functions[name] = before
 
     def is_users(self, name: str) -> bool:
         """Whether that is a user's function."""
-        function = self._functions.get(name)
+        function = self._functions.get(plain(name))
         return function is not None and not function.builtin
 
     def builtin(self, name: str) -> Function | None:
@@ -146,22 +199,22 @@ class Names:
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
-        given = len(node.arguments)
+        given, name = len(node.arguments), plain(node.name)
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
             least, most = min(relation.expressions), max(relation.expressions)
             fits, usage = given in relation.expressions, relation.usage
-        elif node.name in self._functions:
-            function = self._functions[node.name]
+        elif name in self._functions:
+            function = self._functions[name]
             least, most = function.least, given if function.most is None else function.most
-            fits, usage = least <= given <= most, f"see help('{node.name}')"
+            fits, usage = least <= given <= most, f"see help('{name}')"
         else:
             raise unknown_function(node, self._known_functions())
         if not fits:
             wanted = f"{least}" if least == most else f"{least} to {most}"
             plural = "" if wanted == "1" else "s"
             raise ArgumentError(
-                f"{node.name} takes {wanted} argument{plural}, not {given}: {usage}",
+                f"{name} takes {wanted} argument{plural}, not {given}: {usage}",
                 span=node.span,
             )
 
@@ -175,7 +228,7 @@ class Names:
             return sorted(self._known_functions(), key=str.casefold)
         if isinstance(name, str) and name.upper() == "AS":
             return help_of_forms()
-        described: dict[str, Function | Relation] = {**self._functions, **RELATIONS}
+        described: dict[str, Function | Relation] = {**RELATIONS, **self._functions}
         if name not in described:
             raise UnknownNameError(
                 f"there is no function {shown(name)}", suggestions=nearest(name, described)
@@ -183,7 +236,7 @@ class Names:
         return f"{name}\n{described[name].help}"
 
     def _known_functions(self) -> list[str]:
-        return [*RELATIONS, *self._functions]
+        return list(dict.fromkeys((*RELATIONS, *self._functions)))
 
     def _commands(self) -> list[Function]:
         def clear(name: str | None = None) -> bool:

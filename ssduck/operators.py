@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import islice
 from typing import Any
@@ -32,6 +32,13 @@ def _pattern(pattern: str) -> re.Pattern[str]:
     return re.compile(letters, re.DOTALL)
 
 
+def _remainder(left: Any, right: Any) -> Any:
+    """A remainder: of a text, Python's % would be its formatting, of whatever length."""
+    if isinstance(left, str | bytes | bytearray):
+        raise TypeError("texts have no remainder")
+    return left % right
+
+
 OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "LIKE": _is_like,
     "XOR": lambda left, right: bool(left) != bool(right),
@@ -46,7 +53,7 @@ OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "-": operator.sub,
     "*": operator.mul,
     "/": operator.truediv,
-    "%": operator.mod,
+    "%": _remainder,
     "^": operator.pow,
 }
 _UNARY: dict[str, Callable[[Any], Any]] = {
@@ -93,11 +100,11 @@ def _is_endless(sign: str, left: Any, right: Any) -> bool:
         if sign == "^":
             return abs(left) > 1 and right * left.bit_length() > MOST_BITS
         return sign == "*" and left.bit_length() + right.bit_length() > MOST_BITS
-    if sign == "+" and isinstance(left, str | list) and type(left) is type(right):
+    if sign == "+" and isinstance(left, Sequence) and isinstance(right, Sequence):
         return len(left) + len(right) > MOST_ELEMENTS
     if sign == "*":
         for sequence, times in ((left, right), (right, left)):
-            if isinstance(sequence, str | list) and isinstance(times, int):
+            if isinstance(sequence, Sequence) and isinstance(times, int):
                 return len(sequence) * times > MOST_ELEMENTS
     return False
 
@@ -128,7 +135,7 @@ def _leaves(values: list[Any], counted: dict[int, int]) -> int:
     return count
 
 
-def apply_unary(sign: str, value: Any, span: Span) -> Any:
+def apply_unary(sign: str, value: Any, span: Span | None = None) -> Any:
     """The value of - or +.
 
     Raises:
@@ -167,7 +174,10 @@ def indexed(value: Any, index: Any, span: Span) -> Any:
     """
     try:
         return value[index]
-    except (SelectScriptError, RecursionError):
+    except RecursionError:
+        raise
+    except SelectScriptError as error:  # a world knows its entities, and not where they stand
+        error.span = error.span or span
         raise
     except (IndexError, KeyError) as error:
         raise _no_such(value, index, span, error) from error

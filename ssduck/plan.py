@@ -63,6 +63,9 @@ class Names(Protocol):
     def deferred(self, name: str) -> Node | None:
         """The list that a variable holds for the query that uses it, None if it holds none."""
 
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
+
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
 
@@ -103,7 +106,7 @@ class Output:
 class Graph:
     """What is made of the edges that a statement yields: how long its paths, how many."""
 
-    longest: int | None
+    longest: int
     most: int | None
 
 

@@ -297,6 +297,7 @@ class Typed:
         self._values: dict[Node, Any] = dict(frame.kept)
         self._failed: set[Node] = set()
         self.check_call = scope.check_call
+        self.meant = scope.meant
 
     def frame(self) -> Frame:
         """The frame with what was evaluated already, so that it is evaluated once a run."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -23,11 +24,12 @@ from ssduck.dependencies import (
     mentions,
     states,
 )
-from ssduck.errors import SelectScriptError, SqlError
+from ssduck.errors import ArgumentError, SelectScriptError, SqlError
 from ssduck.evaluate import Compiler, Frame, Scope, Thunk
 from ssduck.graphs import Vertex, simple_paths
 from ssduck.hierarchy import Hierarchy
 from ssduck.joints import JointError
+from ssduck.memo import MEMOS
 from ssduck.plan import Graph, Output, Plan, Shape
 from ssduck.resolve import Resolved
 from ssduck.rows import Clauses, Column, Paths, Rest, Rows, Selected, combinations, row_frames
@@ -79,7 +81,11 @@ class Planned:
         if plan.outputs is None:
             known = {node: self._column(output) for node, output in plan.known.items()}
             compiler = Compiler(
-                scope, known, plan.once, memorize=not is_impure(plan.query), query=plan.query
+                scope,
+                known,
+                frozenset(plan.once),
+                memorize=not is_impure(plan.query),
+                query=plan.query,
             )
             self._clauses = Clauses(plan.rest, compiler)
 
@@ -130,7 +136,7 @@ class Planned:
             fetched = self._fetched(outer, sources)
         except SqlError as error:
             if self.plan.cautious or error.is_final:
-                raise
+                raise _of_relation(error) from error
             if error.is_refused:  # our mistake: the answer is right, but slow
                 warnings.warn(f"DuckDB refused a query's SQL: {error.message}", stacklevel=2)
             self._failures += 1
@@ -222,7 +228,7 @@ class Planned:
         around.pop(None, None)
         getters = [(shape.alias, self._element(shape, sources)) for shape in plan.shapes]
         only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
-        kept = dict(outer.kept)
+        kept = {MEMOS: {}, **outer.kept}
         step = outer.scope.meter.step
         for columns in fetched:
             step()
@@ -246,6 +252,14 @@ class Planned:
         if convert is None:
             return lambda columns: columns[index]
         return lambda columns: convert(columns[index])
+
+
+def _of_relation(error: SqlError) -> SelectScriptError:
+    """What a relation's formula says of its arguments, as an error of the language."""
+    told = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
+    if told is None or told[2] not in RELATIONS:
+        return error
+    return ArgumentError(told[1], span=error.span)
 
 
 def _is_long(past: Any) -> bool:
@@ -387,7 +401,7 @@ class RowByRow:
             values: those of the sources.
         """
         elements = all_elements(values)
-        kept = dict(outer.kept)
+        kept = {MEMOS: {}, **outer.kept}
         if self._search is None:
             return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
         return self._search.selected(outer, self._rows_of_states(outer, elements, kept), kept)

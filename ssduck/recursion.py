@@ -58,13 +58,16 @@ def searched(
     assert recursion is not None
     if recursion.unique or query.group or query.order or query.having is not None:
         raise NotSqlError
+    if recursion.memorizes and recursion.memorize is None:
+        raise NotSqlError  # how many levels it takes is known once a path is found
     if not all(isinstance(column.name, str) for column in columns):
         raise NotSqlError
     search = _Search(sql, query, recursion, columns, elements)
     items = tuple(item.tag for item in search.items)
     if not recursion.memorizes:
         return Searched(search.select(), tuple(Tag("list", tag) for tag in items))
-    levels = None if recursion.memorize is None else _number(recursion.memorize)
+    assert recursion.memorize is not None
+    levels = _number(recursion.memorize)
     place = Tag("list", INTEGER)
     return Searched(
         search.edges(levels), (place, place, FLAG, *items), Graph(levels, search.most())
@@ -85,7 +88,10 @@ class _Search:
         self.recursion = recursion
         self.elements = elements
         self.entities: dict[str, Element] = {}
-        self.start = {a.name: self._started(a) for a in recursion.start}
+        self.steps = _assigned(recursion.step)
+        self.start = {
+            name: self._started(value) for name, value in _assigned(recursion.start).items()
+        }
         self.tags = {name: value.tag for name, value in self.start.items()}
         self.names = _column_names(self.tags)
         self.next = self._states()
@@ -97,14 +103,14 @@ class _Search:
         self.found = self.stop if where is None else sql.condition(where)
         sql.context.risk()  # it may be too broad
 
-    def _started(self, assignment: Assignment) -> SqlValue:
-        if not self.sql.is_constant(assignment.value):
+    def _started(self, value: tree.Node) -> SqlValue:
+        if not self.sql.is_constant(value):
             raise NotSqlError
-        return self.sql.value(assignment.value)
+        return self.sql.value(value)
 
     def _states(self) -> dict[str, SqlValue]:
         """What the state variables are after a step, once their types hold still."""
-        steps = {a.name: a.value for a in self.recursion.step}
+        steps = self.steps
         if not steps.keys() <= self.tags.keys():
             raise NotSqlError
         for _ in range(3):
@@ -274,7 +280,7 @@ class _Search:
 
     # -- the graph of MEMORIZE ---------------------------------------------------------------
 
-    def edges(self, levels: int | None) -> exp.Select:
+    def edges(self, levels: int) -> exp.Select:
         """The edges of the graph of distinct selected rows, in the order of a breadth-first search.
 
         The first row of the recursive table is none of the graph's: what comes after it are
@@ -305,7 +311,7 @@ class _Search:
         table.set("key_expressions", [exp.to_identifier(key, quoted=True) for key in keys])
         return select
 
-    def _next_level(self, keys: Sequence[str], levels: int | None) -> exp.Select:
+    def _next_level(self, keys: Sequence[str], levels: int) -> exp.Select:
         """The rows that come after those of the last level, and that no level had."""
         items = [
             exp.alias_(_cast(item.sql, item.tag), key, quoted=True)
@@ -326,7 +332,7 @@ class _Search:
         # Of rows that are alike the first one counts.
         return select.distinct(*(item.this.copy() for item in items)).order_by(place.copy())
 
-    def _checked(self, levels: int | None) -> exp.Expr:
+    def _checked(self, levels: int) -> exp.Expr:
         """The rows of the last level; too many levels, and Python tells so."""
         deepest = exp.Literal.number(self.sql.names.deepest)
         deep = exp.GTE(this=self._level(), expression=deepest)
@@ -335,11 +341,10 @@ class _Search:
         rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
         return rows.subquery(_PATHS)
 
-    def _within(self, levels: int | None) -> exp.Expr:
+    def _within(self, levels: int) -> exp.Expr:
         """The rows that others may come after."""
-        rows = exp.select("*").from_(_table(_PATHS))
-        if levels is not None:
-            rows = rows.where(exp.LT(this=self._level(), expression=exp.Literal.number(levels)))
+        is_within = exp.LT(this=self._level(), expression=exp.Literal.number(levels))
+        rows = exp.select("*").from_(_table(_PATHS)).where(is_within)
         return rows.subquery(_PATHS)
 
     def _level(self) -> exp.Expr:
@@ -362,6 +367,16 @@ def _column_names(states: Iterable[str]) -> dict[str, str]:
         alike = sum(name.casefold() == other.casefold() for other in names)
         names[name] = f"state {name}" if not alike else f"state {name} {alike + 1}"
     return names
+
+
+def _assigned(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
+    """What state variables are assigned."""
+    found: dict[str, tree.Node] = {}
+    for part in parts:
+        if not isinstance(part, Assignment):
+            raise NotSqlError  # it is evaluated beside them, in Python
+        found[part.name] = part.value
+    return found
 
 
 def _number(node: tree.Node) -> int:

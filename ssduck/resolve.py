@@ -7,9 +7,23 @@ from dataclasses import dataclass, field, replace
 
 from ssduck.dependencies import states
 from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.own import plain
 from ssduck.plan import Names, Shape
 from ssduck.rows import Column
-from ssduck.tree import Aged, Bare, Call, Dotted, Index, Key, Literal, Name, Node, Query, This
+from ssduck.tree import (
+    Aged,
+    Assignment,
+    Bare,
+    Call,
+    Dotted,
+    Index,
+    Key,
+    Literal,
+    Name,
+    Node,
+    Query,
+    This,
+)
 
 
 @dataclass
@@ -82,6 +96,8 @@ class _Resolver:
                 case Call(name="to"):
                     raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
                 case Call(name=name) | Name(name=name) | Aged(name=name):
+                    yield Column(self._meant(node), plain(name))
+                case Assignment(name=name, is_bare=True):
                     yield Column(self._meant(node), name)
                 case Dotted(key=key):
                     yield Column(node, key)
@@ -151,7 +167,8 @@ class _Resolver:
         known = self._bare[part.name] = self._names.has_variable(part.name)
         if known:
             return part
-        call = Call(part.span, part.name, (This(part.span, None),), part.span)
+        name = self._names.meant(part.name)
+        call = Call(part.span, name, (This(part.span, None),), part.span)
         self._names.check_call(call)
         return call
 

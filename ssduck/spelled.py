@@ -6,12 +6,14 @@ arguments; `eval(part, elements, names)` gives the value of a part for the eleme
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
 from typing import Any, overload
 
 from ssduck.errors import ArgumentError
 from ssduck.evaluate import Frame
+from ssduck.own import plain
 from ssduck.rows import Column
 from ssduck.tree import Aged, Bare, Call, Index, Literal, Name, Node, Query, This
 
@@ -65,12 +67,17 @@ class Selected(Part, Sequence[Any]):
 
     def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
         """Its value; of `to`, with the name."""
-        value = super().value(elements, names)
-        if not self._is_renamed:
-            return value
+        value = self.plain(elements, names)
+        return (value, self.called(elements, names)) if self._is_renamed else value
+
+    def plain(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+        """Its value; of `to`, without the name."""
+        return super().value(elements, names)
+
+    def called(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+        """What a row calls it."""
         name = self._column.name
-        told = name if isinstance(name, str) else Part(name, self._frame).value(elements, names)
-        return value, told
+        return name if isinstance(name, str) else Part(name, self._frame).value(elements, names)
 
     def _parts(self) -> tuple[str, str, list[Any]]:
         if self._is_renamed:
@@ -142,11 +149,48 @@ class Elements(Iterator[tuple[Any, ...]]):
     next = __next__
 
 
+def takes_results(call: Callable[..., Any]) -> bool:
+    """Whether an `evalAs` is one of the published interpreters: of rows that WHERE left."""
+    return "RESULTS" in inspect.signature(call).parameters
+
+
+class SpelledForms:
+    """The three basic forms as methods, as the published interpreters have them.
+
+    A subclass calls them with what its `evalAs(self, AS, PARAMS, SELECT, FROM_n, RESULTS)` is
+    given: the form's arguments, the columns, the names of the sources, and a tuple of elements
+    for each row.
+    """
+
+    def evalAS_list(  # noqa: N802
+        self, _: Sequence[Any], select: Columns, names: Sequence[str], rows: Iterable[Sequence[Any]]
+    ) -> list[Any]:
+        """`AS list`: the values row after row."""
+        return [column.plain(row, names) for row in rows for column in select]
+
+    def evalAS_dict(  # noqa: N802
+        self, _: Sequence[Any], select: Columns, names: Sequence[str], rows: Iterable[Sequence[Any]]
+    ) -> list[dict[Any, Any]]:
+        """`AS dict`: a dict a row."""
+        return [
+            {column.called(row, names): column.plain(row, names) for column in select}
+            for row in rows
+        ]
+
+    def evalAS_value(  # noqa: N802
+        self, _: Sequence[Any], select: Columns, names: Sequence[str], rows: Iterable[Sequence[Any]]
+    ) -> Any:
+        """`AS value`: the first value of the first row; `[]` if there is none."""
+        for row in rows:
+            return select[0].plain(row, names)
+        return []
+
+
 def _plain_name(node: Node) -> str:
     """What a column is called that `to` does not name."""
     match node:
         case Call(name=name) | Bare(name=name) | Name(name=name) | Aged(name=name):
-            return name
+            return plain(name)
         case Index(indices=(*_, Literal(value=str() as key))):
             return key
         case This(alias=alias):

@@ -16,7 +16,9 @@ from ssduck.tree import (
     Aged,
     Assignment,
     Binary,
+    Branch,
     Call,
+    Chain,
     Dotted,
     Doubt,
     If,
@@ -185,11 +187,11 @@ class SqlForms(Cursor):
             branches.append((asked, self.expression()))
         if not self.take_words("ELSE"):
             self.fail("expected ELSE (a CASE without it would have no value)")
-        node = self.expression()
+        otherwise = self.expression()
         self.expect_word("END")
-        for asked, then in reversed(branches):
-            node = If(self.since(start), asked, (then,), (node,))
-        return node
+        place = self.since(start)
+        first, *further = (Branch(place, asked, (then,)) for asked, then in branches)
+        return If(place, first.condition, first.then, (otherwise,), tuple(further))
 
     # -- calls ----------------------------------------------------------------------------
 
@@ -301,6 +303,9 @@ class SqlForms(Cursor):
         if isinstance(node, Binary) and node.operator in ("AND", "OR"):
             self.note_condition(node.left)
             self.note_condition(node.right)
+        elif isinstance(node, Chain) and node.operators[0] in ("AND", "OR"):
+            for operand in node.operands:
+                self.note_condition(operand)
         elif isinstance(node, Assignment) and isinstance(node.value, Literal):
             self.doubt(node.span, f"this sets the variable {node.name}; write == to compare")
 

@@ -17,6 +17,7 @@ from sqlglot import exp
 
 from ssduck import subqueries, tree
 from ssduck.aggregates import check_one_group, is_aggregated, is_one_group, over_rows
+from ssduck.chains import conjuncts
 from ssduck.dependencies import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.elements import (
     Element,
@@ -108,10 +109,10 @@ class _Translator:
         if self.query.recursion is not None:
             return self._recursive()
         self._note_only()
-        conditions = [
-            self._pairs(node) or self._condition(node) for node in _conjuncts(self.query.where)
-        ]
-        left = [n for n, c in zip(_conjuncts(self.query.where), conditions, strict=True) if not c]
+        conditions = list(self._conditions())
+        left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
+        if left and self._is_product_of_lists() and not any(conditions):
+            raise NotSqlError  # all of their combinations come to Python, which can make them
         selected = [column.node for column in self.selected]
         names = [column.name for column in self.selected if isinstance(column.name, Node)]
         aggregated = is_aggregated(self.query, selected)
@@ -223,6 +224,24 @@ class _Translator:
 
     # -- clauses ----------------------------------------------------------------------------
 
+    def _conditions(self) -> Iterator[exp.Expr | None]:
+        """The conditions in SQL; none for those from the first one on that does something."""
+        happens = False
+        for node in conjuncts(self.query.where):
+            happens = happens or is_impure(node)
+            if happens:
+                self._leave(node)
+                yield None
+            else:
+                yield self._pairs(node) or self._condition(node)
+
+    def _is_product_of_lists(self) -> bool:
+        """Whether the sources are several lists that Python has."""
+        shapes = self.result.shapes
+        return len(shapes) > 1 and all(
+            s.given and s.tag is not None and s.tag.type != "record" for s in shapes
+        )
+
     def _pairs(self, node: Node) -> exp.Expr | None:
         """A condition on two sources that are one world, with all of its pairs joined.
 
@@ -235,7 +254,7 @@ class _Translator:
         worlds = {shape.alias: shape.schema for shape in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
-        others = [part for part in _conjuncts(self.query.where) if part is not node]
+        others = [part for part in conjuncts(self.query.where) if part is not node]
         alone = any(len(free_aliases(part) & aliases) == 1 for part in others)
         if alone or len(schemas) > 1 or None in schemas:
             return None
@@ -252,7 +271,7 @@ class _Translator:
 
     def _note_only(self) -> None:
         """Note of which one entity sources are: by `this == cup`, by `id(this) == 'cup'`."""
-        for node in _conjuncts(self.query.where):
+        for node in conjuncts(self.query.where):
             match node:
                 case Binary(operator="==", left=This() as row, right=other):
                     pass
@@ -307,8 +326,8 @@ class _Translator:
         left: tuple[Key, ...] = ()
         of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
         try:
-            if of_groups:
-                raise NotSqlError
+            if of_groups or is_impure(self.query):
+                raise NotSqlError  # what happens at rows happens in the order of the sources
             ordered.extend(subqueries.ordered(self.sql, self.query.order))
         except NotSqlError:
             left = self.query.order
@@ -432,17 +451,17 @@ class _Translator:
         except NotSqlError:
             # A nested query runs by itself, and sees the elements.
             if not isinstance(node, Query):
-                for child in node.children():
+                for child in _parts(node):
                     self._leave(child, but)
 
 
-def _conjuncts(node: Node | None) -> Iterator[Node]:
-    """The parts of a condition that are joined by AND, in order."""
-    if isinstance(node, Binary) and node.operator == "AND":
-        yield from _conjuncts(node.left)
-        yield from _conjuncts(node.right)
-    elif node is not None:
-        yield node
+def _parts(node: Node) -> Iterator[Node]:
+    """What is fetched of a part that SQL cannot do; of so many comparisons, what they compare."""
+    for child in node.children():
+        if isinstance(node, tree.Chain) and isinstance(child, Binary):
+            yield from child.children()
+        else:
+            yield child
 
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:

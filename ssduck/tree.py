@@ -178,12 +178,52 @@ class Binary(Node):
 
 
 @dataclass(frozen=True, eq=False)
+class Chain(Node):
+    """`a + b - c …`: so many operators of one level in a row that they are kept flat.
+
+    Attributes:
+        operators: one less than there are operands.
+        operands: from the left.
+        ends: where the text of each operand ends.
+    """
+
+    operators: tuple[str, ...]
+    operands: tuple[Node, ...]
+    ends: tuple[int, ...]
+
+    def until(self, index: int) -> Span:
+        """The place of the operands up to this one."""
+        return Span(self.span.start, self.ends[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Branch(Node):
+    """An `IF` that is all there is in the else branch of another one, without its own."""
+
+    condition: Node
+    then: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class If(Node):
-    """`IF(condition; then, …; else, …)`: of each branch the last value counts."""
+    """`IF(condition; then, …; else, …)`: of each branch the last value counts.
+
+    Attributes:
+        condition: what decides.
+        then: what is evaluated where it holds.
+        otherwise: what is evaluated where nothing holds.
+        further: what is asked where it does not hold, one after another.
+    """
 
     condition: Node
     then: tuple[Node, ...]
     otherwise: tuple[Node, ...]
+    further: tuple[Branch, ...] = ()
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """All conditions, with what is evaluated where they hold."""
+        return (Branch(self.span, self.condition, self.then), *self.further)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,11 +233,19 @@ class Endless(Node):
 
 @dataclass(frozen=True, eq=False)
 class Assignment(Node):
-    """`name = value`, or `name{horizon} = value`."""
+    """`name = value`, or `name{horizon} = value`.
+
+    Attributes:
+        name: of the variable.
+        horizon: how long it keeps its values.
+        value: what it is assigned.
+        is_bare: whether it stands as a whole in SELECT or WHERE, where `==` may have been meant.
+    """
 
     name: str
     horizon: Node | None
     value: Node
+    is_bare: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,15 +266,18 @@ class Key(Node):
 
 @dataclass(frozen=True, eq=False)
 class Recursion(Node):
-    """`START WITH … CONNECT BY … STOP WITH …`; `memorize` is the n of `MEMORIZE n`."""
+    """`START WITH … CONNECT BY … STOP WITH …`; `memorize` is the n of `MEMORIZE n`.
 
-    start: tuple[Assignment, ...]
+    In `start` and `step` are assignments to state variables, and what is evaluated beside those.
+    """
+
+    start: tuple[Node, ...]
     no_cycle: bool
     unique: bool
     memorizes: bool
     memorize: Node | None
     maximum: Node | None
-    step: tuple[Assignment, ...]
+    step: tuple[Node, ...]
     stop: Node
 
 

@@ -237,6 +237,7 @@ class Grammar:
         self.joins = not self.wild or choices.chance(35)
         self.aliases = 0
         self.before: list[str] = []
+        self.tally = choices.chance(5)
         self.worlds = 2
         self.size = choices.pick((1, 1, 2, 1))
         self.deepest = choices.pick((1, 1, 2, 1))
@@ -263,6 +264,9 @@ class Grammar:
             last = self.expression(self.c.pick((*SCALARS, INTS)), scope, 3, 1)
         else:
             last = self.stored(scope)
+        if self.tally:
+            self.before.insert(0, "tally = 0")
+            last = f"[({last}), tally]"
         return " ".join(f"{statement};" for statement in (*self.before, last))
 
     def stored(self, scope: Scope) -> str:
@@ -339,6 +343,8 @@ class Grammar:
             f"SELECT {distinct}{', '.join(columns)} FROM {', '.join(s.written for s in sources)}"
         ]
         conditions = [where] if where else []
+        if depth == 0 and self.tally and self.c.chance(70):
+            conditions.append(self.counted(inner, depth + 1))
         if self.c.chance(60):
             conditions.append(self.expression(FLAG, inner, self.size, depth + 1))
             if self.joins and self.c.chance(25):
@@ -571,6 +577,8 @@ class Grammar:
             "text": self.text,
             "flag": self.flag,
         }
+        if type_.kind in makers and self.c.chance(1):
+            return f"({self.chain(type_, scope)})"
         if type_.kind in makers:
             return f"({makers[type_.kind](scope, size - 1, depth)})"
         return self.atom(type_, scope) if type_.kind != "list" else self.listed(type_, scope, size)
@@ -616,15 +624,39 @@ class Grammar:
         return f"[{', '.join(parts)}]"
 
     def choice(self, type_: Type, scope: Scope, size: int, depth: int) -> str:
-        """IF with two branches of a type."""
+        """IF with branches of a type, perhaps one after another; of flags some may be missing."""
         condition = self.expression(FLAG, scope, size, depth)
+        if type_ == FLAG and self.c.chance(20):
+            return f"IF({condition})"
         then, other = (self.expression(type_, scope, size, depth) for _ in range(2))
         if self.c.chance(30):
             return f"CASE WHEN {condition} THEN {then} ELSE {other} END"
         if self.c.chance(20):
             one, two = (self.expression(TEXT, scope, 0, depth) for _ in range(2))
             return f"CASE {one} WHEN {two} THEN {then} ELSE {other} END"
+        if type_ == FLAG and self.c.chance(20):
+            return f"IF({condition}; {then})"
+        if self.c.chance(20):
+            further = self.expression(FLAG, scope, size, depth)
+            other = f"IF({further}; {other}; {self.atom(type_, scope)})"
         return f"IF({condition}; {then}; {other})"
+
+    def chain(self, type_: Type, scope: Scope) -> str:
+        """So many operands in a row that they are kept flat, or nearly so many."""
+        signs = {"int": ("+", "-"), "real": ("+", "-", "*"), "text": ("+",)}
+        parts = [self.atom(type_, scope) for _ in range(2)]
+        many = self.c.pick((31, 32, 33, 40))
+        if type_ == FLAG:
+            return f" {self.c.pick(('OR', 'AND', 'XOR'))} ".join((parts * many)[:many])
+        sign = self.c.pick(signs[type_.kind])
+        return f" {sign} ".join((parts * many)[:many])
+
+    def counted(self, scope: Scope, depth: int) -> str:
+        """A condition that counts where it holds, or how often it is asked."""
+        condition = self.expression(FLAG, scope, 1, depth)
+        if self.c.chance(50):
+            return f"IF({condition}; tally = tally + 1, True; False)"
+        return f"((tally = tally + 1) > {self.c.below(4)} AND {condition})"
 
     def divisor(self, type_: Type, scope: Scope, size: int) -> str:
         """What is not 0, unless errors are wanted."""
@@ -642,11 +674,12 @@ class Grammar:
                 other = self.expression(INT, scope, size, depth)
                 return f"{one} {self.c.pick(('+', '-', '*'))} {other}"
             case 4:
-                return f"{one} % {self.divisor(INT, scope, size)}"
+                divisor = self.divisor(INT, scope, size)
+                return self.c.pick((f"{one} % {divisor}", f"mod({one}, {divisor})"))
             case 5:
                 return f"{one} ^ {self.c.pick(('2', '0', '3', '1'))}"
             case 6:
-                return f"-{one}"
+                return self.c.pick((f"-{one}", f"neg({one})", f"sub(1, {one})", f"mul(2, {one})"))
             case 7:
                 return f"abs({one})"
             case 8:

@@ -80,7 +80,7 @@ def test_no_numbers_compare_as_in_python(ss, program, value):
 
 @pytest.mark.parametrize("function", ["sin", "cos", "tan"])
 def test_no_angle_is_infinite(ss, function):
-    with pytest.raises(ssduck.SelectScriptError, match=r"math domain|expected a finite"):
+    with pytest.raises(ssduck.SelectScriptError, match="does not take inf"):
         ss.eval(f"SELECT {function}(aabbVolume(this)) FROM w AS list;")
     finite = ss.eval(f"SELECT {function}(aabbVolume(this)) FROM w WHERE id(this) == 'low' AS list;")
     assert finite == [getattr(math, function)(1.0)]

@@ -200,7 +200,7 @@ MISTAKES = [
         "broken: KeyError: 'fridge_webcam'",
         [],
     ),
-    ("sqrt(-1);", FunctionError, "sqrt(-1)", "sqrt: ValueError", []),
+    ("sqrt(-1);", ArgumentError, "sqrt(-1)", "sqrt does not take -1", []),
     ("2 ^ 99999999999;", EvaluationError, "2 ^ 99999999999", "too large", []),
     ("'a' * 1000000000000;", EvaluationError, "'a' * 1000000000000", "too large", []),
     ("(-8) ^ 0.5;", EvaluationError, "(-8) ^ 0.5", "no real value", []),
@@ -277,14 +277,6 @@ def test_a_failed_program_changes_no_variable(ss):
     assert ss.call_variable("kept") == 1
 
 
-@pytest.mark.parametrize("text", ["1" + " + 1" * 20_000, "a" + " OR a" * 20_000])
-def test_endless_chains_are_an_error_and_no_crash(ss, text):
-    ss.add_variable("a", False)
-    with pytest.raises(SelectScriptError, match="nested too deeply"):
-        ss.eval(text)
-    assert ss.eval("1;") == 1
-
-
 @pytest.mark.parametrize("name", ["not a name", "", "1a", "a;b"])
 def test_bad_names_of_variables_and_functions(ss, name):
     with pytest.raises(ArgumentError, match="letters, digits and _ only"):
@@ -299,7 +291,7 @@ def test_words_of_the_language_are_no_names(ss, name):
         ss.add_variable(name, 1)
 
 
-@pytest.mark.parametrize("name", ["above", "volume", "help", "count", "to"])
+@pytest.mark.parametrize("name", ["help", "to", "print", "eval", "clear", "var", "holds"])
 def test_functions_of_the_language_stay(ss, name):
     with pytest.raises(ArgumentError, match="choose another name"):
         ss.add_function(name, len)

@@ -355,7 +355,8 @@ def test_where_is_asked_before_stop(ss):
     )
     assert ss.eval(program) == [[0], [2, 0]]
     assert ss.eval(program.replace("BY n", "BY NO CYCLE n")) == [[0], [2, 0]]
-    assert ss.eval(program.replace("BY n", "BY MEMORIZE n")) == [[[0]], [[2], [0]]]
+    assert ss.eval(program.replace("BY n", "BY MEMORIZE 9 n")) == [[[0]], [[2], [0]]]
+    assert ss.eval(program.replace("BY n", "BY MEMORIZE n")) == [[[0]]]
 
 
 def test_unique_does_not_count_a_row_that_is_found_and_stops(ss):
@@ -469,7 +470,7 @@ LARGE = [
     ),
     ("var(long);", UnknownNameError, "var(long)", "no variable 'aaa"),
     ("help(long);", UnknownNameError, "help(long)", "no function 'aaa"),
-    ("float(long);", FunctionError, "float(long)", "float: ValueError: could not convert"),
+    ("float(long);", ArgumentError, "float(long)", "float does not take"),
     ("fail(1);", FunctionError, "fail(1)", "fail: ValueError: yyy"),
     ("odd(1);", FunctionError, "odd(1)", "odd: UntoldError: it does not tell why"),
 ]

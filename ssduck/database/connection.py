@@ -80,6 +80,7 @@ class Connection:
         self._tracer = tracer
         self.meter = Meter(limits)
         self._functions: set[str] = set()
+        self._at_start: dict[str, Callable[[], None]] = {}
         # What a function raised while SQL called it: DuckDB keeps but its words.
         self._raised: list[BaseException] = []
         # The data are small and the queries many: a second thread costs more than it gives.
@@ -154,7 +155,14 @@ class Connection:
         self._connection.unregister(name)
 
     def add_function(
-        self, name: str, function: Callable[..., Any], takes: Sequence[str], gives: str, **how: Any
+        self,
+        name: str,
+        function: Callable[..., Any],
+        takes: Sequence[str],
+        gives: str,
+        *,
+        at_start: Callable[[], None] | None = None,
+        **how: Any,
     ) -> None:
         """Make a function one of SQL, by that name; replaces one that has it.
 
@@ -165,6 +173,7 @@ class Connection:
             function: takes as many arguments; it must not keep this object alive.
             takes: the types of its arguments, in SQL.
             gives: that of its result.
+            at_start: is called before each statement.
             how: what else DuckDB is to know of it.
         """
         if name in self._functions:
@@ -183,6 +192,8 @@ class Connection:
         result: Any = gives
         self._connection.create_function(name, call, types, result, **how)
         self._functions.add(name)
+        if at_start is not None:
+            self._at_start[name] = at_start
 
     # -- statements -----------------------------------------------------------------------
 
@@ -230,6 +241,8 @@ class Connection:
         if self._tracer is not None:
             self._tracer(sql)
         self._raised.clear()
+        for begin in self._at_start.values():
+            begin()
         listening = ctrl_c.Listening(self._interrupt)
         try:
             result = self._in_time(work, listening, self._timer() if timed else None)

@@ -21,6 +21,7 @@ from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, n
 from ssduck.functions import Function
 from ssduck.history import Near
 from ssduck.joints import JointError, Joints
+from ssduck.memo import Memo
 from ssduck.record import PAIR, Record
 from ssduck.relations import ANY, CHECKED_TICK
 from ssduck.shapes import ANSWERS, depth
@@ -37,15 +38,22 @@ def add_users(
     """Make a user's function one of SQL; replaces one of that signature."""
     converters = [converter_of(tag, worlds) for tag in signature.parameters]
 
-    def call(*arguments: Any) -> Any:
+    def given(arguments: list[Any]) -> Any:
         values = [
             value if convert is None else convert(value)
             for convert, value in zip(converters, arguments, strict=True)
         ]
         return _usable(function(values), signature.result)
 
+    memo = Memo(given, keeps_same=False)
+
+    def call(*arguments: Any) -> Any:
+        return memo(list(arguments))
+
     types = [tag.sql_type for tag in signature.parameters]
-    connection.add_function(signature.name, call, types, signature.result.sql_type)
+    connection.add_function(
+        signature.name, call, types, signature.result.sql_type, at_start=memo.forget
+    )
 
 
 def converter_of(tag: Tag, worlds: Mapping[str, Bound]) -> Converter | None:

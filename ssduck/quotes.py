@@ -1,0 +1,20 @@
+"""Texts in quotes, as programs write them."""
+
+from __future__ import annotations
+
+import re
+
+
+def unquoted(written: str) -> str:
+    r"""What a text in quotes says.
+
+    Two quotes of its own kind are one. Backslashes before such a quote, and at its end, count by
+    twos: two are a backslash, and one that is left makes the quote a part of the text. All other
+    backslashes are themselves.
+
+    Args:
+        written: the text with its quotes.
+    """
+    quote = written[0]
+    escaped = rf"\\\\(?=\\*(?:{quote}|$))|\\{quote}|{quote}{quote}"
+    return re.sub(escaped, lambda found: found.group()[-1], written[1:-1])
