@@ -143,7 +143,8 @@ PROGRAMS = [
     "SELECT contactForce(body_8, this) FROM lab{} AS list;",
     "sum((SELECT x(this) FROM lab{} AS list));",
     "SELECT force(this), torque(this) FROM lab WHERE isKinbody(this) AS list;",
-    "[holds(near(body_0, body_8, 0.2)), least(clearance(body_0, body_8)), least(z(body_0))];",
+    "[holds(near(body_0, body_8, 0.2)), least(clearance(body_0, body_8)), "
+    "least(z(body_0))];",
 ]
 
 
