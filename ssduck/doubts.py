@@ -28,6 +28,7 @@ from ssduck.tree import (
     Assignment,
     Binary,
     Call,
+    Chain,
     Dotted,
     ListOf,
     Literal,
@@ -158,6 +159,8 @@ def _conditions(nodes: Iterable[Node]) -> Iterator[Name]:
                 yield node
             case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
                 yield from _conditions((left, right))
+            case Chain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
+                yield from _conditions(operands)
             case Unary(operator="NOT", operand=operand):
                 yield from _conditions((operand,))
             case Binary(left=Name() as name, right=Literal()):
