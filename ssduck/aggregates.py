@@ -128,7 +128,7 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
         return _OF_NONE.get(call.name, _nothing)()
     try:
         return AGGREGATES[call.name]([values])
-    except FunctionError as error:
+    except (ArgumentError, FunctionError) as error:
         raise ArgumentError(_refusal(call.name, values), span=call.span) from error
     except SelectScriptError as error:
         error.span = error.span or call.span
