@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ssduck.separation import Point
+from ssduck.placed import Point
 
 # What carries pushes within 30 degrees of up, alone or together with others.
 UPRIGHT = math.cos(math.radians(30.0)) - 1e-9

@@ -37,6 +37,7 @@ from ssduck.own import meant
 from ssduck.past import together as entities_together
 from ssduck.planner import Planner
 from ssduck.rows import formed
+from ssduck.tables import MASSES
 from ssduck.temporal import seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
@@ -251,6 +252,9 @@ class Execution(Names, ABC):
                     error = value.removed()
                     error.span = argument.span
                     raise error
+                moment = value.moment if isinstance(value, Entity) else None
+                if moment is not None and MASSES in RELATIONS[node.name].reads:
+                    moment.record.warn_of_masses()
             return self._planner.relation(query, Frame(self, given=given))
 
     # -- what else expressions see -----------------------------------------------------------

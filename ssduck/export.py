@@ -41,6 +41,7 @@ def exported(
         ArgumentError: no entity has one of the names.
     """
     numbers = _ticks(record, between)
+    record.warn_of_masses()
     tables = [table for table in record.tables if table not in ("ticks", FRAMES)]
     chosen = Recording(
         tables=tuple(sorted(tables)),

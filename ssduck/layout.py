@@ -48,7 +48,21 @@ class Member:
     @property
     def mass(self) -> float:
         """Kilograms; 0 for a sensor and for what cannot move."""
-        return sum(link.mass for link in self.body.links) if self.body else 0.0
+        return sum(self.masses)
+
+    @property
+    def masses(self) -> list[float]:
+        """Those of the links, kg."""
+        return [link.mass for link in self.body.links] if self.body else []
+
+    def weighed(self, masses: Sequence[float]) -> Member:
+        """The same entity with other masses of its links, kg."""
+        if self.body is None or list(masses) == self.masses:
+            return self
+        links = (
+            replace(link, mass=mass) for link, mass in zip(self.body.links, masses, strict=True)
+        )
+        return replace(self, body=replace(self.body, links=tuple(links)))
 
 
 def margins_of(members: Iterable[Member]) -> float:

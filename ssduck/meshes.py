@@ -23,15 +23,8 @@ from typing import Any
 import numpy as np
 
 from ssduck.geometry import Array, cross
-from ssduck.separation import (
-    TOUCH,
-    Core,
-    Counter,
-    Placed,
-    Separation,
-    nearest_of_surfaces,
-    rounded,
-)
+from ssduck.placed import Placed
+from ssduck.separation import TOUCH, Core, Counter, Separation, nearest_of_surfaces, rounded
 from ssduck.surfaces import Surface
 
 MOST_CONTACTS = 100_000

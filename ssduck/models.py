@@ -77,7 +77,7 @@ MODELS: dict[str, dict[str, str]] = {
         "faces": "INTEGER[3][]",
     },
 }
-_FIRST_MASS = "kg, when the entity came; a later change is not recorded"
+_FIRST_MASS = "kg, when the entity was first recorded; a later change is not recorded"
 # What those mean that no table of a tick has, or that mean something else there.
 MODEL_COMMENTS: dict[str, dict[str, str]] = {
     "entities": {

@@ -33,7 +33,8 @@ from ssduck.overlap import (
     most_in_hull,
     share_inside,
 )
-from ssduck.separation import Counter, Placed, Point, Separation, separation
+from ssduck.placed import Placed, Point
+from ssduck.separation import Counter, Separation, separation
 from ssduck.solids import PlacedSolids, Solid
 
 # What is deeper collides.

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.geometry import Array, Geometry
-from ssduck.separation import Placed
+from ssduck.placed import Placed
 from ssduck.solids import FLAT, Solid, hull_of, solid_of
 from ssduck.surfaces import without_copies
 from ssduck.volumes import common_volume

@@ -8,6 +8,7 @@ from ssduck.entities import Entity, Moment
 from ssduck.shapes import Shapes
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
+from ssduck.tables import MASSES
 from ssduck.world import World
 
 # Tables that are worked out of poses.
@@ -43,7 +44,10 @@ class PastWorld(World):
 
     def ask(self, tables: Iterable[str]) -> None:
         """See to it that there are these tables; what was recorded is there."""
-        super().ask(_AS_READ.intersection(tables))
+        wanted = frozenset(tables)
+        if MASSES in wanted:
+            self._record.warn_of_masses()
+        super().ask(_AS_READ & wanted)
 
     def shapes(self) -> Shapes:
         """The shapes of this tick, to be compared."""

@@ -7,7 +7,14 @@ from typing import Any, Protocol
 
 from ssduck.database import Database
 from ssduck.deferred import Deferred
-from ssduck.dependencies import aliases_of, is_impure, mentions, sees_outside, states
+from ssduck.dependencies import (
+    aliases_of,
+    is_impure,
+    mentions,
+    sees_outside,
+    states,
+    tables_of,
+)
 from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.evaluate import Frame, Scope
@@ -22,6 +29,7 @@ from ssduck.rows import Selected
 from ssduck.sources import INLINE, all_elements, beside_past, shapes_of
 from ssduck.sqlvalues import NotSqlError
 from ssduck.subqueries import is_inline
+from ssduck.tables import MASSES
 from ssduck.translate import NotInlineError, translate
 from ssduck.tree import Aged, Call, Given, Name, Node, Query
 from ssduck.types import Signature, Tag, tag_of
@@ -179,7 +187,7 @@ class Planner:
         while True:
             elements = frame.own_elements()
             values = beside_past(self._values(query, frame), elements)
-            self._check_records(values)
+            self._check_records(query, values)
             if any(isinstance(value, Entity) and value.moment is not None for value in elements):
                 raise NotSqlError  # handles in it go with a row of a query around it
             shapes = shapes_of(query, values, self._database.schema_of)
@@ -226,9 +234,15 @@ class Planner:
         self._plans.setdefault(query, []).append(planned)
         return planned
 
-    def _check_records(self, values: Sequence[Any]) -> None:
-        """Complain of the past of a world that is recorded for another interpreter, too."""
+    def _check_records(self, query: Query, values: Sequence[Any]) -> None:
+        """Complain of the past of a world that is recorded for another interpreter, too.
+
+        It is warned of masses that records do not tell.
+        """
+        weighs = MASSES in tables_of(query)
         for value in values:
+            if weighs and isinstance(value, Past):
+                value.record.warn_of_masses()
             known = isinstance(value, Past) and value.world in self._database.worlds.values()
             if known and self._database.record_of(value.world) is not value.record:
                 raise EvaluationError(
@@ -244,7 +258,7 @@ class Planner:
             for source in query.sources
         ]
         values = beside_past(values, frame.own_elements())
-        self._check_records(values)
+        self._check_records(query, values)
         shapes = shapes_of(query, values, self._database.schema_of)
         return self._rows_of(query, shapes, frame, check).run(frame, values)
 

@@ -25,6 +25,7 @@ from ssduck.history import POSE, Near, not_recorded
 from ssduck.layout import Member, margins_of
 from ssduck.many_ticks import Frames as LinkFrames
 from ssduck.many_ticks import Ids, Models, Side
+from ssduck.masses import Reweighed
 from ssduck.past_world import PastWorld
 from ssduck.placing import Placings, links_of
 from ssduck.rings import Ticks
@@ -59,6 +60,7 @@ class Record:
         near: gives the pairs of entities whose boxes are near at some ticks, with their poses.
         geometries: the numbers of geometries by their keys; None for those of the world.
         run: the number of the run that they are of; None for that of the world.
+        reweighed: the bodies whose masses changed after they were kept; None for none.
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class Record:
         near: Callable[[Near], pa.Table],
         geometries: dict[str, int] | None = None,
         run: int | None = None,
+        reweighed: Reweighed | None = None,
     ) -> None:
         self._world: weakref.ref[World] | None = None
         if world is not None:
@@ -81,6 +84,7 @@ class Record:
         self.members = members
         self.fetch = fetch
         self._near = near
+        self._reweighed = reweighed
         self._models = Models(members)
         # Of how many members it was found.
         self._margins = -1, 0.0
@@ -179,6 +183,11 @@ class Record:
                 f"what was recorded of {self.world.name!r} is kept no longer: it is recorded anew, "
                 "or not at all"
             )
+
+    def warn_of_masses(self) -> None:
+        """Warn of bodies whose masses are no longer those that are kept; of each once."""
+        if self._reweighed is not None:  # nothing changes in a world that was opened
+            self._reweighed.warn(self.world)
 
     def _place_of(self, tick: int) -> int:
         self.check_open()

@@ -18,6 +18,7 @@ import pyarrow as pa
 from ssduck.errors import SelectScriptError
 from ssduck.kept_rows import KeptRows
 from ssduck.layout import Member
+from ssduck.masses import Reweighed
 from ssduck.models import Numbers
 from ssduck.recording import QUARTERS, Recording
 from ssduck.rings import FRAMES, Ring, Ticks, ring_of
@@ -66,6 +67,7 @@ class Recorder:
         rings: what waits to be stored, by table.
         ticks: those that are kept.
         members: the entities that they tell of, by id; of those that are gone, too.
+        reweighed: the bodies whose masses are known to have changed since.
     """
 
     def __init__(self, recording: Recording, store: Store, waits: int = RING_TICKS) -> None:
@@ -79,6 +81,7 @@ class Recorder:
         self._lock = threading.RLock()
         self.ticks = Ticks()
         self.members: dict[int, Member] = {}
+        self.reweighed = Reweighed()
         self._told = 0
         self._is_looked_after = True
         self._rows: KeptRows | None = None
@@ -116,6 +119,13 @@ class Recorder:
             return
         with self._lock:
             self._keep(snapshot, self._rows_of(snapshot))
+
+    def note_masses(self, snapshot: Snapshot) -> None:
+        """Take note of masses that are others than those that are kept: they were read anew."""
+        for id, masses in snapshot.masses.items():
+            member = self.members.get(id)
+            if member is not None and masses != member.masses:
+                self.reweighed.note(id, member.name)
 
     def _keep(self, snapshot: Snapshot, rows: KeptRows) -> None:
         counts = {table: rows.count(snapshot, table) for table in self.rings}
@@ -254,7 +264,12 @@ class Recorder:
     def _rows_of(self, snapshot: Snapshot) -> KeptRows:
         if self._rows is None or not self._rows.fit(snapshot):
             self._rows = KeptRows(snapshot, self.recording.entities)
-            new = [m for m in self._rows.members if m.id not in self.members]
+            masses = snapshot.masses
+            new = [
+                member.weighed(masses.get(member.id, member.masses))
+                for member in self._rows.members
+                if member.id not in self.members
+            ]
             self._new += new
             self._numbers = snapshot
             self.members |= {member.id: member for member in new}

@@ -213,6 +213,7 @@ class FolderRecording:
         """
         if self._recorder not in self._recorders:
             return
+        self._recorder.reweighed.warn(self._world)
         self.flush()
         self._folder.finish()
         self._world.forget(self._recorder)

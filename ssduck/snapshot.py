@@ -50,6 +50,7 @@ class Snapshot:
         untold: tables whose rows nobody knows, and why: asking for them is an error.
         sensing: what its sensors have measured.
         calls: how often the narrow phase was called, over all ticks.
+        masses: of the links of bodies by entity, kg, as they were read last.
         geometries: the numbers of geometries in the table of geometries, by their keys.
         run: the number of the run that its ticks are of; that of a what-if world is another one.
     """
@@ -84,8 +85,9 @@ class Snapshot:
         self._asked_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
-        # The tick at which masses were read last.
+        # The tick at which masses were read last, and those of the links then, by entity.
         self._weighed = 0
+        self.masses: dict[int, list[float]] = {}
 
     @property
     def members(self) -> Sequence[Member]:
@@ -339,13 +341,16 @@ class Snapshot:
         """Read what cannot move once more with the next tick: it was moved by hand."""
         self._still = None
 
-    def read_masses(self, simulator: Simulator) -> None:
+    def read_masses(self, simulator: Simulator) -> bool:
         """Read the masses at this tick, unless that is done: whoever has a client may change them.
 
         With each tick they would take a third of what the poses do.
+
+        Returns:
+            Whether they were read.
         """
         if self._weighed == self.number:
-            return
+            return False
         self._weighed = self.number
         bodies = self._layout.bodies
         masses = simulator.read_masses([body for _, body in bodies])
@@ -353,6 +358,8 @@ class Snapshot:
         entities = self.tables["entities"]["mass"]
         for (id, _), own in zip(bodies, masses, strict=True):
             entities[self.rows[id]] = sum(own)
+            self.masses[id] = own
+        return True
 
     # A simulation that explodes has infinite numbers; it is told of in `_finish`.
     @np.errstate(invalid="ignore")

@@ -18,8 +18,9 @@ from ssduck.carrying import carries
 from ssduck.colliding import pair_number
 from ssduck.geometry import Array, rotation_matrices
 from ssduck.narrow import Narrow
+from ssduck.placed import Placed, Point
 from ssduck.rays import ROUNDED, chords_of, crossings, first_met, is_of_triangles
-from ssduck.separation import Placed, Point, Separation
+from ssduck.separation import Separation
 
 # The numbers w, x, y, z of a unit quaternion.
 Turn: TypeAlias = tuple[float, float, float, float]

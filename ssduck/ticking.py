@@ -6,12 +6,12 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import count
 from typing import Self
 
 from ssduck import checks
-from ssduck.errors import ArgumentError, NumberError, SelectScriptError
+from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
 from ssduck.following import Followed
 from ssduck.members import Members
 from ssduck.recorder import Recorder
@@ -165,8 +165,17 @@ class Ticked(Followed):
         with self.lock:
             if self.snapshot.ask(tables):
                 self._take_asked()
-            if MASSES in tables and not self.is_final:
-                self.snapshot.read_masses(self._simulator)
+            if MASSES in tables:
+                self._weigh()
+
+    def _weigh(self) -> None:
+        """Read the masses at this tick, and tell who keeps ticks of them."""
+        if self.is_final or not self.snapshot.read_masses(self._simulator):
+            return
+        for reference in self._recorders:
+            recorder = reference()
+            if recorder is not None:
+                recorder.note_masses(self.snapshot)
 
     def _take_asked(self) -> None:
         if self._simulator.watched:
@@ -202,6 +211,8 @@ class Ticked(Followed):
         """Let a recorder keep this tick and those to come, as long as anyone else holds it."""
         with self.lock:
             self._check_not_held()
+            with suppress(SimulatorError):  # which may be gone: its last tick is kept
+                self._weigh()
             self._recorders.append(weakref.ref(recorder))
             self._read_recorded()
             if self.snapshot.ask(()):

@@ -17,7 +17,8 @@ from scipy.spatial import ConvexHull, QhullError
 from ssduck.geometry import Geometry
 from ssduck.gjk import ABOVE, BELOW, Bodies, Cores, compare
 from ssduck.meshes import mesh_apart, mesh_depth
-from ssduck.separation import Counter, Placed, Separation, separation
+from ssduck.placed import Placed
+from ssduck.separation import Counter, Separation, separation
 from ssduck.solids import solid_of
 
 KINDS = ("sphere", "box", "cylinder", "capsule", "plane", "hull", "flat", "mesh", "open mesh")

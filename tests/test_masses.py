@@ -120,4 +120,109 @@ def test_records_have_the_mass_that_a_body_came_with(sim, client):
     sim.tick()
     assert sql(ss, "cube") == 7.5
     past = "SELECT DISTINCT mass FROM sim.entities_history WHERE name = 'cube'"
-    assert ss.sql(past).fetchall() == [(1.0,)]
+    with pytest.warns(UserWarning, match="sim: cube: the mass was changed"):
+        assert ss.sql(past).fetchall() == [(1.0,)]
+
+
+def of_handle(ss, past):
+    ss.add_variable("c", past)
+    return ss.eval("mass(c);")
+
+
+# What asks for the mass that the cube had at a past tick, of an interpreter and a past handle.
+PAST = {
+    "at a time": lambda ss, _: ss.eval(
+        "SELECT mass(this) FROM sim{0} WHERE z(this) > 0.5 AS list;"
+    )[0],
+    "of all ticks": lambda ss, _: ss.eval("SELECT mass FROM sim{} WHERE z(this) > 0.5 AS list;")[0],
+    "of a variable": lambda ss, _: ss.eval(
+        "p = sim{0}; SELECT mass(this) FROM p WHERE id(this) == 'cube' AS value;"
+    ),
+    "nested": lambda ss, _: ss.eval(
+        "count(SELECT this FROM (SELECT this FROM sim{0} WHERE mass(this) == 1 AS list) AS list);"
+    ),
+    "least": lambda ss, _: ss.eval("least(mass(sim.cube));")[1],
+    "holds": lambda ss, _: 1.0 if ss.eval("holds(mass(sim.cube) == 1);") else None,
+    "of a handle": of_handle,
+    "entity": lambda _, past: past.mass,
+    "links": lambda _, past: past.links[0].mass,
+    "history": lambda ss, _: ss.sql(
+        "SELECT mass FROM sim.entities_history WHERE name = 'cube'"
+    ).fetchall()[0][0],
+    "star": lambda ss, _: (
+        ss.sql("FROM links_history WHERE entity = (SELECT id FROM entities WHERE name = 'cube')")
+        .df()
+        .iloc[0]["mass"]
+    ),
+    "model": lambda ss, _: (
+        ss.sql("SELECT m.* FROM entities_model AS m WHERE m.name = 'cube'").df().iloc[0]["mass"]
+    ),
+}
+
+
+IN_PROGRAMS = [way for way in PAST if way not in ("entity", "links", "history", "star", "model")]
+
+
+@pytest.mark.parametrize(
+    ("way", "row_by_row"), [*((way, False) for way in PAST), *((way, True) for way in IN_PROGRAMS)]
+)
+def test_a_past_mass_of_a_body_that_was_changed_comes_with_a_warning(sim, client, way, row_by_row):
+    ss = ssduck.Interpreter(
+        row_by_row=row_by_row, recording=ssduck.Recording(tables=("entities", "links"))
+    )
+    ss.add_variable("sim", sim)
+    sim.tick()
+    (past,) = ss.eval("SELECT this FROM sim{0} WHERE id(this) == 'cube' AS list;")
+    ask = PAST[way]
+    assert ask(ss, past) == 1.0  # without a word: nothing has changed
+    change(client, 0, -1, 7.5)
+    sim.tick()
+    ss.eval("SELECT id FROM sim{0} AS list;")
+    ss.sql("SELECT id, count(*) FROM entities_history GROUP BY id")
+    with pytest.warns(UserWarning, match="sim: cube: the mass was changed") as told:
+        assert ask(ss, past) == 1.0
+    assert len(told) == 1
+    assert ask(ss, past) == 1.0  # it is told once
+    change(client, 1, 6, 3.0)
+    sim.tick()
+    with pytest.warns(UserWarning, match="sim: arm: the mass was changed"):
+        ask(ss, past)
+    assert ss.eval("mass(sim.cube);") == 7.5
+    pybullet.disconnect(client)
+    assert ask(ss, past) == 1.0  # what is recorded is there without the simulator
+
+
+def test_a_mass_that_changed_before_recording_begins(sim, client, tmp_path):
+    sim.tick()
+    change(client, 0, -1, 7.5)
+    change(client, 1, 6, 3.0)
+    sim.tick()
+    arm = sum(pybullet.getDynamicsInfo(1, link, client)[0] for link in range(-1, 7))
+    ss = ssduck.Interpreter()
+    ss.add_variable("sim", sim)
+    sim.tick()
+    past = "SELECT DISTINCT mass FROM sim.entities_history ORDER BY mass"
+    assert ss.sql(past).fetchall() == [(7.5,), (pytest.approx(arm),)]
+    assert ss.eval("SELECT mass FROM sim{} WHERE id(this) == 'cube' AS list;") == [7.5, 7.5]
+    with ss.record_to(tmp_path / "folder", "sim"):
+        sim.tick()
+    ss.export(tmp_path / "run")
+    for name in ("run", "folder"):
+        with ssduck.open(tmp_path / name) as opened:
+            assert opened.sql(past).fetchall() == [(7.5,), (pytest.approx(arm),)]
+            assert opened.eval("mass(sim.cube);") == 7.5
+
+
+@pytest.mark.parametrize("place", ["export", "folder", "file"])
+def test_a_record_of_a_mass_that_was_changed_comes_with_a_warning(sim, client, tmp_path, place):
+    ss = ssduck.Interpreter(tmp_path / "run.duckdb" if place == "file" else ":memory:")
+    ss.add_variable("sim", sim)
+    recorded = ss.record_to(tmp_path / "run", "sim") if place == "folder" else None
+    sim.tick()
+    change(client, 0, -1, 7.5)
+    sim.tick()
+    store = {"export": lambda: ss.export(tmp_path / "run"), "file": ss.close}
+    with pytest.warns(UserWarning, match="sim: cube: the mass was changed"):
+        (store[place] if recorded is None else recorded.close)()
+    with ssduck.open(tmp_path / ("run.duckdb" if place == "file" else "run")) as opened:
+        assert opened.eval("mass(sim.cube);") == 1.0

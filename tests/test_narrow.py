@@ -22,7 +22,8 @@ from ssduck.geometry import Boxer, Geometry, PlacedGeometry, rotation_matrices
 from ssduck.meshes import triangle_depths
 from ssduck.narrow import Narrow
 from ssduck.overlap import hull_around, share_inside
-from ssduck.separation import Counter, Placed
+from ssduck.placed import Placed
+from ssduck.separation import Counter
 from ssduck.solids import solid_of
 from ssduck.surfaces import Surface
 

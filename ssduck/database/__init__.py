@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from ssduck.database.asked import Asked, check_length
+from ssduck.database.asked import Asked, check_length, tells_past_masses
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.functions import add_own, add_users, converter_of
 from ssduck.database.recorders import Recorders, check_runs
@@ -105,6 +105,10 @@ class Database:
             only = schemas[0] if len(self.worlds) == 1 else None
             self._schemas.describe(schemas, only, self.records)
             self._schemas.make_formulas(sql, schemas)
+            if tells_past_masses(sql):
+                for bound in self._worlds.bound:
+                    if bound.kept is not None and bound.reference() is not None:
+                        bound.kept.record.warn_of_masses()
             return self.connection.table(sql, parameters)
 
     @contextmanager

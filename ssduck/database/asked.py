@@ -38,6 +38,13 @@ _BEHIND_A_SCHEMA = re.compile(
     re.IGNORECASE | re.ASCII | re.DOTALL,
 )
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+_OF_PAST_MASSES = re.compile(
+    rf"\b({'|'.join(filter(_has_mass, TABLES))})_(history|model)\b", re.IGNORECASE | re.ASCII
+)
+# All columns: a star that counts no rows, or FROM without SELECT.
+_MASS_OR_ALL = re.compile(
+    r"\bmass\b|(?<!count\()\*|(^|\()\s*FROM\b", re.IGNORECASE | re.ASCII | re.MULTILINE
+)
 # What lets tables of another world than the first go without its name.
 _CHANGES_THE_FIRST = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 
@@ -84,6 +91,11 @@ class Asked:
             if (world := own.reference()) is not None
             and (number == 0 or any(schema.casefold() in text for schema in own.schemas))
         ]
+
+
+def tells_past_masses(sql: str) -> bool:
+    """Whether a text names a table of masses as they were recorded, and the column or all of it."""
+    return _OF_PAST_MASSES.search(sql) is not None and _MASS_OR_ALL.search(sql) is not None
 
 
 def behind_a_schema(sql: str) -> set[str]:

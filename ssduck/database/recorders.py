@@ -43,7 +43,13 @@ class Recorders:
         recorder = Recorder(recording, history, MEMORY_TICKS if in_memory else RING_TICKS)
         tables = tuple(recorder.rings)
         record = Record(
-            world, recorder.ticks, recorder.members, tables, recorder.fetch, recorder.near
+            world,
+            recorder.ticks,
+            recorder.members,
+            tables,
+            recorder.fetch,
+            recorder.near,
+            reweighed=recorder.reweighed,
         )
         bound.kept = Kept(history, record, recorder, (*history.shown, *recorder.shown))
         self.running.append(recorder)
@@ -64,6 +70,8 @@ class Recorders:
         if bound.kept is None:
             return
         kept, is_file = bound.kept, self._connection.is_file
+        if is_file and kept.recorder is not None and bound.reference() is not None:
+            kept.record.warn_of_masses()
         kept.record.is_closed = True
         if kept.recorder is None:
             bound.kept = None
