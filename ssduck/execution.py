@@ -192,7 +192,7 @@ class Execution(Names, ABC):
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call outside SQL."""
         function = self.function(node.name)
-        if function is None or (node.name in RELATIONS and node.name in self._replaced):
+        if function is None:
             if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
                 return RELATIONS_OF_INTERVALS[node.name].function(arguments)
             if node.name in RELATIONS:

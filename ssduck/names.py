@@ -137,7 +137,9 @@ class Names:
     # -- functions ----------------------------------------------------------------------------
 
     def function(self, name: str) -> Function | None:
-        """A function that is no relation."""
+        """A function that is no relation; the language's own, where the name is not marked."""
+        if name in self._replaced:
+            return self._replaced[name]
         return self._functions.get(plain(name))
 
     def meant(self, name: str) -> str:
@@ -177,7 +179,7 @@ class Names:
         Raises:
             UnknownNameError: there is none, with the nearest names.
         """
-        if not self.is_users(name) or name != plain(name):
+        if name != plain(name) or not self.is_users(self.meant(name)):
             own = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
                 f"there is no function {shown(name)} of yours", suggestions=nearest(name, own)
@@ -189,8 +191,8 @@ class Names:
             self._functions[name] = before
 
     def is_users(self, name: str) -> bool:
-        """Whether that is a user's function."""
-        function = self._functions.get(plain(name))
+        """Whether that calls a user's function."""
+        function = self.function(name)
         return function is not None and not function.builtin
 
     def builtin(self, name: str) -> Function | None:
