@@ -49,6 +49,8 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
         raise UnsupportedError("this query runs row by row in Python", span=query.span)
     for node in plan.left:
         raise UnsupportedError("this is left to Python", span=node.span)
+    for clause in plan.rest.clauses:
+        raise UnsupportedError(f"{clause} is left to Python", span=query.span)
     if plan.tables or plan.signatures:
         what = "a table of Python's" if plan.tables else "a Python function"
         raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)

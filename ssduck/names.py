@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from inspect import unwrap
@@ -30,6 +29,7 @@ from ssduck.temporal import ValueHistory, aged, history_of, kept
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Node
 from ssduck.udfs import RELATIONS
+from ssduck.warned import warn
 from ssduck.world import World
 
 
@@ -167,10 +167,9 @@ class Names:
         sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
         what = f"the operator {sign}" if sign else f"the language's own {name}"
         kept = "; raw SQL keeps its own" if name in RELATIONS else ""
-        warnings.warn(
+        warn(
             f"your function {name!r} replaces {what} in programs{kept}; "
-            f"del_function({name!r}) brings that back",
-            stacklevel=4,
+            f"del_function({name!r}) brings that back"
         )
 
     def _drop(self, name: str) -> None:

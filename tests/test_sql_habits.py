@@ -633,6 +633,33 @@ def test_all_doors_tell(world, tmp_path):
         assert ss.eval(program) == []
 
 
+LOOKS = {
+    "eval": lambda ss, text: ss.eval(text),
+    "compiled": lambda ss, text: ss.eval(ss.compile(text)),
+    "show": lambda ss, text: ss.show(text),
+    "explain": lambda ss, text: ss.explain(text),
+    "EXPLAIN": lambda ss, text: ss.eval(f"EXPLAIN {text}"),
+    "sql": lambda ss, text: ss.compile(text).sql(),
+    "a text": lambda ss, text: ss.eval("eval('" + text.replace("'", "\\'") + "');"),
+}
+
+
+@pytest.mark.parametrize("door", LOOKS)
+def test_warnings_are_of_the_users_line(world, door):
+    with _interpreter(world, row_by_row=False) as ss:
+        for text in (f"t = 'tabel'; {K} WHERE id == t;", f"{K} WHERE id IN ('can');"):
+            with pytest.warns(ProgramWarning) as caught:
+                LOOKS[door](ss, text)
+            assert [warning.filename for warning in caught] == [__file__]
+            ss.strict = True
+            with pytest.raises(SelectScriptError):
+                LOOKS[door](ss, text)
+            ss.strict = False
+        with pytest.warns(UserWarning, match="replaces") as caught:
+            ss.add_function("count", lambda _: 3)
+        assert [warning.filename for warning in caught] == [__file__]
+
+
 def test_combinations_agree(as_sql, by_rows):
     """Clauses with each other, in both evaluators."""
     items = ("type, count(*) AS n", "id", "DISTINCT type", "max(z) - min(z) AS d, count(id) AS n")
