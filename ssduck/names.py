@@ -57,6 +57,8 @@ class Names:
 
     def variable(self, name: str) -> Any:
         """The value of a variable, or an UnknownNameError with the nearest names."""
+        if not isinstance(name, str):
+            raise ArgumentError(f"the name of a variable is a text, not {shown(name)}")
         if name in self._variables:
             value = self._variables[name]
             return value.last if isinstance(value, ValueHistory) else value
@@ -64,7 +66,7 @@ class Names:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
-        instead = instead_of_name(name) if isinstance(name, str) else ""
+        instead = instead_of_name(name)
         raise UnknownNameError(
             f"there is no variable {shown(name)}" + (f"; {instead}" if instead else ""),
             suggestions=() if instead else nearest(name, self.names()),
@@ -178,7 +180,8 @@ class Names:
         Raises:
             UnknownNameError: there is none, with the nearest names.
         """
-        if name != plain(name) or not self.is_users(self.meant(name)):
+        is_name = isinstance(name, str) and name == plain(name)
+        if not is_name or not self.is_users(self.meant(name)):
             own = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
                 f"there is no function {shown(name)} of yours", suggestions=nearest(name, own)
@@ -230,7 +233,7 @@ class Names:
         if isinstance(name, str) and name.upper() == "AS":
             return help_of_forms()
         described: dict[str, Function | Relation] = {**RELATIONS, **self._functions}
-        if name not in described:
+        if not isinstance(name, str) or name not in described:
             raise UnknownNameError(
                 f"there is no function {shown(name)}", suggestions=nearest(name, described)
             )
