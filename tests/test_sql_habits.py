@@ -241,11 +241,14 @@ def test_an_aggregate_of_a_text_shows_the_right_spelling(ss, name, argument):
         ("SELECT id FROM kitchen HAVING z > 1;", "z", "WHERE"),
         ("SELECT id FROM kitchen HAVING count(*) > 3 AND id == 'can';", "id", "WHERE"),
         ("SELECT id, count(*) FROM kitchen;", "id", "GROUP BY"),
+        ("SELECT this.z FROM kitchen;", "z", "z(this)"),
+        ("SELECT k.this.z FROM kitchen k;", "z", "k.z"),
+        ("kitchen.can.id;", "id", "functions tell of an entity"),
         ("count('abc');", "count('abc')", "count does not take 'abc'"),
         ("t = 'abc'; SELECT max(t) FROM [1] AS list;", "max(t)", "max does not take 'abc'"),
     ],
 )
-def test_what_aggregates_cannot_mean(ss, program, offending, told):
+def test_what_aggregates_and_elements_cannot_mean(ss, program, offending, told):
     with pytest.raises(ArgumentError) as caught:
         ss.eval(program)
     assert program[caught.value.span.start : caught.value.span.end] == offending
