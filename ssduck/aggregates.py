@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from ssduck.dependencies import aliases_of, free_aliases, known
-from ssduck.errors import ArgumentError, FunctionError, SelectScriptError
+from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.evaluate import Compiler, Frame, Thunk
 from ssduck.functions import AGGREGATES
 from ssduck.messages import kind_of
@@ -128,7 +128,7 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
         return _OF_NONE.get(call.name, _nothing)()
     try:
         return AGGREGATES[call.name]([values])
-    except (ArgumentError, FunctionError) as error:
+    except ArgumentError as error:
         raise ArgumentError(_refusal(call.name, values), span=call.span) from error
     except SelectScriptError as error:
         error.span = error.span or call.span

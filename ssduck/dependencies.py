@@ -14,6 +14,7 @@ from ssduck.tree import (
     Assignment,
     Bare,
     Call,
+    Chain,
     Dotted,
     Name,
     Node,
@@ -111,8 +112,9 @@ def tables_of(node: Node) -> frozenset[str]:
 @known
 def calls_of(node: Node) -> frozenset[str]:
     """The functions that a part calls."""
-    own = (node.name,) if isinstance(node, Call) else ()
+    own: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
     own = (node.key,) if isinstance(node, Dotted) else own
+    own = node.operators if isinstance(node, Chain) else own  # users' functions may be among them
     return frozenset(own).union(*map(calls_of, node.children()))
 
 

@@ -10,6 +10,7 @@ from sqlglot import exp
 from sqlglot.errors import UnsupportedError as SqlglotError
 
 from ssduck.errors import UnknownNameError, UnsupportedError, nearest
+from ssduck.messages import shown
 from ssduck.plan import Plan
 from ssduck.sqlvalues import written
 from ssduck.tree import Query
@@ -41,14 +42,16 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
         UnsupportedError: a part is left to Python, or is nothing that the engine has.
     """
     known = {name for name in sqlglot.Dialect.classes if name}
-    if dialect not in known:
+    if not isinstance(dialect, str) or dialect not in known:
         raise UnknownNameError(
-            f"there is no SQL dialect {dialect!r}", suggestions=nearest(dialect, known)
+            f"there is no SQL dialect {shown(dialect)}", suggestions=nearest(dialect, known)
         )
     if plan is None:
         raise UnsupportedError("this query runs row by row in Python", span=query.span)
     for node in plan.left:
         raise UnsupportedError("this is left to Python", span=node.span)
+    for clause in plan.rest.clauses:
+        raise UnsupportedError(f"{clause} is left to Python", span=query.span)
     if plan.tables or plan.signatures:
         what = "a table of Python's" if plan.tables else "a Python function"
         raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)

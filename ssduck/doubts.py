@@ -101,7 +101,7 @@ def _look(node: Node, around: _Around, only: Source | None, facts: Facts) -> Non
         case Query():
             _look_in_query(node, around, facts)
             return
-        case Assignment(name=name, span=span):
+        case Assignment(name=name, span=span, is_bare=False):
             if len(name) > 1:  # the others are told of where they are looked up
                 facts.given.append((name, Span(span.start, span.start + len(name))))
         case Binary(operator="==" | "!=", left=left, right=right):

@@ -366,8 +366,9 @@ class Compiler:
             current = element(frame)
             if isinstance(current, dict):
                 return indexed(current, key, node.span)
-            frame.scope.check_call(node.call)
-            return frame.scope.call(node.call, [current], frame)
+            call = node.call(frame.scope.meant(key))
+            frame.scope.check_call(call)
+            return frame.scope.call(call, [current], frame)
 
         return _placed(node, value)
 

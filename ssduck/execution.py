@@ -5,7 +5,6 @@ A program that fails leaves the variables as they were, and its error says where
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -42,10 +41,8 @@ from ssduck.temporal import seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Given, Node, Program, Query
 from ssduck.udfs import RELATIONS
+from ssduck.warned import warn
 from ssduck.world import World
-
-# A warning is of the line that runs the program.
-_ABOVE = 6
 
 
 class Execution(Names, ABC):
@@ -125,15 +122,20 @@ class Execution(Names, ABC):
 
     def _valued(self, program: Program, frame: Frame) -> Any:
         value = None
+        for node in self._looked_at(program, frame):
+            self.meter.step()
+            value = frame.value(node)
+        return value
+
+    def _looked_at(self, program: Program, frame: Frame) -> Iterator[Node]:
+        """The statements of a program, each with what is told of it before."""
         if program.doubts:
             self._tell(
                 ArgumentError(d.message, text=program.text, span=d.span) for d in program.doubts
             )
         for node in self._as_meant(program).statements:
-            self.meter.step()
             self._tell(self._doubts.found(program.text, node, frame.local))
-            value = frame.value(node)
-        return value
+            yield node
 
     def _tell(self, doubts: Iterable[SelectScriptError]) -> None:
         """Warn of what is probably a mistake, once; in strict interpreters it is an error."""
@@ -141,7 +143,7 @@ class Execution(Names, ABC):
             if self.strict:
                 raise doubt
             if self._doubts.is_new(doubt):
-                warnings.warn(str(doubt), ProgramWarning, stacklevel=_ABOVE)
+                warn(str(doubt), ProgramWarning)
 
     def _recorded_names(self, world: World) -> set[str]:
         """The names of all entities that are kept of a world."""
@@ -154,8 +156,8 @@ class Execution(Names, ABC):
     # -- what a program becomes -------------------------------------------------------------
 
     def _explained(self, program: Program) -> str:
-        program = self._as_meant(program)
         with self._rehearsed(program) as frame:
+            program = self._as_meant(program)
             plan_of = partial(self._planner.plan, frame=frame)
             stand_ins = {
                 name: [m.name for m in world.snapshot.members if m.body and m.body.has_stand_ins]
@@ -167,7 +169,7 @@ class Execution(Names, ABC):
             )
 
     def _sql_of(self, program: Program, dialect: str) -> str:
-        with self._running(program), self._rehearsed(self._as_meant(program)) as frame:
+        with self._running(program), self._rehearsed(program) as frame:
             program = self._as_meant(program)
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
@@ -181,9 +183,10 @@ class Execution(Names, ABC):
         before = dict(self._variables)
         frame = Frame(self)
         try:
-            for statement in program.statements[:-1]:
-                frame.value(statement)
-            with self._reading(*program.statements[-1:]):
+            for number, statement in enumerate(self._looked_at(program, frame), 1):
+                if number < len(program.statements):
+                    frame.value(statement)
+            with self._reading(*self._as_meant(program).statements[-1:]):
                 yield frame
         finally:
             self._variables = before
@@ -193,7 +196,7 @@ class Execution(Names, ABC):
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
         """The value of a function call outside SQL."""
         function = self.function(node.name)
-        if function is None or (node.name in RELATIONS and node.name in self._replaced):
+        if function is None:
             if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
                 return RELATIONS_OF_INTERVALS[node.name].function(arguments)
             if node.name in RELATIONS:

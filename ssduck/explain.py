@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from ssduck.messages import listed
 from ssduck.plan import Plan
-from ssduck.tree import Bare, Call, Name, Node, Query
+from ssduck.tree import Bare, Call, Dotted, Name, Node, Query
 from ssduck.udfs import RELATIONS
 
 # By world, the entities of which boxes stand in for shapes.
@@ -60,8 +60,7 @@ def _told(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> st
     else:
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
         lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
-        if plan.rest.distinct:
-            lines.append("-- left to Python: DISTINCT")
+        lines += [f"-- left to Python: {clause}" for clause in plan.rest.clauses]
     return "\n".join([*lines, *_narrow(query), *_inexact(query, stand_ins)])
 
 
@@ -72,9 +71,17 @@ def _narrow(query: Query) -> list[str]:
     return [f"-- the narrow phase: {name}, {pairs}" for name, pairs in asked.items() if pairs]
 
 
+def _named(node: Node) -> str:
+    """The function that a part may call; empty if it calls none."""
+    match node:
+        case Call(name=name) | Bare(name=name) | Name(name=name) | Dotted(key=name):
+            return name
+    return ""
+
+
 def _inexact(query: Query, stand_ins: StandIns) -> list[str]:
     """Of which entities boxes stand in for the shapes that relations ask."""
-    calls = (node.name for node in query.walk() if isinstance(node, Call | Bare | Name))
+    calls = (_named(node) for node in query.walk())
     names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].is_of_shapes]
     if not names:
         return []

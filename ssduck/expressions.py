@@ -185,7 +185,7 @@ class Expressions:
                 return self.value(node.index)
             case Dotted() if self.element(node.alias) is not None:
                 is_record = self._this(node.this).tag.type == "record"
-                return self._index(self._key_of(node)) if is_record else call(self, node.call)
+                return self._index(self._key_of(node)) if is_record else self._function_of(node)
             case Name(name=name) if name in self.locals:
                 return self.locals[name]
             case Name(name=name) if (deferred := self.context.list_in(name)) is not None:
@@ -219,6 +219,9 @@ class Expressions:
             case If(otherwise=(otherwise,)) if len(node.further) < MOST_NESTED:
                 return self._choice(node, otherwise)
         raise NotSqlError
+
+    def _function_of(self, node: Dotted) -> SqlValue:
+        return call(self, node.call(self.names.meant(node.key)))
 
     def _key_of(self, node: Dotted) -> Index:
         return Index(node.span, node.this, node.index.indices)

@@ -73,6 +73,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
         recording: Recording | Literal["default"] | None = "default",
     ) -> None:
         row_by_row = checks.flag(row_by_row, "Interpreter: row_by_row")
+        strict = checks.flag(strict, "Interpreter: strict")
         if not isinstance(limits, Limits | None):
             raise ArgumentError(f"Interpreter: limits: {shown(limits)} is no Limits")
         if not isinstance(database, str | PathLike):
@@ -282,7 +283,10 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
 
         Raises:
             SqlError: DuckDB refuses it.
+            ArgumentError: the statement is no text.
         """
+        if not isinstance(text, str):
+            raise ArgumentError(f"sql: a statement is a text, not {shown(text)}")
         with self._lock:
             if not self._texts:
                 self._sweep()

@@ -274,6 +274,7 @@ class _Parser(SqlForms):
         if not self.take_words("STOP", "WITH"):
             self.fail("expected STOP WITH")
         stop = self.condition()
+        self.note_condition(stop)
         return Recursion(
             self.since(start), initial, no_cycle, unique, memorizes, memorize, maximum, step, stop
         )
@@ -471,6 +472,7 @@ class _Parser(SqlForms):
     def branch(self, start: Span) -> Branch:
         """`condition; then, …`; without a then it is True, as in the published grammar."""
         condition = self.statement()
+        self.note_condition(condition)
         if self.at(TokenType.R_PAREN):
             return Branch(self.since(start), condition, (Literal(self.since(start), True),))
         self.expect(TokenType.SEMICOLON, "';' or ')' after the condition")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from inspect import unwrap
@@ -30,6 +29,7 @@ from ssduck.temporal import ValueHistory, aged, history_of, kept
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Node
 from ssduck.udfs import RELATIONS
+from ssduck.warned import warn
 from ssduck.world import World
 
 
@@ -57,6 +57,8 @@ class Names:
 
     def variable(self, name: str) -> Any:
         """The value of a variable, or an UnknownNameError with the nearest names."""
+        if not isinstance(name, str):
+            raise ArgumentError(f"the name of a variable is a text, not {shown(name)}")
         if name in self._variables:
             value = self._variables[name]
             return value.last if isinstance(value, ValueHistory) else value
@@ -64,7 +66,7 @@ class Names:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
-        instead = instead_of_name(name) if isinstance(name, str) else ""
+        instead = instead_of_name(name)
         raise UnknownNameError(
             f"there is no variable {shown(name)}" + (f"; {instead}" if instead else ""),
             suggestions=() if instead else nearest(name, self.names()),
@@ -137,7 +139,9 @@ class Names:
     # -- functions ----------------------------------------------------------------------------
 
     def function(self, name: str) -> Function | None:
-        """A function that is no relation."""
+        """A function that is no relation; the language's own, where the name is not marked."""
+        if name in self._replaced:
+            return self._replaced[name]
         return self._functions.get(plain(name))
 
     def meant(self, name: str) -> str:
@@ -165,10 +169,9 @@ class Names:
         sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
         what = f"the operator {sign}" if sign else f"the language's own {name}"
         kept = "; raw SQL keeps its own" if name in RELATIONS else ""
-        warnings.warn(
+        warn(
             f"your function {name!r} replaces {what} in programs{kept}; "
-            f"del_function({name!r}) brings that back",
-            stacklevel=4,
+            f"del_function({name!r}) brings that back"
         )
 
     def _drop(self, name: str) -> None:
@@ -177,7 +180,8 @@ class Names:
         Raises:
             UnknownNameError: there is none, with the nearest names.
         """
-        if not self.is_users(name) or name != plain(name):
+        is_name = isinstance(name, str) and name == plain(name)
+        if not is_name or not self.is_users(self.meant(name)):
             own = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
                 f"there is no function {shown(name)} of yours", suggestions=nearest(name, own)
@@ -189,8 +193,8 @@ class Names:
             self._functions[name] = before
 
     def is_users(self, name: str) -> bool:
-        """Whether that is a user's function."""
-        function = self._functions.get(plain(name))
+        """Whether that calls a user's function."""
+        function = self.function(name)
         return function is not None and not function.builtin
 
     def builtin(self, name: str) -> Function | None:
@@ -229,7 +233,7 @@ class Names:
         if isinstance(name, str) and name.upper() == "AS":
             return help_of_forms()
         described: dict[str, Function | Relation] = {**RELATIONS, **self._functions}
-        if name not in described:
+        if not isinstance(name, str) or name not in described:
             raise UnknownNameError(
                 f"there is no function {shown(name)}", suggestions=nearest(name, described)
             )

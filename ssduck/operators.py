@@ -9,6 +9,7 @@ from functools import lru_cache
 from itertools import islice
 from typing import Any
 
+from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, Span, nearest
 from ssduck.messages import MOST_KEYS, kind_of, reason, shown, unusable
 from ssduck.tree import Node
@@ -182,7 +183,10 @@ def indexed(value: Any, index: Any, span: Span) -> Any:
     except (IndexError, KeyError) as error:
         raise _no_such(value, index, span, error) from error
     except TypeError as error:
-        raise ArgumentError(f"{kind_of(value)} has no element {shown(index)}", span=span) from error
+        told = f"{kind_of(value)} has no element {shown(index)}"
+        if isinstance(value, Entity) and isinstance(index, str):
+            told += "; functions tell of an entity: z(this), or k.z where k is a source"
+        raise ArgumentError(told, span=span) from error
     except Exception as error:
         raise unusable(error, span) from error
 

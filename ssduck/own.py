@@ -64,7 +64,7 @@ def meant(program: Program, names: Collection[str]) -> Program:
                 return replace(part, name=marked(name), arguments=changed(arguments))
             case Unary(operator=sign, operand=operand) if NAMES_OF_ONE.get(sign) in names:
                 return _call(part, NAMES_OF_ONE[sign], changed((operand,)))
-            case Binary(operator=sign, left=left, right=right) if NAMES[sign] in names:
+            case Binary(operator=sign, left=left, right=right) if NAMES.get(sign) in names:
                 # What contains comes first, as in Python's operator of that name.
                 sides = (right, left) if sign == "IN" else (left, right)
                 return _call(part, NAMES[sign], changed(sides))

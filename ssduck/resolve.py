@@ -126,7 +126,8 @@ class _Resolver:
                 return None
         elif only is not None and (only.dicts or not only.known):
             return None
-        call = Call(part.span, part.name, (This(part.span, None),), part.span)
+        name = self._names.meant(part.name)
+        call = Call(part.span, name, (This(part.span, None),), part.span)
         try:
             self._names.check_call(call)
         except SelectScriptError:
@@ -145,7 +146,8 @@ class _Resolver:
         is_record = only is not None and only.tag is not None and only.tag.type == "record"
         if known or only is None or only.dicts or is_record or not only.known:
             return part
-        call = Call(part.span, part.name, (This(part.span, None),), part.span)
+        name = self._names.meant(part.name)
+        call = Call(part.span, name, (This(part.span, None),), part.span)
         try:
             self._names.check_call(call)
         except SelectScriptError:  # where it is evaluated, the error tells more

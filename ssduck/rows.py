@@ -97,6 +97,12 @@ class Rest:
     is_aggregated: bool = False
     distinct: bool = False
 
+    @property
+    def clauses(self) -> list[str]:
+        """The clauses that are always Python's."""
+        given = (("GROUP BY", bool(self.group)), ("DISTINCT", self.distinct))
+        return [clause for clause, is_given in given if is_given]
+
 
 class Clauses:
     """The clauses of a query as functions of frames.

@@ -42,6 +42,12 @@ _BEHIND_SOURCE = ("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMI
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 
 
+def _is_written_out(value: Node) -> bool:
+    """Whether a value depends on nothing."""
+    kinds = (Literal, ListOf, Unary, Binary, Chain, Assignment)
+    return all(isinstance(part, kinds) for part in value.walk())
+
+
 class SqlForms(Cursor):
     """The part of the parser that is about SQL's forms."""
 
@@ -113,6 +119,8 @@ class SqlForms(Cursor):
             right = self.operation(LEVEL_OF["IN"] + 1)
             if isinstance(right, Literal):
                 return self._only_member(start, right)
+            if isinstance(right, Unary) and isinstance(right.operand, Literal):
+                return ListOf(self.since(start), (right,))
         if isinstance(right, Query) and right.adapter is None and right.items:
             message = "what is behind IN gives dicts; for their values write AS list"
             self.doubt(right.span, message)
@@ -300,14 +308,16 @@ class SqlForms(Cursor):
 
     def note_condition(self, node: Node | None) -> None:
         """Doubt a condition that assigns a constant, and so is the same for all rows."""
-        if isinstance(node, Binary) and node.operator in ("AND", "OR"):
-            self.note_condition(node.left)
-            self.note_condition(node.right)
-        elif isinstance(node, Chain) and node.operators[0] in ("AND", "OR"):
-            for operand in node.operands:
+        match node:
+            case (
+                Binary(operator="AND" | "OR" | "XOR") | Chain(operators=("AND" | "OR" | "XOR", *_))
+            ):
+                for side in node.children():
+                    self.note_condition(side)
+            case Unary(operator="NOT", operand=operand):
                 self.note_condition(operand)
-        elif isinstance(node, Assignment) and isinstance(node.value, Literal):
-            self.doubt(node.span, f"this sets the variable {node.name}; write == to compare")
+            case Assignment(name=name, value=value) if _is_written_out(value):
+                self.doubt(node.span, f"this sets the variable {name}; write == to compare")
 
     def note_keys(self, query: Query) -> None:
         """Doubt keys that are numbers, which are no columns here."""

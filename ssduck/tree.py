@@ -133,10 +133,13 @@ class Dotted(Node):
         """The current element."""
         return This(self.span, self.alias)
 
-    @cached_property
-    def call(self) -> Call:
-        """The function of it."""
-        return Call(self.span, self.key, (self.this,), self.index.indices[0].span)
+    def call(self, name: str) -> Call:
+        """The function of it.
+
+        Args:
+            name: what calls that function: a user's one may replace one of the language.
+        """
+        return Call(self.span, name, (self.this,), self.index.indices[0].span)
 
     def children(self) -> Iterator[Node]:
         """None: what is in `index` counts where there is a variable only."""

@@ -256,7 +256,7 @@ class Triggers:
     def _basis(self, trigger: Trigger) -> Any:
         """What the result of a program depends on, if that is known: a query's worlds' ticks."""
         names, room = trigger.reads, self._interpreter
-        if names is None or any(map(room.is_users, names)):
+        if names is None or any(room.is_users(room.meant(name)) for name in names):
             return None
         known = [(name, room.variable(name)) for name in names if room.has_variable(name)]
         if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in known):

@@ -89,6 +89,17 @@ def test_other_engines_have_all_of_it(ss, program, dialect):
             "round(z(this)) > 1",
             "left to Python",
         ),
+        (
+            "SELECT DISTINCT type FROM kitchen;",
+            "SELECT DISTINCT type FROM kitchen",
+            "DISTINCT is left",
+        ),
+        (
+            "SELECT z FROM kitchen GROUP BY type;",
+            "SELECT z FROM kitchen GROUP BY type",
+            "GROUP BY is",
+        ),
+        ("SELECT count(*) FROM kitchen;", "count(*)", "left to Python"),
         ("SELECT position FROM kitchen;", "SELECT position FROM kitchen", "no lists"),
         ("SELECT 1 / z(this) FROM kitchen;", "SELECT 1 / z(this) FROM kitchen", "ERROR"),
         ("SELECT this FROM [1, 2];", "SELECT this FROM [1, 2]", "postgres has no"),

@@ -423,3 +423,25 @@ def test_what_is_told_of_a_long_program_is_short(program):
 def test_long_offending_text_over_several_lines_is_marked_on_its_first():
     error = SelectScriptError("wrong", text="a = [1,\n2];", span=Span(4, 10))
     assert str(error).splitlines() == ["wrong", "  line 1, column 5", "    a = [1,", "        ^^^"]
+
+
+NO_TEXTS = [None, 1, 0.5, True, [1], {"a": 1}, b"id"]
+NAMED = {
+    "a statement": lambda ss, value: ss.sql(value),
+    "a program": lambda ss, value: ss.eval(value),
+    "a variable": lambda ss, value: ss.call_variable(value),
+    "a history": lambda ss, value: ss.history(value),
+    "a function": lambda ss, value: ss.help(value),
+    "a function to remove": lambda ss, value: ss.del_function(value),
+    "a dialect": lambda ss, value: ss.compile("SELECT this FROM [1];").sql(value),
+}
+
+
+@pytest.mark.parametrize("what", NAMED)
+def test_what_is_no_text_names_nothing(what):
+    with ssduck.Interpreter() as ss:
+        for value in NO_TEXTS:
+            if what == "a function" and value is None:
+                continue
+            with pytest.raises(ssduck.SelectScriptError):
+                NAMED[what](ss, value)

@@ -537,6 +537,7 @@ def test_older_records_open(marked, tmp_path, kind):
             "clearance, above",
         ),
         ("SELECT volume FROM sim", "volume"),
+        ("SELECT s.volume FROM s = sim", "volume"),
         ("SELECT onTop(a.this, b.this) FROM a = sim, b = sim", "onTop"),
         ("SELECT id FROM sim WHERE isRobot(this) AND distance(this, this) < 1", None),
         ("SELECT position(this) FROM sim", None),

@@ -168,6 +168,9 @@ CALLS = {
     "Interpreter(row_by_row)": (
         "flag", False, lambda _, v: ssduck.Interpreter(row_by_row=v).close()
     ),
+    "Interpreter(strict)": (
+        "flag", False, lambda _, v: ssduck.Interpreter(strict=v).close()
+    ),
     "Interpreter.run(seconds)": ("seconds", False, lambda t, v: t.ss.run(v)),
     "Interpreter.run(realtime)": ("speed", False, lambda t, v: t.ss.run(0, realtime=v)),
     "Interpreter.run(progress)": ("flag", False, lambda t, v: t.ss.run(0, progress=v)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from functools import reduce
 
 import pytest
@@ -67,8 +68,11 @@ def test_programs(ss, program):
 
 @pytest.mark.parametrize("clause", ["WHERE id = 'table'", "WHERE m = 3 AND True"])
 def test_what_may_be_a_comparison_assigns_nothing_unknown(kitchen, clause):
-    with pytest.raises(UnknownNameError, match="write == to compare") as caught:
-        kitchen.eval(f"SELECT id FROM kitchen {clause} AS list;")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        with pytest.raises(UnknownNameError, match="write == to compare") as caught:
+            kitchen.eval(f"SELECT id FROM kitchen {clause} AS list;")
+    assert not any("hides" in str(warning.message) for warning in told)
     assert caught.value.column == len("SELECT id FROM kitchen WHERE ") + 1
     with pytest.raises(UnknownNameError):
         kitchen.call_variable("m")
@@ -337,6 +341,52 @@ def test_a_users_function_replaces(kitchen, name):
         assert kitchen.sql(text).fetchall()[0][0] > 0
     kitchen.del_function(name)
     assert (kitchen.eval(program), kitchen.help(name)) == (before, helped)
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "SELECT volume FROM kitchen LIMIT 1 AS list;",
+        "SELECT k.volume FROM k=kitchen LIMIT 1 AS list;",
+        "SELECT k.volume FROM k=kitchen, n=[1] LIMIT 1 AS list;",
+        "SELECT volume(this) FROM kitchen WHERE volume == 42 LIMIT 1 AS list;",
+        "SELECT volume(this) FROM kitchen WHERE NOT volume < 42 LIMIT 1 AS list;",
+        "SELECT k.volume FROM kitchen k WHERE k.volume == 42 LIMIT 1 AS list;",
+        "SELECT max(volume) FROM kitchen HAVING min(volume) == 42 AS list;",
+        "SELECT volume FROM kitchen GROUP BY volume HAVING volume == 42 LIMIT 1 AS list;",
+        "SELECT 42 FROM kitchen ORDER BY volume LIMIT 1 AS list;",
+    ],
+)
+def test_wherever_it_is_named_the_users_function_is_meant(kitchen, program):
+    with pytest.warns(UserWarning, match="'volume'"):
+        kitchen.add_function("volume", lambda _: 42)
+    try:
+        found = kitchen.eval(program)
+    finally:
+        kitchen.del_function("volume")
+    assert (found["42"][:1] if isinstance(found, dict) else found) == [42]
+
+
+@pytest.mark.parametrize("name", ["time", "tick"])
+def test_what_looks_at_other_ticks_uses_the_languages_own(name):
+    with ssduck.load("kitchen") as found:
+        program = "table = SELECT obj FROM kitchen WHERE isKinbody(this) LIMIT 1 AS value;"
+        program += "holds(above(table, table));"
+        found.worlds[0].step()
+        before = found.eval(program)
+        with pytest.warns(UserWarning, match=name):
+            found.add_function(name, lambda *_: "mine")
+        assert found.eval(program) == before
+
+
+def test_operators_without_a_function_are_no_trouble(kitchen):
+    program = "SELECT id FROM kitchen WHERE id LIKE 'cup%' AND id IS NOT NULL AS list;"
+    before = kitchen.eval(program)
+    with pytest.warns(UserWarning, match="'add'"):
+        kitchen.add_function("add", lambda a, b: [a, b])
+    found = kitchen.eval(program)
+    kitchen.del_function("add")
+    assert found == before != []
 
 
 def test_a_replaced_relation_with_types_is_sql(kitchen):

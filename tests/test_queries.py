@@ -262,6 +262,9 @@ LEFT = [
     ("SELECT id FROM kitchen WHERE tall(this) AND isRobot(this);", 1),
     ("SELECT double(z(this)) FROM kitchen WHERE tall(this);", 2),
     ("SELECT id FROM kitchen WHERE z(this) % 2 > 1;", 0),
+    ("SELECT id FROM kitchen GROUP BY type;", 1),
+    ("SELECT DISTINCT id FROM kitchen GROUP BY tall(this);", 3),
+    ("SELECT DISTINCT type FROM kitchen;", 1),
 ]
 
 

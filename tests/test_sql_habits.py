@@ -200,7 +200,6 @@ def test_groups_of_no_rows(ss):
             "SELECT this FROM [1, 2, 3, 4] GROUP BY this % 2 HAVING sum(this) > 4 AS list;",
             {"0": [2, 4]},
         ),
-        ("count('abc');", 3),
         (
             "SELECT count(SELECT x.this FROM x=[1, 2, 3] WHERE x.this > y.this AS list) FROM y=[1, 2] AS list;",
             [2, 1],
@@ -242,9 +241,14 @@ def test_an_aggregate_of_a_text_shows_the_right_spelling(ss, name, argument):
         ("SELECT id FROM kitchen HAVING z > 1;", "z", "WHERE"),
         ("SELECT id FROM kitchen HAVING count(*) > 3 AND id == 'can';", "id", "WHERE"),
         ("SELECT id, count(*) FROM kitchen;", "id", "GROUP BY"),
+        ("SELECT this.z FROM kitchen;", "z", "z(this)"),
+        ("SELECT k.this.z FROM kitchen k;", "z", "k.z"),
+        ("kitchen.can.id;", "id", "functions tell of an entity"),
+        ("count('abc');", "count('abc')", "count does not take 'abc'"),
+        ("t = 'abc'; SELECT max(t) FROM [1] AS list;", "max(t)", "max does not take 'abc'"),
     ],
 )
-def test_what_aggregates_cannot_mean(ss, program, offending, told):
+def test_what_aggregates_and_elements_cannot_mean(ss, program, offending, told):
     with pytest.raises(ArgumentError) as caught:
         ss.eval(program)
     assert program[caught.value.span.start : caught.value.span.end] == offending
@@ -316,6 +320,7 @@ def test_conditions(ss, entities, text):
         ("// a -- b\n 2; # -- c", 2),
         ("/* -- */ 3;", 3),
         ("2 IN (1, 2);", True),
+        ("[-1 IN (-1), 1 IN (-1), -1 NOT IN (+1), 1 IN (NOT False)];", [True, False, True, True]),
         ("[1, 2] IN ([1, 2], [3]);", True),
         ("3 IN ((1), (2));", False),
         ("2 IN ([1, 2]);", True),
@@ -412,7 +417,8 @@ REFUSED = [
     ("SELECT z height FROM kitchen;", "height", "AS"),
     ("SELECT ALL id FROM kitchen;", "id", "leave ALL out"),
     ("SELECT SUM(*) FROM kitchen;", "*", "only count"),
-    (f"{K} WHERE id = 'can';", "=", "'=='"),
+    (f"{K} WHERE z > 1 AND id = 'can';", "=", "'=='"),
+    (f"{K} WHERE (z > 1 OR id = 'can');", "=", "'=='"),
     (f"{K} WHERE z IS 5;", "5", "=="),
     (f"{K} WHERE isRobot IS TRUE;", "TRUE", "NULL"),
     (f"{K} WHERE z BETWEEN 1;", ";", "AND"),
@@ -513,6 +519,18 @@ DOUBTS = [
     ),
     ("SELECT z FROM z=kitchen WHERE id(this) == 'can' AS list;", "z", "z.this", None),
     (f"{K} WHERE (foo = 'can') LIMIT 0 AS list;", "foo = 'can'", "==", []),
+    (f"{K} WHERE NOT (foo = 'can') AS list;", "foo = 'can'", "==", []),
+    (f"{K} WHERE isRobot(this) XOR (foo = -5) LIMIT 0 AS list;", "foo = -5", "==", []),
+    (f"{K} WHERE False AND NOT (False XOR (foo = [1])) AS list;", "foo = [1]", "==", []),
+    ("SELECT this FROM [1] HAVING NOT (foo = 5) AS list;", "foo = 5", "==", []),
+    ("IF(foo = 5; 1; 2);", "foo = 5", "==", 1),
+    ("IF(False; 1; IF(NOT (foo = 5); 2));", "foo = 5", "==", False),
+    (
+        "SELECT this FROM [1] START WITH s=1 CONNECT BY s=s+1 STOP WITH (s = 2) AS list;",
+        "s = 2",
+        "==",
+        [[1]],
+    ),
     (f"{K} WHERE 0 < z(this) < 1 LIMIT 0 AS list;", "0 < z(this) < 1", "BETWEEN", []),
     (f"{K} WHERE 0 <= z(this) < 1 LIMIT 0 AS list;", "0 <= z(this) < 1", "BETWEEN", []),
     ("SELECT this FROM [3, 1, 2] ORDER BY 1 AS list;", "1", "same for all rows", [3, 1, 2]),
@@ -565,6 +583,7 @@ def test_doubts_are_told_once_and_are_errors_in_strict_interpreters(
         "found = 5; level = 3; x = 5; x + 1 > 5;",
         "x = 5; SELECT this FROM [2] WHERE this < x AS list;",
         "(0 < 1) < 2; 1 < 2 == True; 3 IN (1, 2);",
+        "n = 0; IF(n = n + 1; n); SELECT this FROM [1] WHERE NOT (n = n - this) AS list;",
         "SELECT x.this FROM x=[1, 2] WHERE x.this > 1 AS list;",
         "SELECT 'id' FROM kitchen LIMIT 1 AS list;",
         "SELECT this FROM [1] START WITH s=1 CONNECT BY s=s+1 STOP WITH s > 1 AS list;",
@@ -615,6 +634,33 @@ def test_all_doors_tell(world, tmp_path):
             ss.eval("eval('SELECT id FROM kitchen WHERE id == \\'tabel\\'');")
     with ssduck.open(tmp_path / "run") as ss, pytest.warns(ProgramWarning, match="'table'"):
         assert ss.eval(program) == []
+
+
+LOOKS = {
+    "eval": lambda ss, text: ss.eval(text),
+    "compiled": lambda ss, text: ss.eval(ss.compile(text)),
+    "show": lambda ss, text: ss.show(text),
+    "explain": lambda ss, text: ss.explain(text),
+    "EXPLAIN": lambda ss, text: ss.eval(f"EXPLAIN {text}"),
+    "sql": lambda ss, text: ss.compile(text).sql(),
+    "a text": lambda ss, text: ss.eval("eval('" + text.replace("'", "\\'") + "');"),
+}
+
+
+@pytest.mark.parametrize("door", LOOKS)
+def test_warnings_are_of_the_users_line(world, door):
+    with _interpreter(world, row_by_row=False) as ss:
+        for text in (f"t = 'tabel'; {K} WHERE id == t;", f"{K} WHERE id IN ('can');"):
+            with pytest.warns(ProgramWarning) as caught:
+                LOOKS[door](ss, text)
+            assert [warning.filename for warning in caught] == [__file__]
+            ss.strict = True
+            with pytest.raises(SelectScriptError):
+                LOOKS[door](ss, text)
+            ss.strict = False
+        with pytest.warns(UserWarning, match="replaces") as caught:
+            ss.add_function("count", lambda _: 3)
+        assert [warning.filename for warning in caught] == [__file__]
 
 
 def test_combinations_agree(as_sql, by_rows):
