@@ -10,6 +10,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 fuzz = pytest.importorskip("tools.fuzz")
 
+pytestmark = pytest.mark.filterwarnings("ignore::ssduck.ProgramWarning")
+
 
 @pytest.fixture(scope="module")
 def bench():
