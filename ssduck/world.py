@@ -41,7 +41,7 @@ from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.sensing import Reading
 from ssduck.simulators import Body, Kind, Simulator
 from ssduck.snapshot import Snapshot
-from ssduck.tables import MASSES
+from ssduck.tables import MARGINS, MASSES
 from ssduck.ticking import Ticked
 from ssduck.what_if import bodies_of, imagined
 
@@ -286,7 +286,7 @@ class World(Ticked, WorldSpellings):
             RemovedEntityError: an entity is no longer in this world.
         """
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
-        with self.held(("links", "joints", MASSES) if has_links else (MASSES,)):
+        with self.held((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
             places = {
                 body: pose_of(pose, name) for name, body, pose in bodies_of(self, poses or {})
             }
@@ -541,7 +541,7 @@ class World(Ticked, WorldSpellings):
             if self._simulator.are_tied(body, held):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
-            with self.held(("shapes",)):
+            with self.held(("shapes", MARGINS)):
                 shapes = self.snapshot.shapes().shapes_touching(entity.id, other.id, TOUCHES)
             touch = {body.shapes[shape].frame for shape in shapes}
             count = len(touch & links_beyond(body, number))
