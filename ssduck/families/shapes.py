@@ -76,7 +76,8 @@ def on_shapes(
         unit=unit,
         symmetric=symmetric,
         element=element,
-        apart="error('of entities of two worlds')",
+        apart=f"error('{name}: these entities are of two worlds, and only shapes of one are "
+        "compared')",
         asked=asked,
         candidates=candidates,
         far=far,
