@@ -105,7 +105,8 @@ class RecordVerbs(ABC):
             if world is None and not worlds:
                 raise ArgumentError("there is no world to be recorded")
             chosen = worlds[0] if world is None else self._world(world)
-            return self._database.record_to(chosen, recording, given_path(path))
+            # Whoever records may go to another working directory meanwhile.
+            return self._database.record_to(chosen, recording, given_path(path).absolute())
 
     def export(
         self,

@@ -62,6 +62,26 @@ def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monke
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted({*names, "s3:"} - {"s3:/x"})
 
 
+def test_a_record_stays_where_it_began(client, tmp_path, monkeypatch) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    monkeypatch.chdir(tmp_path)
+    ss = ssduck.Interpreter()
+    world = ss.add_variable("lab", ball(client))
+    with ss.record_to("run") as writing:
+        world.step()
+        ss.flush()
+        monkeypatch.chdir(there)
+        world.step()
+        assert writing.episode.path == tmp_path / "run"
+    assert list(there.iterdir()) == []
+    assert ticks(tmp_path / "run") == (3, 3)
+    monkeypatch.chdir(tmp_path)
+    with ssduck.open("run") as opened:
+        monkeypatch.chdir(there)
+        assert len(opened.eval("SELECT id FROM lab{} AS list;")) == 3
+
+
 @POSIX
 def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeypatch) -> None:
     home, here = tmp_path / "home", tmp_path / "here"
