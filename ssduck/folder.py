@@ -261,7 +261,7 @@ def _footer(file: Path) -> bytes | None:
 
 def _read(file: Path) -> pa.Table:
     try:
-        return pq.ParquetFile(file).read().replace_schema_metadata()
+        return pq.ParquetFile(file.absolute()).read().replace_schema_metadata()
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
 

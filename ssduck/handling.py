@@ -10,6 +10,7 @@ from ssduck.errors import ArgumentError, StateError
 from ssduck.kinematics import JointValues, Pose, link_of, links_beyond, motors_of, positions_of
 from ssduck.narrow import TOUCHES
 from ssduck.simulators import Body
+from ssduck.tables import MARGINS
 from ssduck.ticking import Ticked
 
 
@@ -52,7 +53,7 @@ class Handled(Ticked):
             if self._simulator.are_tied(body, held):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
-            with self.held(("shapes",)):
+            with self.held(("shapes", MARGINS)):
                 shapes = self.snapshot.shapes().shapes_touching(entity.id, other.id, TOUCHES)
             touch = {body.shapes[shape].frame for shape in shapes}
             count = len(touch & links_beyond(body, number))

@@ -13,6 +13,7 @@ from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.messages import shown
 from ssduck.past import Past, past_of
+from ssduck.paths import given_path
 from ssduck.planner import Planner
 from ssduck.programs import Compiled
 from ssduck.recording import RECORDABLE, Recording
@@ -104,7 +105,8 @@ class RecordVerbs(ABC):
             if world is None and not worlds:
                 raise ArgumentError("there is no world to be recorded")
             chosen = worlds[0] if world is None else self._world(world)
-            return self._database.record_to(chosen, recording, Path(path))
+            # Whoever records may go to another working directory meanwhile.
+            return self._database.record_to(chosen, recording, given_path(path).absolute())
 
     def export(
         self,
@@ -143,9 +145,9 @@ class RecordVerbs(ABC):
             )
             if not worlds:
                 raise EvaluationError("no world is recorded here")
-            database = self._database
+            database, place = self._database, given_path(path)
             return {
-                database.schema_of(each): database.export(each, Path(path), names, (start, end))
+                database.schema_of(each): database.export(each, place, names, (start, end))
                 for each in worlds
             }
 

@@ -101,11 +101,6 @@ class Layout:
             for stands in (True, False)
         )
 
-    @cached_property
-    def margins(self) -> float:
-        """How far apart two of their shapes may be that touch by their margins, metres."""
-        return margins_of(self.members)
-
 
 class Part:
     """Bodies that are read together, the sensors on them, and their rows in the tables.

@@ -34,6 +34,7 @@ from ssduck.history import (
     whole_rows,
 )
 from ssduck.models import MODELS, defaults, geometries_of, members_of, run_of
+from ssduck.paths import given_path
 from ssduck.record import Record
 from ssduck.recorded_world import RecordedWorld
 from ssduck.recording import Recording
@@ -71,7 +72,7 @@ def episodes(path: str | Path) -> list[Episode]:
     """
     database = Database(":memory:", None)
     try:
-        return [run.episode for run in runs(Path(path), database)]
+        return [run.episode for run in runs(given_path(path), database)]
     finally:
         database.close()
 
@@ -230,7 +231,7 @@ class OpenedFolder:
 
 def _columns_in(files: Sequence[Path]) -> list[str]:
     """The columns of a table's parts: one ssduck wrote all of them."""
-    names: list[str] = pq.read_schema(files[0]).names
+    names: list[str] = pq.read_schema(files[0].absolute()).names
     return names
 
 

@@ -8,6 +8,7 @@ from typing import Literal
 from ssduck import checks
 from ssduck.interpreter import Interpreter
 from ssduck.opened import chosen_runs, runs, world_of
+from ssduck.paths import given_path
 from ssduck.recording import Recording
 from ssduck.scenes import find_scene
 from ssduck.world import World
@@ -72,7 +73,7 @@ def open_record(
     try:
         found = [
             world_of(run, database)
-            for run in chosen_runs(runs(Path(path), database), world, episode)
+            for run in chosen_runs(runs(given_path(path), database), world, episode)
         ]
         for recorded in found:
             interpreter.add_variable(recorded.name, recorded)

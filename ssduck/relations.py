@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
-from ssduck.tables import MASSES
+from ssduck.tables import MARGINS, MASSES
 
 # What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
 # integer from case to case; `record` is a dict of the same keys each time; `any` is a value
@@ -112,6 +112,7 @@ class Relation:
         partly: the formula with the first of two optional parameters given, and not the other.
         looks_at: of one that calls Python for what is no shape, the table that it looks at.
         may_fail: whether there are entities that it is an error of.
+        by_margins: whether the collision margins of shapes count.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Relation:
     partly: str | None = None
     looks_at: str = ""
     may_fail: bool = False
+    by_margins: bool = False
 
     @property
     def usage(self) -> str:
@@ -212,10 +214,11 @@ class Relation:
 
     @cached_property
     def reads(self) -> frozenset[str]:
-        """What has to be asked for before it is evaluated: tables, and masses."""
+        """What has to be asked for before it is evaluated: tables, masses, margins."""
         tree = self.expressions[self.required]
         of_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
-        return self.tables | ({MASSES} if of_mass else frozenset())
+        found = self.tables | ({MASSES} if of_mass else frozenset())
+        return found | ({MARGINS} if self.by_margins else frozenset())
 
     def _of_rows(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """A formula of rows that users give: they may be of another run, or changed."""

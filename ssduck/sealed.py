@@ -307,4 +307,5 @@ def _write_json(told: Mapping[str, Any], file: Path) -> None:
 def _write_parquet(rows: pa.Table, file: Path) -> None:
     texts = [f.name for f in rows.schema if pa.types.is_string(f.type)]
     keys = [f.name for f in rows.schema if pa.types.is_integer(f.type)]
-    pq.write_table(rows, file, compression="zstd", use_dictionary=[*texts, *keys])
+    how = {"compression": "zstd", "use_dictionary": [*texts, *keys]}
+    pq.write_table(rows, file.absolute(), **how)  # else md:x is a URI, and ~ another folder

@@ -16,7 +16,7 @@ import copy
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import accumulate
+from itertools import accumulate, chain
 from typing import Any
 
 import numpy as np
@@ -85,8 +85,10 @@ class Snapshot:
         self._asked_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
-        # The tick at which masses were read last, and those of the links then, by entity.
+        # The ticks at which masses and margins were read last, and the masses of the links then, by
+        # entity.
         self._weighed = 0
+        self._padded = 0
         self.masses: dict[int, list[float]] = {}
 
     @property
@@ -290,7 +292,7 @@ class Snapshot:
             different = {shape.geometry.key: shape.geometry for shape in shapes}
             place = {key: number for number, key in enumerate(different)}
             of = np.array([place[shape.geometry.key] for shape in shapes], dtype=np.intp)
-            margins = np.array([shape.margin for shape in shapes], dtype=np.float64)
+            margins = self.tables["shapes"]["margin"].copy()
             solids = list(map(solid_of, different.values()))
             counts = [len(body.shapes) for _, body in bodies]
             starts = list(accumulate(counts, initial=0))
@@ -360,6 +362,30 @@ class Snapshot:
             entities[self.rows[id]] = sum(own)
             self.masses[id] = own
         return True
+
+    def read_margins(self, simulator: Simulator) -> None:
+        """Read the collision margins at this tick, unless that is done; as masses are read."""
+        if self._padded == self.number:
+            return
+        self._padded = self.number
+        margins = simulator.read_margins([body for _, body in self._layout.bodies])
+        now, told = np.array(list(chain(*margins)), np.float64), self.tables["shapes"]["margin"]
+        if not np.array_equal(now, told):
+            told[:] = now
+            self._shapes = self._solids = None
+
+    @property
+    def margins(self) -> float:
+        """How far apart two shapes may be that touch by their margins, metres."""
+        return 2.0 * float(self.tables["shapes"]["margin"].max(initial=0.0))
+
+    @property
+    def repadded(self) -> list[str]:
+        """The entities whose margins are not those that they came with, and records keep."""
+        shapes = [(id, shape) for id, body in self._layout.bodies for shape in body.shapes]
+        told = self.tables["shapes"]["margin"].tolist()
+        found = {id for (id, shape), now in zip(shapes, told, strict=True) if shape.margin != now}
+        return [member.name for member in self.members if member.id in found]
 
     # A simulation that explodes has infinite numbers; it is told of in `_finish`.
     @np.errstate(invalid="ignore")

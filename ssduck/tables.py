@@ -22,6 +22,8 @@ from ssduck.geometry import Array
 
 # What is asked for like a table: the masses, which others may change in a simulation of theirs.
 MASSES = "masses"
+# The collision margins, likewise.
+MARGINS = "margins"
 # So many ticks is what was asked for read without another question.
 FORGOTTEN_AFTER = 240
 

@@ -19,7 +19,7 @@ from ssduck.simulators import Simulator
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
-from ssduck.tables import MASSES
+from ssduck.tables import MARGINS, MASSES
 
 _serials = count()
 # Seconds that a step waits while another thread wants to ask.
@@ -167,6 +167,8 @@ class Ticked(Followed):
                 self._take_asked()
             if MASSES in tables:
                 self._weigh()
+            if MARGINS in tables and not self.is_final:
+                self.snapshot.read_margins(self._simulator)
 
     def _weigh(self) -> None:
         """Read the masses at this tick, and tell who keeps ticks of them."""

@@ -71,6 +71,15 @@ MARGINS = "narrow margins"
 # Those that look at all entities of the tick, and not only at the two that are asked about.
 OF_WHOLE_TICK = frozenset(("narrow supports", "narrow rests_on", "narrow beside"))
 
+# Those that the collision margins of shapes count for.
+BY_MARGINS = frozenset(
+    f"narrow {name}"
+    for name in (
+        *("touching", "on", "supports", "rests_on", "beside"),
+        *("all_touching", "all_reaching", "all_resting"),
+    )
+)
+
 # The functions of joints: what they take besides a world, and an entity as its tick and its id.
 JOINTS: dict[str, tuple[str, ...]] = {
     "joints position": ("VARCHAR",),

@@ -36,7 +36,7 @@ from ssduck.scenes import Camera, Scene, SensorSpec
 from ssduck.sensing import Reading
 from ssduck.simulators import Kind, Simulator
 from ssduck.snapshot import Snapshot
-from ssduck.tables import MASSES
+from ssduck.tables import MARGINS, MASSES
 from ssduck.what_if import bodies_of, imagined
 
 if TYPE_CHECKING:
@@ -280,7 +280,7 @@ class World(Handled, WorldSpellings):
             RemovedEntityError: an entity is no longer in this world.
         """
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
-        with self.held(("links", "joints", MASSES) if has_links else (MASSES,)):
+        with self.held((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
             places = {
                 body: pose_of(pose, name) for name, body, pose in bodies_of(self, poses or {})
             }

@@ -9,7 +9,13 @@ from conftest import collision, joint, link, robot
 from test_shapes import Stage
 
 import ssduck
-from ssduck.errors import SelectScriptError, UnknownNameError, UnsupportedError
+from ssduck.errors import (
+    ArgumentError,
+    SelectScriptError,
+    SqlError,
+    UnknownNameError,
+    UnsupportedError,
+)
 from ssduck.recording import Recording
 
 LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
@@ -190,6 +196,18 @@ def test_what_is_given_is_checked(scene, program):
     for one in scene[:2]:
         with pytest.raises(SelectScriptError):
             one.eval(program)
+
+
+@pytest.mark.parametrize("share", ["-0.01", "1.01", "50"])
+@pytest.mark.parametrize("name", ["isOpen", "isClosed"])
+def test_a_share_is_from_0_to_1(scene, name, share):
+    told = f"{name}: the share is a number from 0 to 1, not {share}"
+    ss, slow, *_ = scene
+    for one in (ss, slow):
+        with pytest.raises(ArgumentError, match=told):
+            one.eval(f"{name}(cabinet, 'drawer', {share});")
+    with pytest.raises(SqlError, match=told):
+        ss.sql(f"SELECT {name}(e, 'drawer', {share}) FROM entities e WHERE name = 'cabinet'")
 
 
 def test_a_condition_before_it_leaves_out_what_has_no_such_joint(scene):

@@ -17,7 +17,7 @@ LITERALS = {
     "integer": "1",
     "number": "1",
     "list": "[0.0, 0.0, 0.0]",
-    "text": "'x'",
+    "text": "'joint1'",
 }
 # Names of worlds that SQL has to quote, and some that it need not.
 NAMES = ("sim", "Übung", "on")
@@ -46,10 +46,34 @@ def boxes(client, count=2):
     return client
 
 
+def jointed(client):
+    """A box with a link on a revolute joint, which PyBullet calls joint1."""
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    pybullet.createMultiBody(
+        1.0,
+        shape,
+        basePosition=[0.15, 0, 0.1],
+        linkMasses=[1.0],
+        linkCollisionShapeIndices=[-1],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[[0, 0, 0.1]],
+        linkOrientations=[[0, 0, 0, 1]],
+        linkInertialFramePositions=[[0, 0, 0]],
+        linkInertialFrameOrientations=[[0, 0, 0, 1]],
+        linkParentIndices=[0],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE],
+        linkJointAxis=[[0, 0, 1]],
+        physicsClientId=client,
+    )
+    return client
+
+
 @pytest.fixture(scope="module")
 def worlds():
     """An interpreter with a world under each of the names, and one with a world alone."""
-    client = boxes(pybullet.connect(pybullet.DIRECT))
+    client = jointed(boxes(pybullet.connect(pybullet.DIRECT), 1))
     with ssduck.Interpreter() as ss, ssduck.Interpreter() as alone:
         for name in NAMES:
             ss.add_variable(name, ssduck.World.attach(client))
@@ -151,7 +175,7 @@ def test_what_a_file_keeps_may_call_them(client, tmp_path):
 @pytest.fixture(scope="module")
 def one():
     """An interpreter with one world, whose ticks are recorded."""
-    client = boxes(pybullet.connect(pybullet.DIRECT))
+    client = jointed(boxes(pybullet.connect(pybullet.DIRECT), 1))
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", ssduck.World.attach(client))
         ss.record("sim", Recording(tables=("entities", "contacts")))

@@ -51,6 +51,60 @@ def test_a_folder_is_the_one_of_that_name(client, tmp_path: Path) -> None:
 
 
 @POSIX
+def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ss = ssduck.Interpreter()
+    ss.add_variable("lab", ball(client)).step()
+    names = [*NAMES, "C:x", "s3:/x", "file:x", "~ x"]
+    for name in names:
+        ss.export(name)
+        assert ticks(Path(name)) == (2, 2)
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted({*names, "s3:"} - {"s3:/x"})
+
+
+def test_a_record_stays_where_it_began(client, tmp_path, monkeypatch) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    monkeypatch.chdir(tmp_path)
+    ss = ssduck.Interpreter()
+    world = ss.add_variable("lab", ball(client))
+    with ss.record_to("run") as writing:
+        world.step()
+        ss.flush()
+        monkeypatch.chdir(there)
+        world.step()
+        assert writing.episode.path == tmp_path / "run"
+    assert list(there.iterdir()) == []
+    assert ticks(tmp_path / "run") == (3, 3)
+    monkeypatch.chdir(tmp_path)
+    with ssduck.open("run") as opened:
+        monkeypatch.chdir(there)
+        assert len(opened.eval("SELECT id FROM lab{} AS list;")) == 3
+
+
+@POSIX
+def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeypatch) -> None:
+    home, here = tmp_path / "home", tmp_path / "here"
+    home.mkdir()
+    here.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.chdir(here)
+    world = ball(client)
+    for name, place in (("~/run", "run"), ("~/a/b", "a/b")):
+        with ssduck.Interpreter() as ss:
+            ss.add_variable("lab", world).step()
+            assert home / place in ss.export(name)["lab"].parents
+        with ssduck.open(name) as ss:
+            assert ss.eval("SELECT id FROM lab AS list;")
+        assert ssduck.episodes(name)[0].path == home / place
+    with ssduck.Interpreter("~/run.duckdb") as ss:
+        ss.add_variable("lab", world).step()
+    with ssduck.open("~/run.duckdb") as ss:
+        assert ss.eval("SELECT id FROM lab AS list;")
+    assert list(here.iterdir()) == []
+
+
+@POSIX
 def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> None:
     world = ball(client)
     monkeypatch.chdir(tmp_path)

@@ -616,7 +616,7 @@ def test_relations_of_two_worlds(stage):
     for ss in stage.interpreters(one=world):
         ss.add_variable("two", other)
         program = "SELECT id(p.this) FROM p=one, q=two WHERE {}(p.this, q.this) AS list;"
-        with pytest.raises(SelectScriptError, match="two worlds"):
+        with pytest.raises(SelectScriptError, match="collides: these entities are of two worlds"):
             ss.eval(program.format("collides"))
         assert ss.eval(program.format("inContact")) == []
 

@@ -79,8 +79,8 @@ print(ss.statistics()["kitchen"])  # how many pairs that took, and how many call
 Simulators do not let things rest surface on surface. PyBullet presses boxes, balls, cylinders and
 capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from it
 by a margin of 1 mm each: so a cup of hulls on a plate of hulls has a clearance of 1.99 mm. Each
-shape's margin is in the table of shapes (`margin`), as it was when the body was first seen, and in
-records. What to ask for:
+shape's margin is in the table of shapes (`margin`), as the simulator has it at the tick; records
+keep the one that the body came with. What to ask for:
 
 | question | ask |
 |---|---|

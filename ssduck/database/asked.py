@@ -10,21 +10,24 @@ import duckdb
 from ssduck.catalog import TABLE_MACROS, looking_up
 from ssduck.database.bound import Bound
 from ssduck.errors import LimitError, Span
-from ssduck.tables import MASSES, TABLES
+from ssduck.tables import MARGINS, MASSES, TABLES
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
+# What is read where a table has such a column.
+_READ = {"mass": MASSES, "margin": MARGINS}
 
-def _has_mass(table: str) -> bool:
-    return any(column.name == "mass" for column in TABLES[table])
+
+def _asked_with(table: str) -> frozenset[str]:
+    """A table, and what is read into its columns when it is asked for."""
+    return frozenset((table, *(_READ[c.name] for c in TABLES[table] if c.name in _READ)))
 
 
 # The tables that a word in a statement stands for: a table's name, or that of a relation that
 # looks things up in some.
 _TABLES_OF = {
-    **{name.lower(): frozenset((name,)) for name in TABLES},
-    **{name: frozenset((name, MASSES)) for name in TABLES if _has_mass(name)},
-    **{relation.name.lower(): relation.tables for relation in looking_up()},
+    **{name.lower(): _asked_with(name) for name in TABLES},
+    **{relation.name.lower(): relation.reads for relation in looking_up()},
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
@@ -38,8 +41,9 @@ _BEHIND_A_SCHEMA = re.compile(
     re.IGNORECASE | re.ASCII | re.DOTALL,
 )
 _KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+_OF_MASSES = [name for name in TABLES if MASSES in _asked_with(name)]
 _OF_PAST_MASSES = re.compile(
-    rf"\b({'|'.join(filter(_has_mass, TABLES))})_(history|model)\b", re.IGNORECASE | re.ASCII
+    rf"\b({'|'.join(_OF_MASSES)})_(history|model)\b", re.IGNORECASE | re.ASCII
 )
 # All columns: a star that counts no rows, or FROM without SELECT.
 _MASS_OR_ALL = re.compile(

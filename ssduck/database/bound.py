@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ import numpy as np
 from ssduck.errors import EvaluationError, UnsupportedError
 from ssduck.history import POSE, Archive, Shown, history_name, not_recorded
 from ssduck.joints import Joints
+from ssduck.messages import listed
 from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.shapes import Shapes
@@ -58,6 +60,7 @@ class Bound:
         key: what its buffers are called among DuckDB's temporary views.
         schemas: its names here; the first is the one that ssduck's own statements use.
         versions: those of the tables that DuckDB has been shown.
+        planned_margins: the margins, metres, that DuckDB's plans go by.
         kept: its history; None if its ticks are not recorded.
         held: the world, if it has a name of the user's: it is not to go.
     """
@@ -68,7 +71,9 @@ class Bound:
     versions: dict[str, int] = field(default_factory=dict)
     kept: Kept | None = None
     held: World | None = None
+    planned_margins: float = 0.0
     _poses: OrderedDict[int, Poses] = field(default_factory=OrderedDict)
+    _repadded: set[str] = field(default_factory=set)
 
     @property
     def world(self) -> World:
@@ -90,7 +95,8 @@ class Bound:
             pose: its x, y, z, qw, qx, qy, qz; None for what is not known.
 
         Raises:
-            EvaluationError: the run is not that of this world, or the pose not that of the tick.
+            EvaluationError: the run is not that of this world, the pose not that of the tick, or
+                there is no such entity.
         """
         own = self.world.snapshot.run
         if run != own:
@@ -99,7 +105,13 @@ class Bound:
                 f"the run {own}: its shapes are not known here; open the record of that run, or "
                 "write the name of its world before the relation"
             )
-        known = self._poses_at(tick).get(id, pose)
+        poses = self._poses_at(tick)
+        if id not in poses:
+            raise EvaluationError(
+                f"a row (id {id}, tick {tick}) is of no entity: {self.world.name!r} has none of "
+                "that id at that tick"
+            )
+        known = poses[id]
         if known != pose:
             raise EvaluationError(
                 f"a row (id {id}, tick {tick}) is not as it was recorded: its pose is "
@@ -170,8 +182,27 @@ class Bound:
     @property
     def margins(self) -> float:
         """How far apart shapes may be that touch by their margins, metres, at any of its ticks."""
-        now = self.world.snapshot.layout.margins
+        now = self.world.snapshot.margins
         return now if self.kept is None else max(now, self.kept.record.margins)
+
+    def note_margins(self, tick: int | None) -> None:
+        """Warn, once of each entity, where recorded ticks go by other margins than there are now.
+
+        Args:
+            tick: the one that is asked for; None for the present one.
+        """
+        snapshot = self.world.snapshot
+        if tick is None or tick == snapshot.number:
+            return
+        new = [name for name in snapshot.repadded if name not in self._repadded]
+        if new:
+            self._repadded.update(new)
+            warnings.warn(
+                f"{self.world.name!r}: the collision margins of {listed(new)} were changed; "
+                "recorded ticks go by those that a body came with, so that on, touching and "
+                "their like may differ there from what the simulator did",
+                stacklevel=2,
+            )
 
     def joints(self, tick: int, id: int) -> Joints:
         """The joints of an entity at a tick.

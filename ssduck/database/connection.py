@@ -30,6 +30,7 @@ from ssduck.errors import (
 )
 from ssduck.limits import Limits, Meter
 from ssduck.messages import shown
+from ssduck.paths import given_path
 from ssduck.recorder import Recorder
 from ssduck.relations import TOLD_BY
 
@@ -355,9 +356,8 @@ def _place_of(path: str) -> str:
     Raises:
         SqlError: the path has a character that DuckDB takes for another one, or none of a path.
     """
-    begins_at_home = path == "~" or path.startswith("~/")
     try:
-        place = str((Path(path).expanduser() if begins_at_home else Path(path)).absolute())
+        place = str(given_path(path).absolute())
     except (OSError, RuntimeError, ValueError) as error:
         raise SqlError(f"{shown(path)} is no path of a file: {error}") from error
     if "\0" in place or ("\\" in place and os.sep != "\\"):

@@ -26,7 +26,7 @@ from ssduck.record import PAIR, Record
 from ssduck.relations import ANY, CHECKED_TICK
 from ssduck.shapes import ANSWERS, depth
 from ssduck.types import Converter, Signature, Tag, converter, is_exactly
-from ssduck.udfs import JOINTS, MARGINS, NARROW, OF_WHOLE_TICK, THEN, THEN_TOLD
+from ssduck.udfs import BY_MARGINS, JOINTS, MARGINS, NARROW, OF_WHOLE_TICK, THEN, THEN_TOLD
 
 
 def add_users(
@@ -175,6 +175,8 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
         ids = arguments[1:entities:2]
         tick = ticks.pop() if ticks else None
         shapes = worlds[world].shapes(tick, None if name in OF_WHOLE_TICK else ids)
+        if name in BY_MARGINS:
+            worlds[world].note_margins(tick)
         return answer(shapes, *ids, *arguments[entities:])
 
     return call
@@ -249,6 +251,8 @@ def _then(worlds: Mapping[str, Bound], of: Asked, *arguments: pa.ChunkedArray) -
             raise EvaluationError(f"the ticks of {world!r} are not recorded")
         question = Question(of, depth(distance) if of == "colliding" else distance)
         apart = 0.0 if of == "colliding" else distance
+        if of == "touching":
+            worlds[world].note_margins(first)
         pairs = kept.record.pairs(Near(first, last, a, b, apart), question)
         return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PAIR)
 

@@ -200,6 +200,9 @@ class Worlds:
             entry for entry in bound.buffers() if bound.versions.get(entry[1]) != entry[2].version
         ]
         stale = {table for table, name, _ in new if name in bound.versions}
+        if bound.margins != bound.planned_margins:  # DuckDB takes them for constants
+            stale.add("entities")
+            bound.planned_margins = bound.margins
         if stale:
             self._plans.forget(*stale)
         for _, name, rows in new:

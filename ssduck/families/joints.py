@@ -24,6 +24,14 @@ _MISSING = (
 )
 
 
+# A share of another kind, percents say, would be an answer to no question.
+_SHARE = (
+    "CASE WHEN share < 0 OR share > 1 THEN "
+    "error('{}: the share is a number from 0 to 1, not ' || share)::DOUBLE "
+    "ELSE share::DOUBLE END"
+)
+
+
 def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
     """Whether joints are open, or closed, by a share of their range."""
     most, named = f'"joints most_open"({_OF})', f'"joints openness"({_OF}, joint)'
@@ -32,14 +40,14 @@ def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
         (
             *ENTITY,
             Parameter("joint", "text", "the name of a joint that has limits", optional=True),
-            Parameter("share", "real", f"of its range; {usual:g} if not given", optional=True),
+            Parameter("share", "real", "a share of its range, from 0 to 1", optional=True),
         ),
         "flag",
         condition.format(most, usual),
         f"{about} {_OPENNESS} What has no joints with limits is neither open nor closed. "
         f"{_MISSING}",
         partly=condition.format(named, usual),
-        sliced=condition.format(named, "share"),
+        sliced=condition.format(named, _SHARE.format(name)),
         looks_at="joints",
         may_fail=True,
     )
@@ -62,13 +70,15 @@ OF_JOINTS: tuple[Relation, ...] = (
         OPEN,
         f"{{}} >= {{}} - {ROUNDED}",
         "Checks if a joint of the object, or any of its joints that have limits, is open by at "
-        "least a share of its range, one half if it is not given.",
+        "least a share of its range, one half if it is not given. A share that is not from 0 to 1 "
+        "is an error.",
     ),
     _has_share(
         "isClosed",
         CLOSED,
         f"{{}} BETWEEN -1e300 AND {{}} + {ROUNDED}",
         "Checks if a joint of the object, or all of its joints that have limits, are open by at "
-        "most a share of their range, 0.05 if it is not given.",
+        "most a share of their range, 0.05 if it is not given. A share that is not from 0 to 1 is "
+        "an error.",
     ),
 )

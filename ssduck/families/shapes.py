@@ -63,6 +63,7 @@ def on_shapes(
     candidates: Candidates | None = None,
     far: Literal["", "more", "nothing"] = "",
     also: tuple[str, ...] = (),
+    by_margins: bool = False,
 ) -> Relation:
     """A relation of the shapes of two entities."""
     return Relation(
@@ -75,11 +76,13 @@ def on_shapes(
         unit=unit,
         symmetric=symmetric,
         element=element,
-        apart="error('of entities of two worlds')",
+        apart=f"error('{name}: these entities are of two worlds, and only shapes of one are "
+        "compared')",
         asked=asked,
         candidates=candidates,
         far=far,
         also=also,
+        by_margins=by_margins,
     )
 
 
@@ -173,6 +176,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         sliced=_narrow(_ask("touching", "eps"), f"(eps) + {_MARGINS}"),
         symmetric=True,
         candidates=Candidates("touching", "0.001", "eps"),
+        by_margins=True,
     ),
     on_shapes(
         "near",
@@ -204,6 +208,7 @@ OF_SHAPES: tuple[Relation, ...] = (
             asked="on pairs whose boxes are at most 1 mm and the largest margins apart",
             candidates=Candidates("reaching", "0.001"),
             also=("onTop",) if name == "on" else (),
+            by_margins=True,
         )
         for name, about in _CARRIED.items()
     ),
@@ -215,6 +220,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         "on the table. What is on what is found once a tick, for all entities.",
         asked="on all pairs of the tick whose boxes are at most 1 cm apart, once",
         candidates=Candidates("resting"),
+        by_margins=True,
     ),
     on_shapes(
         "inside",
@@ -259,6 +265,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         "it.",
         asked="on pairs whose boxes are at most that far apart",
         symmetric=True,
+        by_margins=True,
     ),
     Relation(
         "solidVolume",

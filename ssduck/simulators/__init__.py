@@ -78,6 +78,16 @@ class Body:
     shapes: tuple[PlacedGeometry, ...]
 
     @property
+    def masses(self) -> list[float]:
+        """Those of the links, kg, as they were read with the body."""
+        return [link.mass for link in self.links]
+
+    @property
+    def margins(self) -> list[float]:
+        """Those of the shapes, m, as they were read with the body."""
+        return [shape.margin for shape in self.shapes]
+
+    @property
     def has_stand_ins(self) -> bool:
         """Whether a box is known to stand in for some of its shapes."""
         return any(shape.exact is False for shape in self.shapes)
@@ -223,6 +233,9 @@ class Simulator(Protocol):
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """The masses of these bodies' links as they are now, kg; of what is gone, as they were."""
+
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The collision margins of these bodies' shapes, m; of what is gone, as they were."""
 
     def read_contacts(self) -> Iterable[Contact]:
         """The contacts of the last step."""

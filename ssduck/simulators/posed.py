@@ -55,7 +55,11 @@ class Posed:
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """As they are known."""
-        return [[link.mass for link in body.links] for body in bodies]
+        return [body.masses for body in bodies]
+
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """As they are known."""
+        return [body.margins for body in bodies]
 
     def read_contacts(self) -> Iterable[Contact]:
         """None are known: they are what a solver finds."""

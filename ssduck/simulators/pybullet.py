@@ -36,6 +36,7 @@ from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_frames import FramesReader
 from ssduck.simulators.pybullet_given import ShapesByBody, given_shapes
+from ssduck.simulators.pybullet_margins import margins_of
 from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_saved import SavedShapes
 from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
@@ -234,16 +235,24 @@ class PyBulletSimulator:
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """The masses of these bodies' links as they are now; of what is gone, as they were."""
+        there = self._are_there(bodies)
+        client = self.client
+        return self._call(
+            lambda: [masses_of(client, b) if b in there else b.masses for b in bodies]
+        )
+
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The collision margins of these bodies' shapes; of what is gone, as they were."""
+        told = {body: self._known[body.handle].told for body in self._are_there(bodies)}
+        return self._call(
+            lambda: [margins_of(self.client, body, told.get(body, ())) for body in bodies]
+        )
+
+    def _are_there(self, bodies: Sequence[Body]) -> set[Body]:
+        """Those of the bodies that the client still has."""
         tags = dict(zip(*self._listed, strict=True))
         now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
-
-        def masses(body: Body, tag: int) -> list[float]:
-            known = [link.mass for link in body.links]
-            if tag != tags.get(body.handle):
-                return known
-            return masses_of(self.client, body.handle, known)
-
-        return self._call(lambda: list(map(masses, bodies, now)))
+        return {b for b, tag in zip(bodies, now, strict=True) if tag == tags.get(b.handle)}
 
     def read_contacts(self) -> Iterable[Contact]:
         """The points of the last step at which shapes meet; PyBullet's near misses left out."""

@@ -64,11 +64,13 @@ class Description:
         body: what it is made of.
         com: poses of the links' centres of mass in the link frames, (links, 3) and (links, 4).
         exact: whether all its shapes are what PyBullet uses; else boxes stand in for some.
+        told: what PyBullet told of the margins of each link; nothing if it was not asked.
     """
 
     body: Body
     com: Pose
     exact: bool
+    told: tuple[Told, ...] = ()
 
 
 def describe(
@@ -131,11 +133,12 @@ def com_of(client: int, handle: int) -> Pose:
     return _com([pybullet.getDynamicsInfo(handle, link, client) for link in links])
 
 
-def masses_of(client: int, handle: int, known: list[float]) -> list[float]:
+def masses_of(client: int, body: Body) -> list[float]:
     """The masses of a body's links as they are now; of a soft body, as they are known."""
-    dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, len(known) - 1)]
+    links = range(-1, len(body.links) - 1)
+    dynamics = [pybullet.getDynamicsInfo(body.handle, link, client) for link in links]
     # What PyBullet says of a soft body is no number of kilograms.
-    return known if dynamics[0][10] == _SOFT_BODY else [float(told[0]) for told in dynamics]
+    return body.masses if dynamics[0][10] == _SOFT_BODY else [float(told[0]) for told in dynamics]
 
 
 def _com(dynamics: Sequence[Any]) -> Pose:
@@ -174,6 +177,7 @@ class _Reader:
         masses = [float(dynamic[0]) for dynamic in self.dynamics]
         if self.type == _SOFT_BODY:
             masses = [0.0]  # what PyBullet says is no number of kilograms
+        told = tuple(map(self._told, range(len(names))))
         body = Body(
             handle=self.handle,
             name=name or self.name or f"body_{self.handle}",
@@ -181,9 +185,11 @@ class _Reader:
             movable=jointed or masses[0] > 0.0 or self.type == _SOFT_BODY,
             links=tuple(map(Link, names, parents, masses)),
             joints=joints,
-            shapes=tuple(shape for link in range(len(names)) for shape in self._padded(link)),
+            shapes=tuple(
+                shape for link, of in enumerate(told) for shape in with_margins(self.own[link], of)
+            ),
         )
-        return Description(body, self.com, not body.has_stand_ins)
+        return Description(body, self.com, not body.has_stand_ins, told)
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
         """A joint, its axis in the frame of its link."""
@@ -196,16 +202,20 @@ class _Reader:
 
     # -- shapes ---------------------------------------------------------------------------
 
-    def _padded(self, link: int) -> list[PlacedGeometry]:
-        """The collision shapes of a link with their margins."""
-        shapes = list(self.shapes(link))
-        if all(margin_of(shape.geometry.type, Told(None)) == 0.0 for shape in shapes):
-            return shapes
+    def _told(self, link: int) -> Told:
+        """What PyBullet tells of the margins of a link."""
+        if all(margin_of(shape.geometry.type, Told(None)) == 0.0 for shape in self.own[link]):
+            return Told(None)
         entries = None
         # Of links that have capsules PyBullet may not be asked; of soft bodies it tells nothing.
         if link not in self._drawn_capsules and self.type != _SOFT_BODY:
             entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
-        return with_margins(shapes, told_of(self.dynamics[link], entries))
+        return told_of(self.dynamics[link], entries)
+
+    @cached_property
+    def own(self) -> list[list[PlacedGeometry]]:
+        """The collision shapes of each link."""
+        return [list(self.shapes(link)) for link in range(len(self.dynamics))]
 
     def shapes(self, link: int) -> Iterator[PlacedGeometry]:
         """The collision shapes of a link in its link frame (link 0 is the base).

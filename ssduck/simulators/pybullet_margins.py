@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 
 from ssduck.geometry import PlacedGeometry
+from ssduck.simulators import Body
 from ssduck.simulators.pybullet_console import pybullet
 
 # What PyBullet gives hulls and compounds, and concave meshes that are made by a call, metres.
 DEFAULT = 1e-3
+_PADDED = ("hull", "mesh")
 # So little is a shape turned or shifted that is in the frame of its centre of mass.
 _NOTHING = 1e-9
 
@@ -66,7 +68,7 @@ def margin_of(type: str, told: Told) -> float:
         type: of its geometry.
         told: what PyBullet tells of its link.
     """
-    if type not in ("hull", "mesh"):
+    if type not in _PADDED:
         return 0.0
     default = 0.0 if type == "mesh" and told.is_of_file else DEFAULT
     if told.margin is None:
@@ -81,3 +83,25 @@ def margin_of(type: str, told: Told) -> float:
 def with_margins(shapes: Sequence[PlacedGeometry], told: Told) -> list[PlacedGeometry]:
     """The shapes of a link with their margins."""
     return [replace(shape, margin=margin_of(shape.geometry.type, told)) for shape in shapes]
+
+
+def margins_of(client: int, body: Body, told: Sequence[Told]) -> list[float]:
+    """The margins of a body's shapes as they are now, metres.
+
+    Args:
+        client: the client that has it.
+        body: the body.
+        told: what was told of each of its links when it came; nothing where its margins stay.
+    """
+    links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if told else set()
+    now = {
+        link: replace(
+            told[link], margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11])
+        )
+        for link in links
+        if told[link].margin is not None
+    }
+    return [
+        margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin
+        for shape in body.shapes
+    ]
