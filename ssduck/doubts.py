@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -276,6 +277,9 @@ class Doubts:
     # -- names of entities ------------------------------------------------------------------
 
     def _unborne(self, facts: Facts, local: Mapping[str, Any]) -> Iterator[SelectScriptError]:
+        return islice(self._all_unborne(facts, local), MOST_UNBORNE)
+
+    def _all_unborne(self, facts: Facts, local: Mapping[str, Any]) -> Iterator[SelectScriptError]:
         for site in facts.names:
             worlds = self._worlds_of(site)
             if not worlds:
@@ -327,6 +331,8 @@ class Doubts:
 
 # So many things are known to have been told.
 MOST_TOLD = 10_000
+# So many names that no entity bears are told of a statement: of more, a list of others is meant.
+MOST_UNBORNE = 20
 
 
 def hides(name: str) -> str:

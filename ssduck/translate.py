@@ -436,7 +436,9 @@ class _Translator:
         """Leave a part to Python: fetch the largest parts of it that SQL can do."""
         if node in but:
             return
-        but = [part for part in but if part in node.walk()]
+        if but:
+            inside = set(node.walk())
+            but = [part for part in but if part in inside]
         if not but and self.sql.is_constant(node):
             self.result.once.append(node)
             return

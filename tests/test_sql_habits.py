@@ -11,6 +11,7 @@ import pytest
 
 import ssduck
 from ssduck import queries
+from ssduck.doubts import MOST_UNBORNE
 from ssduck.errors import (
     ArgumentError,
     ParseError,
@@ -569,6 +570,14 @@ def test_doubts_are_told_once_and_are_errors_in_strict_interpreters(
             with pytest.raises(SelectScriptError) as refused:
                 ss.eval(program)
             assert program[refused.value.span.start : refused.value.span.end] == offending
+
+
+def test_of_many_names_that_nothing_bears_some_are_told(world):
+    with _interpreter(world, row_by_row=False) as ss:
+        ss.add_variable("names", ["can", *(f"no {number}" for number in range(1000))])
+        with pytest.warns(ProgramWarning) as caught:
+            assert ss.eval(f"{K} WHERE id IN names AS list;") == ["can"]
+    assert len(caught) == MOST_UNBORNE
 
 
 @pytest.mark.parametrize(
