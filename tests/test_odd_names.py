@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 import ssduck
 from ssduck.cli import app
 from ssduck.errors import ArgumentError, RecordError, SceneError, SqlError, UnknownNameError
+from ssduck.grids import OccupancyGrid
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="such names are for POSIX")
 
@@ -78,10 +79,10 @@ def _exactly(path):
 
 def test_maps_and_pictures(place):
     folder, name = place
-    grid = ssduck.grids.OccupancyGrid(np.eye(5, dtype=bool), (0.0, 1.0), 0.1, 0.5)
+    grid = OccupancyGrid(np.eye(5, dtype=bool), (0.0, 1.0), 0.1, 0.5)
     for path in (folder / f"{name}.yaml", folder / name):
         stored = grid.save(path)
-        assert (ssduck.grids.OccupancyGrid.load(stored).cells == grid.cells).all()
+        assert (OccupancyGrid.load(stored).cells == grid.cells).all()
     picture = folder / f"{name}.png"
     command("demo", folder / f"{name}.toml", "--output", picture)
     with Image.open(picture) as image:
@@ -117,7 +118,7 @@ def test_names_that_no_file_can_have(client, tmp_path, name):
     world = ssduck.World.attach(client)
     ss = ssduck.Interpreter()
     ss.add_variable("lab", world)
-    grid = ssduck.grids.OccupancyGrid(np.eye(5, dtype=bool), (0.0, 1.0), 0.1, 0.5)
+    grid = OccupancyGrid(np.eye(5, dtype=bool), (0.0, 1.0), 0.1, 0.5)
     ss.add_variable("file", str(tmp_path / name))
     for act, error in (
         (lambda: ss.export(tmp_path / name), RecordError),
