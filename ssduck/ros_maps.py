@@ -53,9 +53,10 @@ def save(
     }
     lines = [f"{key}: {value}\n" for key, value in told.items()]
     try:
+        text = "".join(lines).encode()  # before anything is written: not all names can be told
         Image.fromarray(pixels).save(picture, "PPM")
-        path.write_text("".join(lines), encoding="utf-8")
-    except OSError as error:
+        path.write_bytes(text)
+    except (OSError, ValueError) as error:  # a null character is a ValueError
         raise ArgumentError(f"{path} cannot be written: {reason(error)}") from error
     return path
 

@@ -37,8 +37,9 @@ def save(world: World, folder: Path) -> Path:
             copy.close()
         file = folder / FILE
         file.write_text("\n".join(_lines(scene, folder)) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise SceneError(f"{folder}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # a null character is a ValueError
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise SceneError(f"{folder}: {reason or error}") from error
     return file
 
 

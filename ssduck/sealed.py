@@ -7,6 +7,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 # So many ticks make a part, if nobody asks for it before.
 PART_TICKS = 2400
+# So many bytes the name of a file may have, where the system does not tell.
+_NAME_MAX = 255
 
 
 class Folder:
@@ -231,7 +234,9 @@ def _begun(path: Path, world: str, tables: Collection[str], recording: Recording
     if not world.isidentifier():
         raise RecordError(f"a world called {shown(world)} cannot be recorded: bind it to a name")
     try:
+        str(path.absolute()).encode()  # other names Parquet's library does not take
         path.mkdir(parents=True, exist_ok=True)
+        _check_length(path, world)
         if not (path / ABOUT).exists():
             if any(file.name != _unfinished(path / ABOUT).name for file in path.iterdir()):
                 raise RecordError(
@@ -247,6 +252,27 @@ def _begun(path: Path, world: str, tables: Collection[str], recording: Recording
         raise
     except (OSError, ValueError) as error:  # a null character is a ValueError
         raise RecordError(f"{path} cannot be written: {error}") from error
+
+
+def _check_length(path: Path, world: str) -> None:
+    """Complain of a name of a world of which no file can be called.
+
+    Raises:
+        RecordError: it is too long for the system.
+    """
+    most = _NAME_MAX
+    if hasattr(os, "pathconf"):
+        with suppress(OSError, ValueError):
+            most = os.pathconf(path, "PC_NAME_MAX")
+    # The longest name of a file of an episode, of as many digits as come to be.
+    room = most - len(os.fsencode(_unfinished(FolderRun(path, "", 10**6).about).name))
+    length = len(os.fsencode(world))
+    if length > room:
+        raise RecordError(
+            f"a world called {shown(world)} cannot be recorded in {path}: files are called after "
+            f"it, and its name has {length} bytes, of {room} that there is room for: bind it to a "
+            "shorter one"
+        )
 
 
 def _claimed(path: Path, world: str, tables: Collection[str], recording: Recording) -> FolderRun:

@@ -81,8 +81,8 @@ def exactly(values):
 def test_in_either_order_and_through_every_door(heap, tmp_path):
     with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=RECORDED) as ss:
         ss.add_variable("sim", heap)
-        for _ in range(40):
-            heap.step(8)
+        for _ in range(20):
+            heap.step(16)
         live = by_pair(ss.eval(measured(MEASURES)))
         assert sum(force > 0 for _, _, force, _ in live.values()) > 10
         for (a, b), (*values, points) in live.items():

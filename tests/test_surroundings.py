@@ -462,10 +462,10 @@ def test_what_is_on_or_in_something_is_not_beside_it(stage, write):
 def test_next_to_is_symmetric_and_near(stage):
     """Of boxes at random: both ways alike, and never of what the definition leaves out."""
     random = np.random.default_rng(3)
-    for number in range(40):
+    for number in range(28):
         turn = Rotation.random(rng=random).as_quat()
         half = random.uniform(0.03, 0.15, 3).tolist()
-        stage.box(f"b{number}", random.uniform(0, 1, 3).tolist(), half=half, turn=turn)
+        stage.box(f"b{number}", random.uniform(0, 0.9, 3).tolist(), half=half, turn=turn)
     world = stage.open()
     ss, slow = stage.interpreters(sim=world)
     found = set(pairs_of(ss, "nextTo(p, q)"))

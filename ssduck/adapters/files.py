@@ -26,9 +26,18 @@ def check_file(selection: Selection, file: Any) -> Path:
             "each group and each path would replace the file of the one before; select without "
             "GROUP BY or CONNECT BY"
         )
-    if not isinstance(file, str) or "\0" in file or not Path(file).name:
+    if not isinstance(file, str) or not _is_path(file):
         raise ArgumentError(f"the file is to be a path in quotes, not {shown(file)}")
     return Path(file)
+
+
+def _is_path(file: str) -> bool:
+    """Whether a file can have that path."""
+    try:
+        file.encode()
+    except UnicodeEncodeError:
+        return False
+    return "\0" not in file and bool(Path(file).name)
 
 
 def replace_file(path: Path, write: Callable[[BinaryIO], object]) -> None:

@@ -71,7 +71,7 @@ class Connection:
         limits: Limits,
         recorders: list[Recorder],
     ) -> None:
-        self._path = path if path == MEMORY else _place_of(path)
+        self._path = path if path == MEMORY else _place_of(path, is_written=True)
         try:
             self._connection = duckdb.connect(self._path)
         except duckdb.Error as error:
@@ -350,7 +350,7 @@ def _end(listening: ctrl_c.Listening, timer: threading.Timer | None) -> None:
             timer.join()  # so that it does not interrupt what comes next
 
 
-def _place_of(path: str) -> str:
+def _place_of(path: str, *, is_written: bool = False) -> str:
     """The path of a file as DuckDB takes it: absolute, or `md:x` would be a service's.
 
     Raises:
@@ -358,12 +358,18 @@ def _place_of(path: str) -> str:
     """
     try:
         place = str(given_path(path).absolute())
+        place.encode()
     except (OSError, RuntimeError, ValueError) as error:
         raise SqlError(f"{shown(path)} is no path of a file: {error}") from error
     if "\0" in place or ("\\" in place and os.sep != "\\"):
         raise SqlError(
             f"{shown(path)} cannot be the path of a DuckDB file: DuckDB takes a backslash for a "
             "slash, and knows no null character"
+        )
+    if is_written and "?" in str(Path(place).parent):  # its log would be in a folder without it
+        raise SqlError(
+            f"{shown(path)} cannot be the path of a DuckDB file: DuckDB takes what is behind a "
+            "question mark in the name of a folder for no part of it; rename the folder"
         )
     return place
 

@@ -174,7 +174,7 @@ def load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
                 return (_load_urdf(spec, file, client),)
             load = pybullet.loadSDF if suffix == ".sdf" else pybullet.loadMJCF
             return cast("Sequence[int]", load(file, physicsClientId=client))
-        except pybullet.error as error:
+        except (pybullet.error, UnicodeEncodeError) as error:
             failure = error
     said = [part.strip() for part in _MARK.split(" ".join(lines)) if part.strip()]
     reason = "; ".join(said) or str(failure)
