@@ -1346,7 +1346,7 @@ def test_sensors_stay_what_they_are_while_a_query_runs(mast):
     eye = world.add_sensor("range_finder", "mast", "eye", max_range=5)
     acts = {
         "off": lambda thing: eye.power(False),
-        "add": lambda thing: world.add_sensor("range_finder", "mast", max_range=5),
+        "mount": lambda thing: world.add_sensor("range_finder", "mast", max_range=5),
         "remove": lambda thing: world.remove_sensor(eye),
     }
     for ss in evaluators(world):
