@@ -55,7 +55,7 @@ def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     ss = ssduck.Interpreter()
     ss.add_variable("lab", ball(client)).step()
-    names = [*NAMES, "C:x", "s3:/x", "file:x", "~ x"]
+    names = ["run[1]", "~x", "~ x", "md:x", "C:x", "s3:/x", "file:x"]
     for name in names:
         ss.export(name)
         assert ticks(Path(name)) == (2, 2)
