@@ -159,16 +159,23 @@ def _round(number: float, digits: int | None = None) -> float:
     return round(number, digits)
 
 
-_OF_LISTS = tuple(
-    _builtin(name, _of_elements(call), about, f"{name}(list) -> {result}")
-    for name, call, about, result in (
-        ("count", len, "Returns how many elements a list has.", "int"),
-        ("sum", sum, "Returns the sum of a list.", "number"),
-        ("min", min, "Returns the least element of a list.", "value"),
-        ("max", max, "Returns the greatest element of a list.", "value"),
-        ("avg", _avg, "Returns the mean of a list.", "float"),
-        ("uniq", _uniq, "Returns a list without its repetitions.", "list"),
-    )
+_OF_LISTS = (
+    _builtin(
+        "count",
+        len,
+        "Returns how many elements a list has, or letters a text.",
+        "count(list) -> int",
+    ),
+    *(
+        _builtin(name, _of_elements(call), about, f"{name}(list) -> {result}")
+        for name, call, about, result in (
+            ("sum", sum, "Returns the sum of a list.", "number"),
+            ("min", min, "Returns the least element of a list.", "value"),
+            ("max", max, "Returns the greatest element of a list.", "value"),
+            ("avg", _avg, "Returns the mean of a list.", "float"),
+            ("uniq", _uniq, "Returns a list without its repetitions.", "list"),
+        )
+    ),
 )
 
 _OF_NUMBERS = tuple(

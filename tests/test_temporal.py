@@ -276,7 +276,7 @@ def test_the_nearest_name_is_suggested(ss):
     run(ss, "speed{} = 1;")
     with pytest.raises(UnknownNameError) as caught:
         ss.eval("sped{1};")
-    assert caught.value.suggestions == ("speed",)
+    assert caught.value.suggestions[0] == "speed"
 
 
 def test_a_mistake_that_no_row_comes_to_is_none(ss):

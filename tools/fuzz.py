@@ -72,7 +72,7 @@ NUMBERS = (
 NAMES = (
     *("room", "numbers", "nested", "words", "mixed", "empty", "people", "record", "frame", "polar"),
     *("arrow", "grid", "moves", "edges", "cup", "shelf", "n", "nan", "huge", "text", "flag"),
-    *("nothing", "double", "add", "half", "shout", "total", "height", "is_low", "broken"),
+    *("nothing", "double", "plus", "half", "shout", "total", "height", "is_low", "broken"),
     *("strange", "huge_of", "liar", "move", "id", "z", "position", "volume", "distance", "above"),
     *("isRobot", "obj", "robot", "type", "count", "sum", "min", "max", "avg", "uniq", "str"),
     *("int", "float", "round", "pow", "sqrt", "abs", "log", "exp", "floor", "eval", "var"),
@@ -316,7 +316,7 @@ def _broken(value: Any) -> Any:
 def _functions() -> dict[str, Callable[..., Any]]:
     from ssduck import Entity
 
-    def add(a: int, b: int) -> int:
+    def plus(a: int, b: int) -> int:
         return a + b
 
     def half(a: float) -> float:
@@ -344,9 +344,9 @@ def _functions() -> dict[str, Callable[..., Any]]:
     def double(value: Any) -> Any:
         return value * 2
 
-    named = (add, half, shout, total, height, is_low, huge_of, liar, double)
+    named = (plus, half, shout, total, height, is_low, huge_of, liar, double)
     functions: dict[str, Callable[..., Any]] = {function.__name__: function for function in named}
-    for function in (add, half, shout, total, height, is_low, huge_of, liar):
+    for function in (plus, half, shout, total, height, is_low, huge_of, liar):
         hints = {"int": int, "float": float, "str": str, "bool": bool, "list[float]": list[float]}
         hints["Entity"] = Entity
         function.__annotations__ = {k: hints[v] for k, v in function.__annotations__.items()}
