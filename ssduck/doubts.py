@@ -8,7 +8,7 @@ looked up before each statement runs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import islice
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -71,6 +71,7 @@ class Facts:
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
         bare: names that are selected, keys or conditions.
+        columns: bare names in GROUP BY, HAVING and ORDER BY that are also those of columns.
     """
 
     names: list[NameSite] = field(default_factory=list)
@@ -79,12 +80,12 @@ class Facts:
     sources: list[tuple[str, Span]] = field(default_factory=list)
     aliases: list[tuple[str, Span]] = field(default_factory=list)
     bare: list[tuple[str, Span]] = field(default_factory=list)
+    columns: list[tuple[str, Span]] = field(default_factory=list)
 
     @property
     def are_none(self) -> bool:
         """Whether nothing is to be looked up."""
-        told = (self.names, self.given, self.texts, self.sources, self.aliases, self.bare)
-        return not any(told)
+        return not any(getattr(self, kind.name) for kind in fields(self))
 
 
 _Around = Mapping[str, Source]
@@ -134,6 +135,18 @@ def _look_in_query(query: Query, around: _Around, facts: Facts) -> None:
         if isinstance(node, Literal) and isinstance(node.value, str)
     ]
     own_states = states(query)
+    named = {
+        part.arguments[-1].value
+        for part in query.items
+        if isinstance(part, Call) and part.name == "to" and isinstance(part.arguments[-1], Literal)
+    }
+    parts_of_columns = [*query.group, *(key.value for key in query.order)]
+    parts_of_columns += [] if query.having is None else [query.having]
+    facts.columns += [
+        (node.name, node.span)
+        for node in _bare(parts_of_columns)
+        if node.name in named - own_states
+    ]
     facts.bare += [
         (node.name, node.span)
         for node in keys
@@ -253,6 +266,10 @@ class Doubts:
         for name, span in facts.given:
             if self._is_function(name):
                 yield ArgumentError(hides(name), span=span)
+        for name, span in facts.columns:
+            if self._variable(name) is not None:
+                message = f"{name} is the variable here, and not the column of that name"
+                yield ArgumentError(message, span=span)
         for name, span in facts.bare:
             if self._is_function(name) and self._variable(name) is not None:
                 yield ArgumentError(hides(name), span=span)
