@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from sqlglot import exp
 
@@ -15,19 +14,17 @@ from ssduck.formulas import expanded, looked_up
 from ssduck.lists import element_at
 from ssduck.own import SIGNS, SIGNS_OF_ONE
 from ssduck.relations import Parameter, Relation
+from ssduck.scope import ExpressionScope
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue, copied, failure, or_failure
 from ssduck.tree import Binary, Call, Node, Query, Unary
 from ssduck.types import INTEGER, REAL, TEXT, Tag
 from ssduck.udfs import RELATIONS
 
-if TYPE_CHECKING:
-    from ssduck.expressions import Expressions
-
 # Functions of reals that C has, so that SQL and Python agree to the last digit.
 _OF_REALS = ("sin", "cos", "tan", "atan")
 
 
-def call(sql: Expressions, node: Call) -> SqlValue:
+def call(sql: ExpressionScope, node: Call) -> SqlValue:
     """A function call.
 
     Raises:
@@ -65,7 +62,7 @@ def call(sql: Expressions, node: Call) -> SqlValue:
     )
 
 
-def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
+def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     count = len(node.arguments)
     if relation.may_fail and (sql.rows or sql.around is not None):
         sql.context.risk()  # of rows that no condition before it has left
@@ -100,7 +97,9 @@ def _relation(sql: Expressions, relation: Relation, node: Call) -> SqlValue:
     return SqlValue(found, tag, natural=relation.name == "tick", extent=extent)
 
 
-def _argument(sql: Expressions, relation: Relation, parameter: Parameter, node: Node) -> SqlValue:
+def _argument(
+    sql: ExpressionScope, relation: Relation, parameter: Parameter, node: Node
+) -> SqlValue:
     value = sql.value(node)
     if value.tag.nullable:
         raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
@@ -124,7 +123,7 @@ def _argument(sql: Expressions, relation: Relation, parameter: Parameter, node: 
 
 
 def _wrong(
-    sql: Expressions, relation: Relation, parameter: Parameter, found: str, node: Node
+    sql: ExpressionScope, relation: Relation, parameter: Parameter, found: str, node: Node
 ) -> Exception:
     """What to raise of an argument: in a query it is wrong only if a row comes to it."""
     if sql.rows or sql.around is not None:

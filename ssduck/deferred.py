@@ -15,6 +15,8 @@ class Deferred:
         text: the program that it is from.
     """
 
+    IN_WORDS = "a list for the query that uses it"
+
     def __init__(self, node: Node, text: str) -> None:
         self.node = node
         self.text = text

@@ -23,7 +23,6 @@ from ssduck.tree import (
     Source,
     This,
 )
-from ssduck.udfs import RELATIONS
 
 T = TypeVar("T")
 
@@ -96,17 +95,6 @@ def is_impure(node: Node) -> bool:
             )
             return is_impure(stop) or any(map(is_impure, parts))
     return any(map(is_impure, node.children()))
-
-
-@known
-def tables_of(node: Node) -> frozenset[str]:
-    """The tables that relations in a part look things up in, and masses."""
-    own: frozenset[str] = frozenset()
-    # A name may be a relation of the only source, a key one of a source.
-    name = node.key if isinstance(node, Dotted) else getattr(node, "name", None)
-    if isinstance(node, Call | Bare | Name | Dotted) and name in RELATIONS:
-        own = RELATIONS[name].reads
-    return own.union(*map(tables_of, node.children()))
 
 
 @known

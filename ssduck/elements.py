@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 from sqlglot import exp
 
-from ssduck.relations import MOST_IDS, Candidates
+from ssduck.relations import Candidates
 from ssduck.sqlvalues import NotSqlError, SqlValue
+from ssduck.tables import MOST_IDS
 from ssduck.types import ANY, FLAG, IDS, Tag
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,6 @@ from ssduck.simulators import Body, Kind
 from ssduck.tables import MASSES
 
 if TYPE_CHECKING:
-    from ssduck.record import Record
     from ssduck.world import World
 
 T = TypeVar("T")
@@ -68,11 +67,28 @@ class JointState:
         return openness(self, self.position)
 
 
+class WorldArchive(Protocol):
+    """The recorded ticks of a world, as handles and worlds of these ticks see them."""
+
+    @property
+    def world(self) -> World:
+        """Whose ticks they are."""
+
+    def at(self, tick: int) -> World:
+        """The world at a tick."""
+
+    def entity(self, tick: int, id: int) -> Entity:
+        """The handle of an entity at a tick."""
+
+    def warn_of_masses(self) -> None:
+        """Warn of masses that are others than the recorded ones."""
+
+
 @dataclass(frozen=True, eq=False)
 class Moment:
     """A recorded tick that a handle stays at."""
 
-    record: Record
+    record: WorldArchive
     tick: int
 
 
@@ -91,6 +107,9 @@ class Entity(EntitySpellings):
     """
 
     __slots__ = ("id", "kind", "moment", "name", "world")
+
+    # How programs get at what it has, as it has no keys.
+    KEY_HINT = "functions tell of an entity: z(this), or k.z where k is a source"
 
     def __init__(
         self, world: World, id: int, name: str, kind: Kind, moment: Moment | None = None

@@ -8,7 +8,7 @@ fail, the query runs again by a cautious plan, and Python has the last word.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sqlglot import exp
@@ -18,24 +18,19 @@ from ssduck.arithmetic import arithmetic
 from ssduck.calls import call
 from ssduck.chains import MOST_JOINED, MOST_NESTED
 from ssduck.comparisons import COMPARISONS, comparison, likeness, membership, missing, truth
-from ssduck.dependencies import IMPURE, OVER_TIME, free_aliases, is_impure
-from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.dependencies import is_impure
+from ssduck.errors import ArgumentError
 from ssduck.lists import concatenation, indexed, list_of
-from ssduck.messages import shown
 from ssduck.plan import Binding
+from ssduck.scope import ExpressionScope
 from ssduck.sqlvalues import (
-    Context,
     NotSqlError,
     SqlValue,
     column_tag,
     literal,
     wrapped,
 )
-from ssduck.ticks import Ticks
 from ssduck.tree import (
-    Aged,
-    Assignment,
-    Bare,
     Binary,
     Call,
     Chain,
@@ -51,107 +46,14 @@ from ssduck.tree import (
     Unary,
 )
 from ssduck.types import FLAG, TEXT
-from ssduck.udfs import RELATIONS
 
 LOGIC = ("AND", "OR", "XOR")
 # Longer lists of literals are parameters.
 MOST_WRITTEN = 32
 
 
-class Expressions:
-    """The expressions of one query, over the elements of its sources.
-
-    Args:
-        context: what all expressions of the statement share.
-        around: the expressions of the query around this one.
-
-    Attributes:
-        rows: the current element of each source, by alias.
-        only: the alias of the only source.
-        locals: the state variables of a hierarchical query.
-        ticks: at which ticks its entities are.
-    """
-
-    def __init__(self, context: Context, around: Expressions | None = None) -> None:
-        self.context = context
-        self.names = context.names
-        self.around = around
-        self.rows: dict[str, SqlValue] = {}
-        self.only: str | None = None
-        self.locals: Mapping[str, SqlValue] = around.locals if around else {}
-        self._are_constant: dict[Node, bool] = {}
-        self.ticks: Ticks = Ticks(context, self.rows, around.ticks if around else None)
-
-    def inside(self) -> Expressions:
-        """The expressions of a query nested in this one."""
-        return Expressions(self.context, self)
-
-    # -- what does not depend on rows -------------------------------------------------------
-
-    def element(self, alias: str | None) -> SqlValue | None:
-        """The current element of a source of this query or of one around it in SQL."""
-        name = self.only if alias is None else alias
-        if name is not None and name in self.rows:
-            return self.rows[name]
-        # `this` alone is never that of a query further out.
-        return self.around.element(alias) if self.around and alias is not None else None
-
-    def is_constant(self, node: Node) -> bool:
-        """Whether it is the same for all rows of the statement."""
-        if node not in self._are_constant:  # each part is asked about, and all that it is in
-            self._are_constant[node] = self._is_constant(node)
-        return self._are_constant[node]
-
-    def _is_constant(self, node: Node) -> bool:
-        match node:
-            case This():
-                return self._is_outside(node)
-            case Bare() | Assignment():
-                return False
-            case Dotted():
-                return not self._is_variable(node) and self._is_outside(node.this)
-            case Name(name=name):
-                deferred = self.context.list_in(name)
-                if deferred is not None:
-                    return self.is_constant(deferred)
-                return name not in self.context.changing
-            case Aged(name=name) if name in self.context.changing:
-                return False
-            case Query():
-                return (
-                    all(self._sees_nothing(alias) for alias in free_aliases(node))
-                    and not is_impure(node)
-                    and not any(self._is_changing(part) for part in node.walk())
-                )
-            case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
-                return False
-        return all(self.is_constant(child) for child in node.children())
-
-    def _is_variable(self, node: Dotted) -> bool:
-        known = self.context.bare[node.alias] = self.names.has_variable(node.alias)
-        return known
-
-    def _is_outside(self, node: This) -> bool:
-        if node.alias is None or self.element(node.alias) is not None:
-            return False
-        if not self.names.has_source(node.alias):
-            known = list(self.rows)
-            raise UnknownNameError(
-                f"there is no source {shown(node.alias)} here",
-                span=node.span,
-                suggestions=nearest(node.alias, known) or known[:3],
-            )
-        return True
-
-    def _sees_nothing(self, alias: str | None) -> bool:
-        return alias is not None and self.element(alias) is None
-
-    def _is_changing(self, node: Node) -> bool:
-        if not isinstance(node, Name | Aged):
-            return False
-        return node.name in self.context.changing or self.context.list_in(node.name) is not None
-
-    # -- values -----------------------------------------------------------------------------
+class Expressions(ExpressionScope):
+    """The expressions of one query, over the elements of its sources."""
 
     def value(self, node: Node) -> SqlValue:
         """A part as SQL.
@@ -166,14 +68,6 @@ class Expressions:
         if isinstance(value.given, exp.Boolean):
             raise NotSqlError  # what could fail would not be evaluated
         return replace(value, risky=True)
-
-    def condition(self, node: Node) -> exp.Expr:
-        """A part as a condition.
-
-        Raises:
-            NotSqlError: it is left to Python.
-        """
-        return truth(self.value(node))
 
     def _value(self, node: Node) -> SqlValue:
         match node:
@@ -331,17 +225,6 @@ class Expressions:
         extent = max(value.extent for value in every)
         wide = any(value.wide for value in every)
         return SqlValue(case.else_(last.sql), last.tag, wide=wide, extent=extent)
-
-    def number(self, node: Node) -> SqlValue:
-        """A part that is a number.
-
-        Raises:
-            NotSqlError: it is left to Python.
-        """
-        value = self.value(node)
-        if not value.tag.is_number or value.tag.nullable:
-            raise NotSqlError
-        return value
 
 
 def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:

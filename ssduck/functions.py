@@ -11,7 +11,6 @@ from functools import partial, wraps
 from typing import Any
 
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
-from ssduck.hints import Hints, hints_of
 from ssduck.keys import ATOMS, NUMPYS, hashable
 from ssduck.messages import bounded, described, reason
 from ssduck.operators import apply, apply_unary
@@ -34,7 +33,8 @@ class Function:
         least: how many arguments it takes at least.
         most: how many at most; None for any number.
         builtin: whether it comes with the language.
-        hints: the types that its signature tells of; None if SQL cannot call it.
+        hints: what its signature tells SQL of it, which is nothing to the language itself; None
+            if SQL cannot call it.
     """
 
     name: str
@@ -43,14 +43,16 @@ class Function:
     least: int
     most: int | None
     builtin: bool = False
-    hints: Hints | None = None
+    hints: object = None
 
     @classmethod
-    def of(cls, name: str, call: Callable[..., Any], help: str | None = None) -> Function:
+    def of(
+        cls, name: str, call: Callable[..., Any], help: str | None = None, hints: object = None
+    ) -> Function:
         """A user's function; its arity is that of its signature."""
         least, most = _arity(call)
         text = help if help is not None else inspect.getdoc(call) or f"Usage: {name}(...)"
-        return cls(name, call, text, least, most, hints=hints_of(call))
+        return cls(name, call, text, least, most, hints=hints)
 
     def __call__(self, arguments: Sequence[Any]) -> Any:
         """Call it.

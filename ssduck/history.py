@@ -25,10 +25,9 @@ from sqlglot import exp
 from ssduck.layout import Member
 from ssduck.models import KEYS, MODELS, Numbers, defaults, models_of
 from ssduck.recording import QUARTERS, RECORDABLE, Recording
-from ssduck.relations import BOX
 from ssduck.rings import FRAME_REALS, FRAMES, STORED, Ticks
 from ssduck.storing import WHENEVER, Cut
-from ssduck.tables import TABLES
+from ssduck.tables import BOX, TABLES
 
 SLOTS = QUARTERS + 2
 # The version of what is stored, and the table that tells it.

@@ -23,6 +23,7 @@ from ssduck.evaluate import Frame
 from ssduck.execution import Execution
 from ssduck.forms import Form, form_of
 from ssduck.functions import Function
+from ssduck.hints import hints_of
 from ssduck.keeping import RecordVerbs
 from ssduck.keys import plain
 from ssduck.language import parse
@@ -222,7 +223,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
         if not callable(function):
             raise ArgumentError(f"{name}: {shown(function)} is no function")
         with self._lock:
-            self._adopt(Function.of(name, function, help))
+            self._adopt(Function.of(name, function, help, hints_of(function)))
             self._functions_changed()
 
     def del_function(self, name: str) -> None:

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from ssduck.geometry import Indices
 from ssduck.layout import Layout
+from ssduck.live_tables import LiveTable
 from ssduck.recording import chosen_members
 from ssduck.rings import FRAMES, STORED, Ring
 from ssduck.snapshot import Snapshot
-from ssduck.tables import LiveTable
 
 
 class KeptRows:

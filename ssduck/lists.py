@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from sqlglot import exp
 
 from ssduck import tree
+from ssduck.scope import ExpressionScope
 from ssduck.sqlvalues import Context, Extent, NotSqlError, SqlValue, copied, or_failure, wrapped
 from ssduck.tree import Node
 from ssduck.types import ANY, EXACT, Tag, merged
-
-if TYPE_CHECKING:
-    from ssduck.expressions import Expressions
 
 
 def list_of(context: Context, values: Sequence[SqlValue]) -> SqlValue:
@@ -50,7 +47,7 @@ def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
     return SqlValue(sql, replace(tag, length=None), elements=elements, extent=extent)
 
 
-def indexed(sql: Expressions, value: SqlValue, index: Node) -> SqlValue:
+def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
     """An element of a list, or what a key of a record holds."""
     match index:
         case tree.Literal(value=str() as key) if key in value.fields:
@@ -70,7 +67,7 @@ def indexed(sql: Expressions, value: SqlValue, index: Node) -> SqlValue:
     return SqlValue(or_failure(found, element), element, extent=value.extent)
 
 
-def _place(sql: Expressions, index: Node) -> exp.Expr:
+def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
     """An index as SQL counts: from 1, or from the end."""
     match index:
         case tree.Literal(value=number) if type(number) is int and number < EXACT:

@@ -8,7 +8,6 @@ from itertools import islice
 from reprlib import Repr
 from typing import Any
 
-from ssduck.deferred import Deferred
 from ssduck.errors import EvaluationError, Span
 
 # So many keys and letters of what is wrong are told.
@@ -56,7 +55,7 @@ def bounded(text: str) -> str:
 
 
 def kind_of(value: Any) -> str:
-    """What a value is, in words."""
+    """What a value is, in words: those of its class, `IN_WORDS`, if it has any."""
     if value is None:
         return "nothing"
     words = {
@@ -65,9 +64,10 @@ def kind_of(value: Any) -> str:
         float: "a number",
         str: "a text",
         list: "a list",
-        Deferred: "a list for the query that uses it",
     }
-    return words.get(type(value), type(value).__name__)
+    kind = type(value)
+    own: str = getattr(kind, "IN_WORDS", kind.__name__)
+    return words.get(kind, own)
 
 
 def described(value: Any) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 from ssduck.adapters import tables_of_forms
 from ssduck.database import Database
 from ssduck.deferred import Deferred
-from ssduck.dependencies import calls_of, forms_of, tables_of, variables_of
+from ssduck.dependencies import calls_of, forms_of, variables_of
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
 from ssduck.forms import help_of_forms
 from ssduck.functions import BUILTINS, Function
@@ -21,11 +21,12 @@ from ssduck.language import is_reserved
 from ssduck.messages import shown
 from ssduck.over_time import FORMS
 from ssduck.own import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked, plain
-from ssduck.past import Past, past_of
+from ssduck.past import past_of
 from ssduck.relations import Relation
 from ssduck.sources import within
 from ssduck.sql_habits import instead_of_name
-from ssduck.temporal import ValueHistory, aged, history_of, kept
+from ssduck.table_use import tables_of
+from ssduck.temporal import ValueHistory, aged, history_of, kept, seconds_of
 from ssduck.translate import unknown_function
 from ssduck.tree import Call, Node
 from ssduck.udfs import RELATIONS
@@ -93,16 +94,21 @@ class Names:
 
     def keep(self, name: str, value: Any, horizon: float) -> None:
         """Set a variable that keeps its values of so many seconds."""
-        before = self._variables.get(name)
-        self._variables[name] = kept(before, value, horizon, self._now())
+        before, now = self._variables.get(name), self._now()
+        if isinstance(value, World):
+            raise ArgumentError(
+                "a world is no value to be kept in a history; assign it without {…}"
+            )
+        self._variables[name] = kept(before, value, horizon, now)
 
     def aged(self, name: str, *age: Any) -> Any:
         """What a variable was; all that it keeps if no age is given."""
         self.variable(name)
-        return aged(name, self._variables[name], age, self._now, self._past)
-
-    def _past(self, world: World, age: float | None) -> Past:
-        return past_of(self._database.record_of(world), age)
+        held = self._variables[name]
+        if isinstance(held, World):
+            seconds = seconds_of(age[0], "what is in {…}") if age else None
+            return past_of(self._database.record_of(held), seconds)
+        return aged(name, held, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
         """What `name{}` gives, with the simulated times.

@@ -3,15 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, TypeAlias
 
 from ssduck.errors import Span
 from ssduck.operators import CHAINS, GROWING, OPERATORS, QUICK, apply, apply_unary, truth
 from ssduck.own import plain
 from ssduck.tree import Binary, Call, Chain, ListOf, Literal, Node, Unary
 
-if TYPE_CHECKING:
-    from ssduck.evaluate import Compiler, Frame, Thunk
+# Frames are `ssduck.evaluate.Frame`.
+Frame: TypeAlias = Any
+Thunk: TypeAlias = Callable[[Frame], Any]
+
+
+class Compiler(Protocol):
+    """What makes functions of frames from operands."""
+
+    def thunk(self, node: Node) -> Thunk:
+        """A part as a function of a frame."""
+
+    def condition(self, node: Node) -> Callable[[Frame], bool]:
+        """A part as a condition."""
+
+    def made(self, node: ListOf) -> Any:
+        """A list that is written out, made once."""
 
 
 def unary(compiler: Compiler, node: Unary) -> Thunk:

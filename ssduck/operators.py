@@ -9,7 +9,6 @@ from functools import lru_cache
 from itertools import islice
 from typing import Any
 
-from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, Span, nearest
 from ssduck.messages import MOST_KEYS, kind_of, reason, shown, unusable
 from ssduck.tree import Node
@@ -184,8 +183,9 @@ def indexed(value: Any, index: Any, span: Span) -> Any:
         raise _no_such(value, index, span, error) from error
     except TypeError as error:
         told = f"{kind_of(value)} has no element {shown(index)}"
-        if isinstance(value, Entity) and isinstance(index, str):
-            told += "; functions tell of an entity: z(this), or k.z where k is a source"
+        hint = getattr(type(value), "KEY_HINT", None)
+        if hint is not None and isinstance(index, str):
+            told += f"; {hint}"
         raise ArgumentError(told, span=span) from error
     except Exception as error:
         raise unusable(error, span) from error

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ssduck.database import Database
+from ssduck.database.values import tag_of
 from ssduck.deferred import Deferred
 from ssduck.dependencies import (
     aliases_of,
@@ -13,12 +14,12 @@ from ssduck.dependencies import (
     mentions,
     sees_outside,
     states,
-    tables_of,
 )
 from ssduck.entities import Entity
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.evaluate import Frame, Scope
 from ssduck.functions import Function
+from ssduck.hints import Hints
 from ssduck.limits import Limits
 from ssduck.messages import kind_of, shown
 from ssduck.past import Past
@@ -29,10 +30,11 @@ from ssduck.rows import Selected
 from ssduck.sources import INLINE, all_elements, beside_past, shapes_of
 from ssduck.sqlvalues import NotSqlError
 from ssduck.subqueries import is_inline
+from ssduck.table_use import tables_of
 from ssduck.tables import MASSES
 from ssduck.translate import NotInlineError, translate
 from ssduck.tree import Aged, Call, Given, Name, Node, Query
-from ssduck.types import Signature, Tag, tag_of
+from ssduck.types import Signature, Tag
 from ssduck.udfs import RELATIONS
 from ssduck.world import World
 
@@ -358,7 +360,7 @@ class Typed:
     def signature(self, name: str, arguments: tuple[Tag, ...]) -> Signature | None:
         """How SQL calls a user's function with such arguments."""
         function = self._scope.function(name)
-        if function is None or function.hints is None or function.builtin:
+        if function is None or function.builtin or not isinstance(function.hints, Hints):
             return None
         return function.hints.signature(name, arguments)
 

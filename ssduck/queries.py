@@ -14,6 +14,7 @@ from sqlglot import exp
 
 from ssduck.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.database import Database, Statement
+from ssduck.database.values import to_sql
 from ssduck.dependencies import (
     aliases_of,
     calls_of,
@@ -36,7 +37,7 @@ from ssduck.rows import Clauses, Column, Paths, Rest, Rows, Selected, combinatio
 from ssduck.sources import all_elements, arrow_of, elements_of
 from ssduck.sqlvalues import written
 from ssduck.tree import Call, Given, Literal, Name, Node, Query, This
-from ssduck.types import Tag, to_sql
+from ssduck.types import Tag
 from ssduck.udfs import RELATIONS
 
 # So often may a query fail in SQL before its cautious plan is taken at once; now and then it is

@@ -30,6 +30,8 @@ class RecordedWorld(PastWorld):
         archive: where that is stored.
     """
 
+    _record: Record
+
     def __init__(self, name: str, record: Record, archive: Archive) -> None:
         self.name, self.camera = name, Camera()
         record.world = self

@@ -90,6 +90,11 @@ class Recorder:
         self._numbers: Numbers | None = None
 
     @property
+    def tables(self) -> Collection[str]:
+        """The tables that each tick of the world is to have."""
+        return self.recording.tables
+
+    @property
     def shown(self) -> tuple[Mapping[str, Ring | Kept], ...]:
         """What is not stored, by table; to be read with what is, and under `reading`."""
         return (self.rings,) if self._store.keeps else (self._storing.batches, self.rings)

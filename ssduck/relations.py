@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
-from ssduck.tables import MARGINS, MASSES
+from ssduck.tables import BOX, MARGINS, MASSES
 
 # What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
 # integer from case to case; `record` is a dict of the same keys each time; `any` is a value
@@ -28,14 +28,6 @@ ValueType: TypeAlias = Literal[
     "nothing",
     "any",
 ]
-
-
-# A pair of entities in SQL is one number, the first id times this and the second: DuckDB takes and
-# sorts one number in less time than two.
-MOST_IDS = 1 << 32
-
-# Of an entity's numbers these may be infinite; the others are finite or unknown.
-BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 
 
 @dataclass(frozen=True)

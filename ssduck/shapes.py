@@ -17,9 +17,9 @@ from ssduck.colliding import Question, Sorts, pair_number
 from ssduck.errors import ArgumentError
 from ssduck.geometry import Array
 from ssduck.narrow import COLLIDES, Narrow
-from ssduck.relations import MOST_IDS
 from ssduck.solids import PlacedSolids
 from ssduck.surroundings import Surroundings, Turn
+from ssduck.tables import MOST_IDS
 
 # After more pairs, or one for every four entities, all pairs of the tick are compared at once.
 FEW = 64

@@ -25,6 +25,7 @@ from ssduck.colliding import Sorts
 from ssduck.errors import UnsupportedError
 from ssduck.geometry import Array, Geometry, Indices
 from ssduck.layout import Layout, Member, Part
+from ssduck.live_tables import LiveTable
 from ssduck.narrow import Narrow
 from ssduck.run_numbers import new_run
 from ssduck.sensing import Reading, Scan, Sensing, has_rays, posed
@@ -32,7 +33,7 @@ from ssduck.separation import Counter
 from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Contact, Frames, Simulator
 from ssduck.solids import Solid, solid_of
-from ssduck.tables import FORGOTTEN_AFTER, TABLES, LiveTable
+from ssduck.tables import FORGOTTEN_AFTER, TABLES
 
 ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
 

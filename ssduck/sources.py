@@ -6,20 +6,22 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
 
+from ssduck.database.values import SchemaOf, tag_of_any, to_sql
 from ssduck.dependencies import aliases_of
 from ssduck.entities import Entity
 from ssduck.errors import ArgumentError
 from ssduck.past import Now, Past
 from ssduck.plan import Moments, Shape
+from ssduck.record import Record
 from ssduck.result import Result, values_of
 from ssduck.rows import Tied
 from ssduck.tree import Query
-from ssduck.types import ANY, INTEGER, SchemaOf, Tag, tag_of_any, to_sql
+from ssduck.types import ANY, INTEGER, Tag
 from ssduck.world import World
 
 # A longer list may be of any worlds.
@@ -208,7 +210,7 @@ def beside_past(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
         EvaluationError: a past is kept no longer.
     """
     records = {
-        value.world: value.moment.record
+        value.world: cast("Record", value.moment.record)
         for value in elements
         if isinstance(value, Entity) and value.moment is not None
     }

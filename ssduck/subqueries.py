@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from sqlglot import exp
 
@@ -27,6 +27,7 @@ from ssduck.elements import (
 )
 from ssduck.plan import Binding, Shape
 from ssduck.resolve import Resolved, resolve
+from ssduck.scope import ExpressionScope
 from ssduck.sqlvalues import (
     ENTITY_COLUMNS,
     Extent,
@@ -38,9 +39,6 @@ from ssduck.sqlvalues import (
 )
 from ssduck.tree import Binary, ListOf, Name, Node, Query
 from ssduck.types import INTEGER, Tag, merged
-
-if TYPE_CHECKING:
-    from ssduck.expressions import Expressions
 
 # More rows than this are not unrolled.
 MOST_UNROLLED = 300
@@ -88,7 +86,7 @@ Rows: TypeAlias = Subquery | Unrolled
 # -- what a nested query is worth -----------------------------------------------------------
 
 
-def value(around: Expressions, query: Query) -> SqlValue:
+def value(around: ExpressionScope, query: Query) -> SqlValue:
     """The value of a nested query.
 
     Raises:
@@ -104,7 +102,7 @@ def value(around: Expressions, query: Query) -> SqlValue:
     raise NotSqlError
 
 
-def counted(around: Expressions, query: Query) -> SqlValue:
+def counted(around: ExpressionScope, query: Query) -> SqlValue:
     """How many elements the list has that a nested query yields."""
     if _form(query) not in (*_LISTS, *_DICTS):
         return _counted_list(value(around, query))
@@ -134,7 +132,7 @@ def _counted_list(found: SqlValue) -> SqlValue:
     return SqlValue(exp.func("len", found.sql.copy()), INTEGER)
 
 
-def emptiness(around: Expressions, node: Binary) -> exp.Expr | None:
+def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
     """`[] == SELECT …` as a question of existence; None if it is none."""
     match node.left, node.right:
         case (ListOf(items=()), Query() as query) | (Query() as query, ListOf(items=())):
@@ -163,7 +161,7 @@ def _never_empty(rows: Rows) -> bool:
     return all(item.tag.type not in ("list", "any") for item in firsts)
 
 
-def equality(around: Expressions, node: Binary) -> exp.Expr | None:
+def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
     """`x == SELECT … AS value`, which does not hold where there is no row; None if it is none."""
     sides = (node.left, node.right)
     queries = [s for s in sides if isinstance(s, Query) and _form(s) in _VALUES]
@@ -182,7 +180,7 @@ def equality(around: Expressions, node: Binary) -> exp.Expr | None:
     return exp.Coalesce(this=compared, expressions=[otherwise])
 
 
-def membership(around: Expressions, left: Node, query: Query) -> exp.Expr | None:
+def membership(around: ExpressionScope, left: Node, query: Query) -> exp.Expr | None:
     """`x IN SELECT … AS list` as a question of existence; None if it is none."""
     if is_impure(query) or _form(query) not in _LISTS or around.is_constant(query):
         return None
@@ -202,7 +200,7 @@ def membership(around: Expressions, left: Node, query: Query) -> exp.Expr | None
     return _exists(rows, _any_equal(around, wanted, rows.items))
 
 
-def _any_equal(around: Expressions, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
+def _any_equal(around: ExpressionScope, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
     return exp.paren(
         exp.or_(*(comparison(around.context, "==", wanted, item).sql.copy() for item in items))
     )
@@ -313,7 +311,7 @@ def _form(query: Query) -> str:
     return "" if query.adapter.arguments or query.adapter.named else query.adapter.name
 
 
-def _rows(around: Expressions, query: Query) -> Rows:
+def _rows(around: ExpressionScope, query: Query) -> Rows:
     if query.recursion or query.distinct or is_grouped(query) or is_impure(query):
         raise NotSqlError
     check_sources(query)
@@ -345,13 +343,13 @@ def check_sources(query: Query) -> None:
         raise NotSqlError
 
 
-def _bind(inner: Expressions, aliases: Sequence[str], values: Sequence[SqlValue]) -> None:
+def _bind(inner: ExpressionScope, aliases: Sequence[str], values: Sequence[SqlValue]) -> None:
     inner.rows.update(zip(aliases, values, strict=True))
     inner.only = aliases[0] if len(aliases) == 1 else None
 
 
 def _subquery(
-    inner: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[Element]
+    inner: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[Element]
 ) -> Subquery:
     resolved = resolve_in(inner, query, aliases)
     where = resolved.query.where
@@ -365,7 +363,7 @@ def _subquery(
 
 
 def _unrolled(
-    around: Expressions,
+    around: ExpressionScope,
     query: Query,
     aliases: Sequence[str],
     rows: Sequence[tuple[SqlValue, ...]],
@@ -375,7 +373,7 @@ def _unrolled(
 
 
 def _unrolled_row(
-    around: Expressions, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
+    around: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
 ) -> tuple[tuple[exp.Expr, tuple[SqlValue, ...]], bool]:
     """A row, and whether what it selects could fail."""
     inner = around.inside()
@@ -388,7 +386,7 @@ def _unrolled_row(
     return (there, items), inner.context.risks > before
 
 
-def resolve_in(inner: Expressions, query: Query, aliases: Sequence[str]) -> Resolved:
+def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> Resolved:
     """Look up the bare names of a nested query whose sources are in SQL already."""
     shapes = [Shape(alias, tag=inner.rows[alias].tag) for alias in aliases]
     resolved = resolve(query, shapes, inner.names, inner.locals)
@@ -396,7 +394,7 @@ def resolve_in(inner: Expressions, query: Query, aliases: Sequence[str]) -> Reso
     return resolved
 
 
-def ordered(inner: Expressions, keys: Sequence[tree.Key]) -> list[exp.Ordered]:
+def ordered(inner: ExpressionScope, keys: Sequence[tree.Key]) -> list[exp.Ordered]:
     """The keys of ORDER BY; those that are the same for all rows order nothing.
 
     Raises:
@@ -430,7 +428,7 @@ def _limit(query: Query) -> int | None:
 # -- sources --------------------------------------------------------------------------------
 
 
-def _written_out(around: Expressions, node: Node) -> list[SqlValue] | None:
+def _written_out(around: ExpressionScope, node: Node) -> list[SqlValue] | None:
     """The elements of a list that mentions the rows around, or of a value of them."""
     node = _list_in(around, node)
     if around.is_constant(node) or isinstance(node, Query):
@@ -444,13 +442,13 @@ def _written_out(around: Expressions, node: Node) -> list[SqlValue] | None:
     return [found] if found.tag.type not in ("list", "any") else None
 
 
-def _list_in(around: Expressions, node: Node) -> Node:
+def _list_in(around: ExpressionScope, node: Node) -> Node:
     if isinstance(node, Name):
         return around.context.list_in(node.name) or node
     return node
 
 
-def element(around: Expressions, alias: str, node: Node) -> Element:
+def element(around: ExpressionScope, alias: str, node: Node) -> Element:
     """A source of a nested query: a world, a list, a query of its own.
 
     Raises:
@@ -474,7 +472,7 @@ def element(around: Expressions, alias: str, node: Node) -> Element:
     return unnested(name, SqlValue(given, tag))
 
 
-def _derived(around: Expressions, name: str, query: Query) -> Element:
+def _derived(around: ExpressionScope, name: str, query: Query) -> Element:
     """A query as a source: its one item, or its columns by their names."""
     form = _form(query)
     rows = _rows(around, query)

@@ -1,24 +1,12 @@
-"""The tables of a world: their columns, and the buffers that hold a tick's rows.
+"""The tables of a world: their columns, with types, units and meanings.
 
 Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
 those of link frames, not of centres of mass.
-
-The numbers of a table live in numpy buffers that an Arrow table looks into, so that whoever
-holds the Arrow table (DuckDB does) sees the next tick without being told.
 """
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterable
-from itertools import count
-from typing import Any, Literal, NamedTuple, TypeAlias
-
-import numpy as np
-import numpy.typing as npt
-import pyarrow as pa
-
-from ssduck.geometry import Array
+from typing import Literal, NamedTuple, TypeAlias
 
 # What is asked for like a table: the masses, which others may change in a simulation of theirs.
 MASSES = "masses"
@@ -26,20 +14,13 @@ MASSES = "masses"
 MARGINS = "margins"
 # So many ticks is what was asked for read without another question.
 FORGOTTEN_AFTER = 240
-
-_versions = count(1)
+# A pair of entities in SQL is one number, the first id times this and the second: DuckDB takes and
+# sorts one number in less time than two.
+MOST_IDS = 1 << 32
+# Of an entity's numbers these may be infinite; the others are finite or unknown.
+BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 
 ColumnType: TypeAlias = Literal["real", "integer", "text", "flag", "points", "triples"]
-_ARROW: dict[ColumnType, pa.DataType] = {
-    "real": pa.float64(),
-    "integer": pa.int64(),
-    "text": pa.string(),
-    "flag": pa.bool_(),
-    "points": pa.list_(pa.list_(pa.float64(), 3)),
-    "triples": pa.list_(pa.list_(pa.int32(), 3)),
-}
-
-
 _SQL: dict[ColumnType, str] = {
     "real": "DOUBLE",
     "integer": "BIGINT",
@@ -92,7 +73,7 @@ _TWIST = (
     *_reals("vx vy vz", "velocity of the link frame's origin, m/s"),
     *_reals("wx wy wz", "angular velocity, rad/s"),
 )
-_BOX = _reals("xmin ymin zmin xmax ymax zmax", "axis-aligned box of the shapes, exact, m")
+_BOX = _reals(" ".join(BOX), "axis-aligned box of the shapes, exact, m")
 
 EXACT = (
     "whether it is the simulator's own shape; else a box stands in for it. Unknown in records "
@@ -197,98 +178,3 @@ TABLES: dict[str, tuple[Column, ...]] = {
 def second_names(table: str) -> dict[str, str]:
     """The columns of a table that have a second name, with that."""
     return {column.name: column.also for column in TABLES.get(table, ()) if column.also}
-
-
-class LiveTable:
-    """The columns of one table.
-
-    Attributes:
-        arrow: the table; its numbers change in place.
-        version: another one whenever `arrow` became another object; no two tables have the same.
-        whole: whether every number is known; an unknown one is NaN here and NULL in `arrow`.
-    """
-
-    def __init__(self, columns: tuple[Column, ...]) -> None:
-        self.columns = columns
-        self.fill(0, {})
-
-    def fill(self, count: int, values: dict[str, Any]) -> None:
-        """Make the table anew with that many rows; columns without values start at 0."""
-        self.count = count
-        kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
-        self._numbers: dict[str, npt.NDArray[Any]] = {}
-        # What is given with gaps stays as it is given; the rest are buffers to be written.
-        live = [
-            (name, kind)
-            for name, kind in kinds.items()
-            if kind in ("real", "integer") and not _has_none(values.get(name, ()))
-        ]
-        # One block for all reals: neighbouring columns can be written in one go.
-        reals = [name for name, kind in live if kind == "real"]
-        self.block = np.zeros((len(reals), count))
-        self._row = {name: row for row, name in enumerate(reals)}
-        for name, kind in live:
-            if kind == "real":
-                self._numbers[name] = self.block[self._row[name]]
-            else:
-                self._numbers[name] = np.zeros(count, dtype=np.int64)
-        self._others = {
-            name: pa.array(values[name] if name in values else [None] * count, _ARROW[kind])
-            for name, kind in kinds.items()
-            if name not in self._numbers
-        }
-        for name, column in self._numbers.items():
-            if name in values:
-                column[:] = values[name]
-        self.publish()
-
-    def put(self, values: dict[str, Any]) -> None:
-        """Put other values in the place of columns that hold no numbers."""
-        kinds = {column.name: column.type for column in self.columns}
-        new = {name: pa.array(column, _ARROW[kinds[name]]) for name, column in values.items()}
-        self._others = self._others | new
-        self.publish()
-
-    def twin(self) -> LiveTable:
-        """The same rows in buffers of their own; what is never written in place is shared."""
-        twin = copy.copy(self)
-        twin.block = self.block.copy()
-        twin._numbers = {  # noqa: SLF001  # one class
-            name: twin.block[self._row[name]] if name in self._row else column.copy()
-            for name, column in self._numbers.items()
-        }
-        twin.publish()
-        return twin
-
-    def publish(self) -> None:
-        """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
-        unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
-        self.whole = not any(unknown)
-        arrays = []
-        for name, kind, *_ in self.columns:
-            if name not in self._numbers:
-                arrays.append(self._others[name])
-            elif name in self._row and unknown[self._row[name]]:
-                arrays.append(pa.array(self._numbers[name], from_pandas=True))
-            else:
-                buffer = pa.py_buffer(self._numbers[name])
-                arrays.append(pa.Array.from_buffers(_ARROW[kind], self.count, [None, buffer]))
-        self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
-        self.version = next(_versions)
-
-    def __getitem__(self, name: str) -> npt.NDArray[Any]:
-        """The buffer of a column of numbers."""
-        return self._numbers[name]
-
-    def reals(self, first: str, last: str) -> Array:
-        """The buffers of neighbouring columns of reals, (columns, rows)."""
-        return self.block[self._row[first] : self._row[last] + 1]
-
-    def written(self) -> None:
-        """Tell that numbers were written: an unknown one (NaN) becomes NULL."""
-        if not self.whole or np.isnan(self.block).any():
-            self.publish()
-
-
-def _has_none(values: Iterable[Any]) -> bool:
-    return any(value is None for value in values)

@@ -17,7 +17,6 @@ from ssduck.deferred import Deferred
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.keys import plain
 from ssduck.messages import shown
-from ssduck.world import World
 
 # Simulated times are products of a step and rounded: so near to each other, in seconds, two are
 # one. 0.7 s is the 168th step of 1/240 s.
@@ -151,8 +150,6 @@ def kept(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
     Raises:
         ArgumentError: such values have no history.
     """
-    if isinstance(value, World):
-        raise ArgumentError("a world is no value to be kept in a history; assign it without {…}")
     if isinstance(value, Deferred):
         raise ArgumentError(
             "a list for the query that uses it has no history; assign it without {…}"
@@ -162,28 +159,19 @@ def kept(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
     return ValueHistory.begun(value, horizon, now)
 
 
-def aged(
-    name: str,
-    held: Any,
-    age: tuple[Any, ...],
-    now: Callable[[], float],
-    past: Callable[[World, float | None], Any],
-) -> Any:
+def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -> Any:
     """What `name{…}` is.
 
     Args:
         name: of the variable.
-        held: what the variable holds: a history, a world, a value without a history.
+        held: what the variable holds: a history, or a value without one.
         age: what is in the braces; nothing if they are empty.
         now: gives the present simulated time in seconds.
-        past: gives the past of a world: at an age, or all of it.
 
     Raises:
         ArgumentError: the variable has no history, or the age is no finite number.
         EvaluationError: it is a time before what is kept.
     """
-    if isinstance(held, World):
-        return past(held, seconds_of(age[0], "what is in {…}") if age else None)
     history = history_of(name, held)
     present = now()
     if not age:

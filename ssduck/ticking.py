@@ -5,16 +5,15 @@ from __future__ import annotations
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
-from typing import Self
+from typing import Protocol, Self
 
 from ssduck import checks
 from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
 from ssduck.following import Followed
 from ssduck.members import Members
-from ssduck.recorder import Recorder
 from ssduck.simulators import Simulator
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.posed import Posed
@@ -26,6 +25,20 @@ _serials = count()
 _TURN = 1e-4
 # Whoever watches a run is told each so many steps.
 _WATCHED = 24
+
+
+class TickSink(Protocol):
+    """Keeps ticks of a world as they are taken."""
+
+    @property
+    def tables(self) -> Collection[str]:
+        """The tables that each tick is to have."""
+
+    def note(self, snapshot: Snapshot) -> None:
+        """Keep a tick, if it is one to be kept; the caller holds its world."""
+
+    def note_masses(self, snapshot: Snapshot) -> None:
+        """Take note of masses that were read anew."""
 
 
 class Ticked(Followed):
@@ -48,7 +61,7 @@ class Ticked(Followed):
         self._waiting = 0
         self._simulator = simulator
         self._members = Members(snapshot.listed)
-        self._recorders: list[weakref.ref[Recorder]] = []
+        self._recorders: list[weakref.ref[TickSink]] = []
 
     @property
     def time(self) -> float:
@@ -209,7 +222,7 @@ class Ticked(Followed):
 
     # -- who keeps ticks --------------------------------------------------------------------
 
-    def record(self, recorder: Recorder) -> None:
+    def record(self, recorder: TickSink) -> None:
         """Let a recorder keep this tick and those to come, as long as anyone else holds it."""
         with self.lock:
             self._check_not_held()
@@ -222,7 +235,7 @@ class Ticked(Followed):
             else:
                 recorder.note(self.snapshot)
 
-    def forget(self, recorder: Recorder) -> None:
+    def forget(self, recorder: TickSink) -> None:
         """Let a recorder keep no more ticks."""
         with self.lock:
             self._recorders = [r for r in self._recorders if r() not in (None, recorder)]
@@ -231,7 +244,7 @@ class Ticked(Followed):
     def _read_recorded(self) -> None:
         """See to it that each tick has the tables that are recorded."""
         recorders = [recorder for reference in self._recorders if (recorder := reference())]
-        tables = frozenset(table for r in recorders for table in r.recording.tables)
+        tables = frozenset(table for r in recorders for table in r.tables)
         self.snapshot.recorded = tables - {"entities"}
 
     @property

@@ -13,10 +13,11 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from ssduck.changes import copied
-from ssduck.dependencies import IMPURE, calls_of, tables_of, variables_of
+from ssduck.dependencies import IMPURE, calls_of, variables_of
 from ssduck.inbox import Inbox
 from ssduck.programs import Compiled
 from ssduck.settling import Settling, Terms
+from ssduck.table_use import tables_of
 from ssduck.tree import Bare, Program, Query
 from ssduck.world import World
 

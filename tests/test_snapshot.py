@@ -13,9 +13,10 @@ from conftest import joint, link, robot
 
 import ssduck
 from ssduck.errors import SimulatorError
+from ssduck.live_tables import LiveTable
 from ssduck.simulators.pybullet import PyBulletSimulator
 from ssduck.snapshot import FORGOTTEN_AFTER
-from ssduck.tables import TABLES, LiveTable
+from ssduck.tables import TABLES
 
 
 class Spy:

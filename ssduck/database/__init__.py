@@ -19,6 +19,7 @@ from ssduck.database.functions import add_own, add_users, converter_of
 from ssduck.database.recorders import Recorders, check_runs
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import Plans, Statement
+from ssduck.database.values import Converter
 from ssduck.database.worlds import Worlds
 from ssduck.errors import EvaluationError
 from ssduck.export import exported
@@ -28,7 +29,7 @@ from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.recording import Recording, check_names
 from ssduck.sealed import FolderRecording
-from ssduck.types import Converter, Signature, Tag
+from ssduck.types import Signature, Tag
 from ssduck.world import World
 
 __all__ = ["Database", "Statement"]

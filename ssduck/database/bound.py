@@ -16,11 +16,11 @@ import numpy as np
 from ssduck.errors import EvaluationError, UnsupportedError
 from ssduck.history import POSE, Archive, Shown, history_name, not_recorded
 from ssduck.joints import Joints
+from ssduck.live_tables import LiveTable
 from ssduck.messages import listed
 from ssduck.record import Record
 from ssduck.recorder import Recorder
 from ssduck.shapes import Shapes
-from ssduck.tables import LiveTable
 from ssduck.then import TOLD
 from ssduck.world import World
 

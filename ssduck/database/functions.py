@@ -17,6 +17,7 @@ from duckdb.func import FunctionNullHandling, PythonUDFType
 from ssduck.colliding import Asked, Question
 from ssduck.database.bound import Bound
 from ssduck.database.connection import Connection
+from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
 from ssduck.functions import Function
 from ssduck.history import Near
@@ -25,7 +26,7 @@ from ssduck.memo import Memo
 from ssduck.record import PAIR, Record
 from ssduck.relations import ANY, CHECKED_TICK
 from ssduck.shapes import ANSWERS, depth
-from ssduck.types import Converter, Signature, Tag, converter, is_exactly
+from ssduck.types import Signature, Tag
 from ssduck.udfs import BY_MARGINS, JOINTS, MARGINS, NARROW, OF_WHOLE_TICK, THEN, THEN_TOLD
 
 

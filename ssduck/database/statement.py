@@ -13,9 +13,10 @@ from sqlglot import exp
 from ssduck.database.connection import Connection
 from ssduck.errors import SelectScriptError
 from ssduck.history import history_name
+from ssduck.live_tables import LiveTable
 from ssduck.recording import RECORDABLE
 from ssduck.rings import FRAMES
-from ssduck.tables import TABLES, Column, LiveTable
+from ssduck.tables import TABLES, Column
 
 # What our prepared statements are called, in front of a number and of the tables that they read.
 _OURS = "ssduck statement "
