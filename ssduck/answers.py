@@ -7,6 +7,7 @@ import datetime as dt
 import json
 import math
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -40,11 +41,31 @@ class Answer:
     types: Sequence[str] = ()
 
 
+class RowsOfColumns(ABC):
+    """Rows whose columns have names and types: what `ss.sql` gives."""
+
+    @property
+    @abstractmethod
+    def columns(self) -> list[str]:
+        """The names of the columns."""
+
+    @property
+    @abstractmethod
+    def types(self) -> list[str]:
+        """The types of the columns, as DuckDB calls them."""
+
+    @abstractmethod
+    def fetchall(self) -> list[tuple[Any, ...]]:
+        """The rows that were not fetched yet, as tuples."""
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[tuple[Any, ...]]:
+        """All rows, as tuples."""
+
+
 def answer_of(value: Any) -> Answer:
     """A value as rows: lists of dicts and of lists row by row, else a row a value."""
-    from ssduck.result import Result
-
-    if isinstance(value, Result):
+    if isinstance(value, RowsOfColumns):
         return Answer(_distinct(value.columns), list(value), types=value.types)
     if isinstance(value, dict):
         return Answer(["key", "value"], list(value.items()))
@@ -81,9 +102,7 @@ def _write_table(value: Any) -> None:
 
 
 def _write_json(value: Any) -> None:
-    from ssduck.result import Result
-
-    if isinstance(value, Result):
+    if isinstance(value, RowsOfColumns):
         columns = _distinct(value.columns)
         value = [dict(zip(columns, row, strict=True)) for row in value.fetchall()]
     ascii_only = (sys.stdout.encoding or "").lower() not in ("utf-8", "utf8")

@@ -19,7 +19,7 @@ from ssduck.geometry import Array, Indices
 from ssduck.joints import openness
 from ssduck.kinematics import JointValues, finite, unit
 from ssduck.layout import Member
-from ssduck.openrave import EntitySpellings, SensorSpellings
+from ssduck.openrave_names import EntitySpellings, SensorSpellings
 from ssduck.scenes import SensorSpec
 from ssduck.sensing import Reading
 from ssduck.sensors import SENSOR_TYPES

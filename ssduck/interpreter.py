@@ -116,7 +116,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
         Raises:
             ParseError: with the place of the first thing that is wrong.
         """
-        return Compiled(text, parse(text), self)
+        return Compiled(text, parse(text), self._sql_of)
 
     def eval(
         self,

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from ssduck.errors import ArgumentError
 from ssduck.language import parse
 from ssduck.messages import shown
 from ssduck.tree import Program
-
-if TYPE_CHECKING:
-    from ssduck.interpreter import Interpreter
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +22,7 @@ class Compiled:
 
     text: str
     tree: Program
-    _interpreter: Interpreter
+    _sql_of: Callable[[Program, str], str]
 
     def sql(self, dialect: str = "duckdb") -> str:
         """The SQL of the query that the program ends with, the values of variables put in.
@@ -36,7 +33,7 @@ class Compiled:
         Raises:
             UnsupportedError: a part is left to Python, or is nothing that dialect has.
         """
-        return self._interpreter._sql_of(self.tree, dialect)  # noqa: SLF001  # one room
+        return self._sql_of(self.tree, dialect)
 
 
 def tree_of(program: str | Compiled) -> Program:

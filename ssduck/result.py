@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import pyarrow as pa
 
 from ssduck import checks
+from ssduck.answers import RowsOfColumns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,7 +47,7 @@ _FAMILIES = (
 )
 
 
-class Result:
+class Result(RowsOfColumns):
     """The rows of an SQL query, all of them fetched: stepping the world does not change them.
 
     Args:

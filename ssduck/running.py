@@ -18,7 +18,7 @@ import numpy as np
 from ssduck import checks
 from ssduck.errors import ArgumentError
 from ssduck.messages import shown
-from ssduck.world import World
+from ssduck.ticking import Ticked
 
 # Is told how many simulated seconds were run.
 Watch: TypeAlias = Callable[[float], object]
@@ -29,7 +29,7 @@ _ROUNDING = 1e-6
 
 
 def run(
-    worlds: Sequence[World],
+    worlds: Sequence[Ticked],
     seconds: float,
     *,
     realtime: bool | float = False,
@@ -66,7 +66,7 @@ class _Lane:
         period: ticks are taken each so many steps, if it is an integer, or seconds.
     """
 
-    def __init__(self, world: World, seconds: float, period: float | None) -> None:
+    def __init__(self, world: Ticked, seconds: float, period: float | None) -> None:
         self.world = world
         self._timestep = world.timestep
         if not self._timestep:

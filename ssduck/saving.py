@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from ssduck.errors import SceneError
-from ssduck.excerpts import originals_of
-from ssduck.scenes import BodySpec, Camera, ConstraintSpec, Engine, Scene, SensorSpec, variable_name
-from ssduck.simulators.pybullet import PyBulletSimulator
-from ssduck.simulators.pybullet_copies import Tick
-from ssduck.simulators.pybullet_saving import scene_of
-from ssduck.world import World
+from ssduck.excerpts import originals_of, sensors_of, tick_of
+from ssduck.scenes import BodySpec, Camera, ConstraintSpec, Engine, Scene, SensorSpec
+from ssduck.simulators import Simulator
+from ssduck.simulators.backends import backend
+from ssduck.snapshot import Snapshot
 
 FILE = "scene.toml"
 
@@ -22,43 +22,36 @@ FILE = "scene.toml"
 _SCENE = ("description", "gravity", "timestep", "time", "elastic")
 
 
-def save(world: World, folder: Path) -> Path:
-    """Save a world; see `World.save`."""
+@contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """Make a folder for a scene, and fill it within; what goes wrong there is told as its.
+
+    Raises:
+        SceneError: something is there already, or cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
             raise SceneError(f"{folder} is not empty: a scene is saved into a folder of its own")
-        # A copy is a world that ssduck made, whatever it is of: a tick of the past, a client
-        # that somebody else has, what would be if.
-        copy = world.excerpt(world)
-        try:
-            scene = _scene(copy, folder)
-        finally:
-            copy.close()
-        file = folder / FILE
-        file.write_text("\n".join(_lines(scene, folder)) + "\n", encoding="utf-8")
+        yield
     except (OSError, ValueError) as error:  # a null character is a ValueError
         reason = error.strerror if isinstance(error, OSError) else None
         raise SceneError(f"{folder}: {reason or error}") from error
+
+
+def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path) -> Scene:
+    """The scene of a simulation at a tick; writes the models that it needs into a folder."""
+    everyone = {member.id for member in snapshot.listed}
+    originals = list(originals_of(snapshot, everyone))
+    scene = backend().scene_of(simulator, originals, tick_of(snapshot), folder)
+    return replace(scene, sensors=tuple(sensors_of(snapshot, everyone)))
+
+
+def write_scene(scene: Scene, folder: Path) -> Path:
+    """Write the file of a scene into its folder."""
+    file = folder / FILE
+    file.write_text("\n".join(_lines(scene, folder)) + "\n", encoding="utf-8")
     return file
-
-
-def _scene(world: World, folder: Path) -> Scene:
-    with world.held(("joints",)):
-        snapshot = world.snapshot
-        simulator = world.simulator
-        assert isinstance(simulator, PyBulletSimulator)
-        tick = Tick(world.time, snapshot.disabled, snapshot.hidden)
-        everyone = {member.id for member in snapshot.listed}
-        scene = scene_of(simulator, list(originals_of(world, everyone)), tick, folder)
-        sensors = [
-            replace(member.sensor, powered=snapshot.sensing.is_on(member.id))
-            for member in snapshot.listed
-            if member.sensor is not None
-        ]
-    return replace(
-        scene, name=variable_name(world.name), camera=world.camera, sensors=tuple(sensors)
-    )
 
 
 def _lines(scene: Scene, folder: Path) -> Iterator[str]:

@@ -132,6 +132,29 @@ class Ticked(Followed):
         # Within rounding it is the time of the last tick.
         return clock if abs(given - clock.time) <= self.slack else clock.at(given, timestep)
 
+    def step(self, count: int = 1) -> Self:
+        """Run that many steps of the simulator, then take a tick.
+
+        Where a follower wants a tick on the way (a trigger is due, say), one is taken there, too.
+        Ctrl-C ends it at a tick.
+
+        Args:
+            count: how many steps, 0 or more; a number of seconds is for `run`.
+
+        Raises:
+            NumberError: it is no such number.
+            SimulatorError: the simulator does not answer; the last tick stays.
+            UnsupportedError: it is a what-if world.
+        """
+        left = checks.steps(count, "step", "run({})")
+        while True:
+            run = int(min(left, self.steps_to_due()))
+            self.advance(run)
+            self.tell()
+            left -= run
+            if left <= 0:
+                return self
+
     def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
         """Run steps and take a tick, telling no follower: a part of `step`.
 

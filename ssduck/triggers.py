@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 from weakref import WeakSet
 
 from ssduck.entities import Entity
@@ -21,15 +21,42 @@ from ssduck.keys import ATOMS
 from ssduck.messages import shown
 from ssduck.programs import Compiled
 from ssduck.settling import Terms, When
+from ssduck.tree import Node
 from ssduck.trigger import Trigger, TriggerState, TriggerWarning
 from ssduck.world import World
-
-if TYPE_CHECKING:
-    from ssduck.interpreter import Interpreter
 
 # Seconds that closing waits for a callback that is running in a thread of its own.
 PATIENCE = 5.0
 _LIVE = World | Entity
+
+
+class Evaluator(Protocol):
+    """What triggers need of an interpreter."""
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds that are bound to variables, the first one first."""
+
+    def compile(self, text: str) -> Compiled:
+        """A program that is parsed once and evaluated often."""
+
+    def eval(self, program: Compiled) -> Any:
+        """The result of a program."""
+
+    def variable(self, name: str) -> Any:
+        """A variable's value."""
+
+    def has_variable(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
+
+    def is_users(self, name: str) -> bool:
+        """Whether that calls a user's function."""
+
+    def _worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
+        """The worlds that parts may be about; None if their values alone tell."""
 
 
 class TriggerVerbs:
@@ -125,7 +152,7 @@ class Triggers:
         interpreter: what evaluates their programs.
     """
 
-    def __init__(self, interpreter: Interpreter) -> None:
+    def __init__(self, interpreter: Evaluator) -> None:
         self._interpreter = interpreter
         self._by_name: dict[str, Trigger] = {}
         self._lock = threading.Lock()

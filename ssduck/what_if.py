@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Mapping
 
 import numpy as np
 
-from ssduck.entities import Entity
-from ssduck.errors import ArgumentError
 from ssduck.geometry import Array
 from ssduck.kinematics import Pose, moved
 from ssduck.layout import Part
@@ -16,38 +13,12 @@ from ssduck.simulators import Body, Frames
 from ssduck.simulators.posed import Posed
 from ssduck.snapshot import Snapshot
 
-if TYPE_CHECKING:
-    from ssduck.world import World
-
-T = TypeVar("T")
-
 UNTOLD = {
     "contacts": "a what-if world has no contacts: they are what a solver finds in a step, and it "
     "was never simulated; compare boxes, or move the bodies themselves",
     "sensings": "sensors perceive nothing in a what-if world: its rays would have to be cast in "
     "the simulation; move the bodies themselves",
 }
-
-
-def bodies_of(world: World, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
-    """What is said of a world's entities, with their names and what they are at this tick.
-
-    Raises:
-        UnknownNameError: there is no entity of a name, with the nearest names.
-        ArgumentError: an entity is of another world, or no body.
-        RemovedEntityError: an entity is no longer in the world.
-    """
-    for key, value in by_entity.items():
-        entity = key if isinstance(key, Entity) else world[key]
-        if entity.world is not world:
-            raise ArgumentError(
-                f"{entity!r} is in world {entity.world.name!r}, not in {world.name!r}; "
-                "give its name"
-            )
-        row = world.snapshot.rows.get(entity.id)
-        if row is None:
-            raise entity.removed()
-        yield entity.name, entity.body_of(world.snapshot.members[row], "move"), value
 
 
 # Where a simulation that explodes has a body is no number, and stays none.

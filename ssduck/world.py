@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
+from ssduck.excerpts import excerpt
 from ssduck.geometry import Indices
 from ssduck.handling import Handled
 from ssduck.kinematics import (
@@ -31,16 +33,18 @@ from ssduck.kinematics import (
     positions_of,
 )
 from ssduck.messages import shown
-from ssduck.openrave import WorldSpellings
-from ssduck.scenes import Camera, Scene, SensorSpec
+from ssduck.openrave_names import WorldSpellings
+from ssduck.running import run
+from ssduck.saving import new_folder, scene_of, write_scene
+from ssduck.scenes import Camera, Scene, SensorSpec, variable_name
 from ssduck.sensing import Reading
-from ssduck.simulators import Kind, Simulator
+from ssduck.simulators import Body, Kind, Simulator
+from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.snapshot import Snapshot
 from ssduck.tables import MARGINS, MASSES
-from ssduck.what_if import bodies_of, imagined
+from ssduck.what_if import imagined
 
-if TYPE_CHECKING:
-    from ssduck.simulators.pybullet_given import ShapesByBody
+T = TypeVar("T")
 
 # What a world is called before it gets a name.
 UNNAMED = "world"
@@ -87,9 +91,7 @@ class World(Handled, WorldSpellings):
         Raises:
             SceneError: the scene cannot be loaded: file, key and reason.
         """
-        from ssduck.simulators import pybullet
-
-        simulator = pybullet.load(scene)
+        simulator = backend().load(scene)
         try:
             return cls.owning(simulator, scene.name, scene.sensors, scene.camera)
         except SceneError as error:
@@ -146,34 +148,9 @@ class World(Handled, WorldSpellings):
             SelectScriptError: a number is no body's, or a kind is none of these.
             ArgumentError: a key of `shapes` is no shape's, or a value is no mesh.
         """
-        from ssduck.simulators import pybullet
-
-        return cls(pybullet.attach(client, names, kinds, shapes), name=name)
+        return cls(backend().attach(client, names, kinds, shapes), name=name)
 
     # -- time -----------------------------------------------------------------------------
-
-    def step(self, count: int = 1) -> World:
-        """Run that many steps of the simulator, then take a tick.
-
-        Where a follower wants a tick on the way (a trigger is due, say), one is taken there, too.
-        Ctrl-C ends it at a tick.
-
-        Args:
-            count: how many steps, 0 or more; a number of seconds is for `run`.
-
-        Raises:
-            NumberError: it is no such number.
-            SimulatorError: the simulator does not answer; the last tick stays.
-            UnsupportedError: it is a what-if world.
-        """
-        left = checks.steps(count, "step", "run({})")
-        while True:
-            run = int(min(left, self.steps_to_due()))
-            self.advance(run)
-            self.tell()
-            left -= run
-            if left <= 0:
-                return self
 
     def run(
         self,
@@ -202,8 +179,6 @@ class World(Handled, WorldSpellings):
             UnsupportedError: it is a what-if world.
             KeyboardInterrupt: it was stopped by Ctrl-C, at a tick.
         """
-        from ssduck.running import run
-
         run([self], seconds, realtime=realtime, progress=progress, every=every)
         return self
 
@@ -282,17 +257,37 @@ class World(Handled, WorldSpellings):
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
         with self.held((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
             places = {
-                body: pose_of(pose, name) for name, body, pose in bodies_of(self, poses or {})
+                body: pose_of(pose, name) for name, body, pose in self._bodies_of(poses or {})
             }
             positions = {
                 body: positions_of(values, body, name)
-                for name, body, values in bodies_of(self, joints or {})
+                for name, body, values in self._bodies_of(joints or {})
             }
             posed, snapshot = imagined(self.snapshot, places, positions)
         world = World.__new__(World)
         world._begin(posed, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
         world._origin = self.origin  # noqa: SLF001
         return world.tick()
+
+    def _bodies_of(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
+        """What is said of entities, with their names and what they are at this tick.
+
+        Raises:
+            UnknownNameError: there is no entity of a name, with the nearest names.
+            ArgumentError: an entity is of another world, or no body.
+            RemovedEntityError: an entity is no longer in the world.
+        """
+        for key, value in by_entity.items():
+            entity = key if isinstance(key, Entity) else self[key]
+            if entity.world is not self:
+                raise ArgumentError(
+                    f"{entity!r} is in world {entity.world.name!r}, not in {self.name!r}; "
+                    "give its name"
+                )
+            row = self.snapshot.rows.get(entity.id)
+            if row is None:
+                raise entity.removed()
+            yield entity.name, entity.body_of(self.snapshot.members[row], "move"), value
 
     # -- copies ---------------------------------------------------------------------------
 
@@ -324,9 +319,31 @@ class World(Handled, WorldSpellings):
             SimulatorError: the simulator does not answer, or has no room for another.
             UnsupportedError: a body is soft.
         """
-        from ssduck.excerpts import excerpt
+        # Nothing is to move while it is read: neither here nor where the simulation is.
+        # The tick of a client that others step cannot be taken anew for its joints.
+        tables = () if self._simulator.watched else ("joints",)
+        with self.held(tables), self.origin.lock:
+            chosen = {self._id_of(entity) for entity in entities}
+            simulator, sensors = excerpt(self.snapshot, chosen, self.origin.simulator)
+        return World.owning(simulator, self.name, sensors, self.camera)
 
-        return excerpt(self, entities)
+    def _id_of(self, entity: str | Entity) -> int:
+        """The id of an entity of this world, or of the one whose tick it is.
+
+        Raises:
+            UnknownNameError: there is none of that name, with the nearest names.
+            ArgumentError: it is of another world.
+            RemovedEntityError: it is not in the world at its tick.
+        """
+        if not isinstance(entity, Entity):
+            return self[entity].id
+        if entity.world not in (self, self.origin):
+            raise ArgumentError(
+                f"{entity!r} is in world {entity.world.name!r}, not in {self.name!r}"
+            )
+        if entity.id not in self.snapshot.rows:
+            raise entity.removed()
+        return entity.id
 
     def save(self, path: str | Path) -> Path:
         """Save the world as it is at this tick as a scene, that `ssduck.load` reads.
@@ -341,9 +358,18 @@ class World(Handled, WorldSpellings):
         Raises:
             SceneError: something is there already, or cannot be written.
         """
-        from ssduck.saving import save
-
-        return save(self, Path(path))
+        folder = Path(path)
+        with new_folder(folder):
+            # A copy is a world that ssduck made, whatever it is of: a tick of the past, a client
+            # that somebody else has, what would be if.
+            copy = self.excerpt(self)
+            try:
+                with copy.held(("joints",)):
+                    scene = scene_of(copy.snapshot, copy.simulator, folder)
+            finally:
+                copy.close()
+            scene = replace(scene, name=variable_name(self.name), camera=self.camera)
+            return write_scene(scene, folder)
 
     # -- entities -------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ import ssduck
 from ssduck import grids
 from ssduck.cli import app
 from ssduck.errors import SelectScriptError
-from ssduck.openrave_modules import OccupancyGridMap
+from ssduck.openrave import OccupancyGridMap
 from ssduck.recorded_world import RecordedWorld
 from ssduck.result import Result
 from ssduck.shown import Shown

@@ -31,11 +31,12 @@ from ssduck.geometry import (
 from ssduck.messages import listed, shown
 from ssduck.scenes import Camera, Scene
 from ssduck.simulators import Body, Contact, Frames, Hits, Kind, Motor, View
+from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.pybullet_bodies import Description, GivenShapes, describe, masses_of, xyzw
 from ssduck.simulators.pybullet_console import captured, pybullet
 from ssduck.simulators.pybullet_frames import FramesReader
-from ssduck.simulators.pybullet_given import ShapesByBody, given_shapes
+from ssduck.simulators.pybullet_given import given_shapes
 from ssduck.simulators.pybullet_margins import margins_of
 from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_saved import SavedShapes

@@ -32,7 +32,8 @@ from ssduck.errors import SimulatorError
 from ssduck.geometry import Array, compose, invert
 from ssduck.messages import listed
 from ssduck.scenes import BodySpec, Scene
-from ssduck.simulators import SETTABLE, Body, Frames, Simulator
+from ssduck.simulators import SETTABLE, Body, Simulator
+from ssduck.simulators.backends import Original, Tick
 from ssduck.simulators.pybullet import (
     PyBulletSimulator,
     new_client,
@@ -66,38 +67,6 @@ from ssduck.simulators.pybullet_told import (
     model_of,
     positions_by_link,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Original:
-    """A body that is to be copied, as a tick tells of it.
-
-    Attributes:
-        name: in its world.
-        body: what it is made of.
-        frames: where its links are.
-        joints: their positions and velocities, (joints, 2); NaN for what nobody knows.
-    """
-
-    name: str
-    body: Body
-    frames: Frames
-    joints: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Tick:
-    """What else a tick tells.
-
-    Attributes:
-        time: simulated seconds.
-        disabled: the bodies that take no part in collisions.
-        hidden: the bodies that are not drawn.
-    """
-
-    time: float
-    disabled: frozenset[Body]
-    hidden: frozenset[Body]
 
 
 def excerpt(

@@ -7,21 +7,18 @@ value is a mesh in the frame of the link, in metres, or a list of meshes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from ssduck.errors import ArgumentError
 from ssduck.geometry import Array, Geometry, Triangles, load_mesh
 from ssduck.messages import shown
+from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.pybullet_bodies import GivenShapes
 from ssduck.simulators.pybullet_console import pybullet
-
-# A trimesh.Trimesh, (vertices, faces), or the path of a mesh file; faces of None make the hull.
-Mesh: TypeAlias = Any
-ShapesByBody: TypeAlias = Mapping[int | tuple[int, int] | tuple[int, int, int], Mesh]
 
 _KEYS = "a body, (body, link) or (body, link, number), by PyBullet's numbers"
 _MESHES = "a trimesh.Trimesh, (vertices, faces), the path of a mesh file, or a list of these"

@@ -14,8 +14,8 @@ import numpy as np
 
 from ssduck.scenes import BodySpec, ConstraintSpec, Engine, Scene
 from ssduck.simulators import SETTABLE, Body
+from ssduck.simulators.backends import Original, Tick
 from ssduck.simulators.pybullet import PyBulletSimulator
-from ssduck.simulators.pybullet_copies import Original, Tick
 from ssduck.simulators.pybullet_models import unique_names, write_model
 from ssduck.simulators.pybullet_scenes import engine_of
 from ssduck.simulators.pybullet_told import constraints_of, model_of
