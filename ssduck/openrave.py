@@ -10,15 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from ssduck.adapters.grid_values import MOST_CELLS
 from ssduck.adapters.shapes import placed_shapes
-from ssduck.entities import KinBody, Robot, Sensor
 from ssduck.errors import ArgumentError, nearest
-from ssduck.grids import MOST_CELLS
-from ssduck.messages import shown
-from ssduck.openrave_names import AABB, CLONE_BODIES, SensorCommand
-from ssduck.rasters import Raster
-from ssduck.slicing import Slicer
-from ssduck.world import World
+from ssduck.formatting import shown
+from ssduck.geometry.raster import Raster
+from ssduck.geometry.rasterize import Slicer
+from ssduck.world.entities import KinBody, Robot, Sensor
+from ssduck.world.openrave_names import AABB, CLONE_BODIES, SensorCommand
+from ssduck.world.world import World
 
 __all__ = [
     "AABB",

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.language import parse
+from ssduck.language.parser import parse
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

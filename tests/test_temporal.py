@@ -11,7 +11,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck import queries, temporal
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -19,8 +18,10 @@ from ssduck.errors import (
     ParseError,
     UnknownNameError,
 )
-from ssduck.language import parse
-from ssduck.temporal import SAME_TIME, ValueHistory, aged, kept
+from ssduck.interpreter import query_runner as queries
+from ssduck.language import value_history as temporal
+from ssduck.language.parser import parse
+from ssduck.language.value_history import SAME_TIME, ValueHistory, aged, kept
 
 STEP = 0.25
 

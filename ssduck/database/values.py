@@ -8,10 +8,10 @@ from itertools import chain
 from operator import itemgetter
 from typing import Any, TypeAlias
 
-from ssduck.entities import Entity
-from ssduck.record import Record
-from ssduck.types import ANY, EXACT, FLAG, IDS, INTEGER, REAL, TEXT, Tag, merged
-from ssduck.world import World
+from ssduck.recording.replay.record import Record
+from ssduck.sql.types import ANY, EXACT, FLAG, IDS, INTEGER, REAL, TEXT, Tag, merged
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
 
 # More keys than this make no columns.
 MOST_FIELDS = 200

@@ -11,11 +11,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
 
-from ssduck.geometry import Array
-from ssduck.scenes import Scene
-from ssduck.simulators import Body, Frames, Kind, Simulator
+from ssduck.geometry.shapes import Array
+from ssduck.simulators.interface import Body, Frames, Kind, Simulator
+from ssduck.simulators.scenes import Scene
 
-BACKENDS = {"pybullet": "ssduck.simulators.pybullet_backend"}
+BACKENDS = {"pybullet": "ssduck.simulators.pybullet.backend"}
 
 # A trimesh.Trimesh, (vertices, faces), or the path of a mesh file; faces of None make the hull.
 Mesh: TypeAlias = Any
