@@ -3,9 +3,9 @@
 The broad phase finds the pairs of shapes whose boxes meet. Spheres around the shapes that are far
 apart, and spheres in them that are near, decide many of these; half-spaces are decided by support
 functions, boxes that may collide by their separating axes (Gottschalk, Lin and Manocha, OBBTree,
-1996), what else is convex by `ssduck.geometry.gjk`. The convex hull of a mesh tells if it is far from
-something. Only what is left is compared one by one: what is as near to the bound as errors are,
-meshes that may meet.
+1996), what else is convex by `ssduck.geometry.gjk`. The convex hull of a mesh tells if it is far
+from something. Only what is left is compared one by one: what is as near to the bound as errors
+are, meshes that may meet.
 """
 
 from __future__ import annotations

@@ -223,8 +223,8 @@ def _joined(parts: Sequence[_Pairs]) -> _Pairs:
 def compare(bodies: Bodies, first: Indices, second: Indices, bound: float | Array) -> Verdicts:
     """Whether the gaps of pairs of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
 
-    The gap is as of `ssduck.geometry.distance`: minus the depth where shapes meet. A verdict leaves room
-    for the errors that are allowed there, so that the exact answer is the same.
+    The gap is as of `ssduck.geometry.distance`: minus the depth where shapes meet. A verdict leaves
+    room for the errors that are allowed there, so that the exact answer is the same.
 
     Args:
         bodies: their cores.

@@ -2,9 +2,9 @@
 
 An entity is all its shapes: it is as near, as deep and as much in contact as the closest of
 them. Every pair of shapes is compared once a tick, and only if their boxes and the spheres
-around and in them do not tell: see `ssduck.geometry.distance` for what a gap, a depth and a normal are,
-and `ssduck.geometry.mesh_distance` for those of meshes that are not convex. Which of all pairs collide or are
-near each other is found at once, by `ssduck.geometry.batch`, with the same answers.
+around and in them do not tell: see `ssduck.geometry.distance` for what a gap, a depth and a normal
+are, and `ssduck.geometry.mesh_distance` for those of meshes that are not convex. Which of all pairs
+collide or are near each other is found at once, by `ssduck.geometry.batch`, with the same answers.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Names:
             if name not in RELATIONS:
                 self._functions[name] = allen.function
 
-    # -- variables (ssduck.language.evaluator.Scope) --------------------------------------------------
+    # -- variables (ssduck.language.evaluator.Scope) -----------------------------------------------
 
     def variable(self, name: str) -> Any:
         """The value of a variable, or an UnknownNameError with the nearest names."""

@@ -1,8 +1,9 @@
 """Keeping the ticks of a world as they come.
 
-A `Recorder` is told of each tick and copies its rows into rings (`ssduck.recording.buffers`). When a ring is
-full, all of them are given to a store together, so that what is stored ends with a whole tick. A
-store that takes its time gets them in a thread (`ssduck.recording.background_writer`), while the rings are filled anew.
+A `Recorder` is told of each tick and copies its rows into rings (`ssduck.recording.buffers`). When
+a ring is full, all of them are given to a store together, so that what is stored ends with a whole
+tick. A store that takes its time gets them in a thread (`ssduck.recording.background_writer`),
+while the rings are filled anew.
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@ pixels of a camera are rays, too, each through its pixel's centre. A ray ends on
 collision shape. It passes through the body that the sensor sits on, wherever it begins, and does
 not see a convex shape that it begins in; a sensor is no shape, so that none senses another.
 
-A new type is one entry of `SENSOR_TYPES`. What sensors perceive is read in `ssduck.world.sensor_readings`.
+A new type is one entry of `SENSOR_TYPES`. What sensors perceive is read in
+`ssduck.world.sensor_readings`.
 """
 
 from __future__ import annotations

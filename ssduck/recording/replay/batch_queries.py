@@ -1,7 +1,8 @@
 """Which pairs of entities collide, or are near each other, at many recorded ticks at once.
 
-Each pair at a tick stands for two entities of its own in one narrow phase (`ssduck.geometry.narrow_phase`), so
-that all of them are decided together; pairs of different ticks are never compared.
+Each pair at a tick stands for two entities of its own in one narrow phase
+(`ssduck.geometry.narrow_phase`), so that all of them are decided together; pairs of different ticks
+are never compared.
 """
 
 from __future__ import annotations

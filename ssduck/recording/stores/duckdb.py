@@ -4,9 +4,9 @@ What differs from tick to tick is stored in tables of numbers, what an entity is
 them. The views `<table>_history` join the two, and what waits in the rings with what is stored.
 
 A world's history is a schema of its own. Its rows are written by a connection of their own, and
-made good between queries (`ssduck.recording.background_writer`), so that none sees a tick twice or not at all. Where
-older ticks are dropped, the tables are as many `SLOTS`: the oldest is dropped as a whole, which
-takes no time and gives its memory back.
+made good between queries (`ssduck.recording.background_writer`), so that none sees a tick twice or
+not at all. Where older ticks are dropped, the tables are as many `SLOTS`: the oldest is dropped as
+a whole, which takes no time and gives its memory back.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ class History:
     def _slot(self, table: str, slot: int) -> str:
         return self.place(f"{table} {slot}")
 
-    # -- writing (ssduck.recording.recorder.Store) ---------------------------------------------------
+    # -- writing (ssduck.recording.recorder.Store) -----------------------------------------------
 
     def add_members(self, members: Collection[Member], numbers: Numbers) -> None:
         """Keep what entities are, before rows of theirs."""

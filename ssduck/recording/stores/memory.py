@@ -1,7 +1,7 @@
 """The history of a world in memory: the rings that are full, as they are.
 
-Nothing is copied: DuckDB looks into them where they are (`ssduck.recording.buffers`), which costs a tick a
-tenth of what storing it in DuckDB's tables does. The oldest are dropped as a whole.
+Nothing is copied: DuckDB looks into them where they are (`ssduck.recording.buffers`), which costs a
+tick a tenth of what storing it in DuckDB's tables does. The oldest are dropped as a whole.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Writing records as folders of Parquet files, in sealed parts (`ssduck.recording.stores.parquet_layout`)."""
+"""Writing records as folders of Parquet files, in sealed parts (see `parquet_layout`)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Where the link frames of PyBullet's bodies are, and how they move.
 
-PyBullet reports centres of mass; `ssduck.simulators.pybullet.simulator` tells how link frames follow.
+PyBullet reports centres of mass; `ssduck.simulators.pybullet.simulator` tells how link frames
+follow.
 """
 
 from __future__ import annotations

@@ -327,7 +327,7 @@ ANY = "any "
 
 
 def _lenient(tree: exp.Expr) -> exp.Expr:
-    """A formula for raw SQL, whose conditions come in no order: see `ssduck.sql.relations.joints`."""
+    """A formula for raw SQL, whose conditions come in no order: see `joints`."""
 
     def renamed(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Anonymous) and part.name.startswith("joints "):

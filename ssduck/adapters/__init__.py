@@ -1,0 +1,34 @@
+"""Result forms: what follows AS in a query, and the values that a form gives.
+
+`registry` finds a form by its name. Each other module has the forms of one topic, built on `base`.
+`result` is what raw SQL gives; `display` and `table_view` show values to people.
+"""
+
+from typing import TYPE_CHECKING
+
+from ssduck.lazy import exports
+
+if TYPE_CHECKING:
+    from ssduck.adapters.base import Adapter, Selection
+    from ssduck.adapters.registry import adapter, find
+    from ssduck.adapters.result import Result
+    from ssduck.adapters.table_view import Shown
+
+__all__ = [
+    "Adapter",
+    "Result",
+    "Selection",
+    "Shown",
+    "adapter",
+    "find",
+]
+
+__getattr__, __dir__ = exports(
+    __name__,
+    {
+        "base": ("Adapter", "Selection"),
+        "registry": ("adapter", "find"),
+        "result": ("Result",),
+        "table_view": ("Shown",),
+    },
+)
