@@ -388,7 +388,7 @@ def test_one_folder_calls_duckdb():
             for name, found in importers.items():
                 if name in names:
                     found.add(path.relative_to(package).as_posix())
-    for name, folder in (("duckdb", "database/"), ("pybullet", "simulators/")):
+    for name, folder in (("duckdb", "database/"), ("pybullet", "simulators/pybullet/")):
         assert importers[name]
         assert all(path.startswith(folder) for path in importers[name])
 

@@ -20,7 +20,7 @@ from ssduck.geometry.narrow_phase import COLLIDES
 from ssduck.geometry.queries import FEW, Shapes
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.sql.relations.relation import MOST_IDS
+from ssduck.schema import MOST_IDS
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))

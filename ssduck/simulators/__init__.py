@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         Simulator,
         View,
     )
-    from ssduck.simulators.scenes import Scene
+    from ssduck.simulators.scenes import Scene, find_scene
     from ssduck.simulators.sensor_types import SENSOR_TYPES
 
 __all__ = [
@@ -38,6 +38,7 @@ __all__ = [
     "Simulator",
     "View",
     "backend",
+    "find_scene",
 ]
 
 __getattr__, __dir__ = exports(
@@ -55,7 +56,7 @@ __getattr__, __dir__ = exports(
             "Simulator",
             "View",
         ),
-        "scenes": ("Scene",),
+        "scenes": ("Scene", "find_scene"),
         "sensor_types": ("SENSOR_TYPES",),
     },
 )

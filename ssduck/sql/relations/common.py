@@ -25,6 +25,6 @@ def of_entity(
 
 
 def told(what: str, a: str, b: str = "") -> str:
-    """What contacts or sensors told at the tick of a row, as numbers: `recording.replay.lookups`."""
+    """What contacts or sensors told at the tick of a row, as numbers (`replay.lookups`)."""
     other = f"{b}.id" if b else "0"
     return f"\"then told\"($world, '{what}', {a}.tick, {a}.id, {other})"
