@@ -232,8 +232,6 @@ def test_only_the_simulators_know_pybullet():
     assert len(others) > 100
     for path in others:
         assert "import pybullet" not in path.read_text(encoding="utf-8")
-            "from ssduck.simulators.interface import pybullet", ""
-        )
 
 
 # -- a camera and a sphere ---------------------------------------------------------------------
