@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +35,7 @@ import pyarrow.parquet as pq
 from ssduck.episode import Episode
 from ssduck.errors import RecordError
 from ssduck.rings import FRAMES, Ticks
+from ssduck.warned import warn
 
 FORMAT = "ssduck record"
 VERSION = 1
@@ -133,10 +133,9 @@ class FolderRun:
             if is_model:
                 raise RecordError(f"{place / part_name(len(found))} is missing")
             if table == "ticks":
-                warnings.warn(
+                warn(
                     f"{place / part_name(len(found))} is missing: the record of {self.world!r} was "
                     f"closed with {wanted} parts, and ends after {len(found)} of them",
-                    stacklevel=2,
                 )
         return found
 

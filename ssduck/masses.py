@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from ssduck.errors import SimulatorError
 from ssduck.messages import listed
 from ssduck.tables import MASSES
+from ssduck.warned import warn
 
 if TYPE_CHECKING:
     from ssduck.ticking import Ticked
@@ -33,8 +33,7 @@ class Reweighed:
         new = list(self._names.values())[self._warned :]
         self._warned += len(new)
         if new:
-            warnings.warn(
+            warn(
                 f"{world.name}: {listed(new)}: the mass was changed while it is recorded; recorded "
                 "ticks tell the mass that a body had when it was first recorded",
-                stacklevel=2,
             )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import islice
@@ -38,6 +37,7 @@ from ssduck.sqlvalues import written
 from ssduck.tree import Call, Given, Literal, Name, Node, Query, This
 from ssduck.types import Tag, to_sql
 from ssduck.udfs import RELATIONS
+from ssduck.warned import warn
 
 # So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
 # tried again.
@@ -138,7 +138,7 @@ class Planned:
             if self.plan.cautious or error.is_final:
                 raise _of_relation(error) from error
             if error.is_refused:  # our mistake: the answer is right, but slow
-                warnings.warn(f"DuckDB refused a query's SQL: {error.message}", stacklevel=2)
+                warn(f"DuckDB refused a query's SQL: {error.message}")
             self._failures += 1
             raise SqlFailedError from error
         except JointError as error:  # of a row that a condition may leave out

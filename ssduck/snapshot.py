@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 import time
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate, chain
 from typing import Any
@@ -33,6 +32,7 @@ from ssduck.shapes import Shapes
 from ssduck.simulators import Body, Contact, Frames, Simulator
 from ssduck.solids import Solid, solid_of
 from ssduck.tables import FORGOTTEN_AFTER, TABLES, LiveTable
+from ssduck.warned import warn
 
 ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
 
@@ -492,10 +492,9 @@ class Snapshot:
             member = self.members[row]
             if member.id not in self._warned:
                 self._warned.add(member.id)
-                warnings.warn(
+                warn(
                     f"{member.name}: the simulator gives a pose or a velocity that is no number; "
                     "what follows from it is NULL",
-                    stacklevel=5,
                 )
 
     def _write_contacts(self, contacts: Sequence[Contact]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -18,6 +17,7 @@ from ssduck.inbox import Inbox
 from ssduck.programs import Compiled
 from ssduck.settling import Settling, Terms
 from ssduck.tree import Bare, Program, Query
+from ssduck.warned import warn
 from ssduck.world import World
 
 # So many different errors of one trigger are warned of.
@@ -237,7 +237,7 @@ class _Log:
         told = f"trigger {self.name!r}: its {what} failed: {type(error).__name__}: {error}"
         if told not in self._warned and len(self._warned) < MOST_WARNINGS:
             self._warned.add(told)
-            warnings.warn(told, TriggerWarning, stacklevel=2)
+            warn(told, TriggerWarning)
 
 
 def _guarded(callback: Callable[[Any], object], log: _Log) -> Callable[[Any], object]:

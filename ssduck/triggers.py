@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -22,6 +21,7 @@ from ssduck.messages import shown
 from ssduck.programs import Compiled
 from ssduck.settling import Terms, When
 from ssduck.trigger import Trigger, TriggerState, TriggerWarning
+from ssduck.warned import warn
 from ssduck.world import World
 
 if TYPE_CHECKING:
@@ -195,10 +195,9 @@ class Triggers:
         self._followed.clear()
         for trigger in triggers:
             if trigger.inbox is not None and not trigger.inbox.join(PATIENCE):
-                warnings.warn(
+                warn(
                     f"trigger {trigger.terms.name!r}: its callback is still running",
                     TriggerWarning,
-                    stacklevel=3,
                 )
 
     # -- worlds (ssduck.following.Follower) -------------------------------------------------

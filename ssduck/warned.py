@@ -6,8 +6,8 @@ import sys
 import warnings
 
 _PACKAGE = __name__.partition(".")[0]
-# Frames of context managers stand between those of the package.
-_BETWEEN = frozenset((_PACKAGE, "contextlib"))
+# Frames of decorators, context managers and cached properties stand between those of the package.
+_BETWEEN = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:

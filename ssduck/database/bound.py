@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -22,6 +21,7 @@ from ssduck.recorder import Recorder
 from ssduck.shapes import Shapes
 from ssduck.tables import LiveTable
 from ssduck.then import TOLD
+from ssduck.warned import warn
 from ssduck.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
@@ -197,11 +197,10 @@ class Bound:
         new = [name for name in snapshot.repadded if name not in self._repadded]
         if new:
             self._repadded.update(new)
-            warnings.warn(
+            warn(
                 f"{self.world.name!r}: the collision margins of {listed(new)} were changed; "
                 "recorded ticks go by those that a body came with, so that on, touching and "
                 "their like may differ there from what the simulator did",
-                stacklevel=2,
             )
 
     def joints(self, tick: int, id: int) -> Joints:

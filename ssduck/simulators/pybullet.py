@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import gc
 import math
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -41,6 +40,7 @@ from ssduck.simulators.pybullet_rays import cast_rays
 from ssduck.simulators.pybullet_saved import SavedShapes
 from ssduck.simulators.pybullet_scenes import Filled, hold_joint, load_models, set_motor
 from ssduck.simulators.pybullet_ties import tie, ties_of
+from ssduck.warned import warn
 
 T = TypeVar("T")
 
@@ -490,12 +490,11 @@ def _handles(client: int) -> list[int]:
 
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
-        warnings.warn(
+        warn(
             f"{listed([body.name for body in bodies])}: PyBullet does not give back "
             "all shapes (a height field is such a shape); bounding boxes are used instead, which "
             "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
             "the shapes themselves",
-            stacklevel=2,
         )
 
 

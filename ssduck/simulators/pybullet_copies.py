@@ -19,7 +19,6 @@ What PyBullet does, as measured with 3.2.7:
 from __future__ import annotations
 
 import tempfile
-import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -66,6 +65,7 @@ from ssduck.simulators.pybullet_told import (
     model_of,
     positions_by_link,
 )
+from ssduck.warned import warn
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,4 +407,4 @@ class _Copier:
         if self.source is None:
             self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
         for what, names in self.guessed.items():
-            warnings.warn(f"{listed(names)}: {what}" if names else what, stacklevel=6)
+            warn(f"{listed(names)}: {what}" if names else what)
