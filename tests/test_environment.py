@@ -719,6 +719,7 @@ def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     kitchen["fridge_webcam"].power(False)
     file = kitchen.save(tmp_path / "saved")
     assert file == tmp_path / "saved" / "scene.toml"
+    assert "\neye = [3.55, -4.1, 3.45]\n" in file.read_text(encoding="utf-8")
     loaded = ssduck.load(tmp_path / "saved").call_variable("kitchen")
     assert loaded.time == pytest.approx(kitchen.time)
     assert loaded.camera == kitchen.camera
