@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.demos.cleaner import Cleaner, Failed
 from ssduck.demos.kitchen import on
+from ssduck.demos.motion import Cleaner, Failed
 from ssduck.demos.results import keep_picture
 from ssduck.entities import Entity
 from ssduck.geometry import Array

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.broad import Flags
-from ssduck.demos.chain import Chain
-from ssduck.demos.obstacles import Surroundings
+from ssduck.demos.motion.kinematics import KinematicChain
+from ssduck.demos.motion.obstacles import Surroundings
 from ssduck.geometry import Array, Indices
 
 # Of an arm: how far anything moves between two postures of a path, m, and what is kept free.
@@ -34,7 +34,7 @@ class ArmSpace:
         apart: what is kept free around it, m.
     """
 
-    chain: Chain
+    chain: KinematicChain
     around: Surroundings
     base: Array
     others: Array
@@ -93,7 +93,7 @@ class BaseSpace:
         apart: what is kept free around it, m.
     """
 
-    chain: Chain
+    chain: KinematicChain
     around: Surroundings
     positions: Array
     height: float

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.broad import Flags, Pairs
-from ssduck.demos.chain import Chain, poses
+from ssduck.demos.motion.kinematics import KinematicChain, poses
 from ssduck.entities import Entity
 from ssduck.geometry import Array, Geometry, Indices, PlacedGeometry
 from ssduck.gjk import ABOVE, Bodies, Cores, compare
@@ -107,7 +107,7 @@ class Surroundings:
 
     def __init__(
         self,
-        chain: Chain,
+        chain: KinematicChain,
         robot: Entity,
         walls: Sequence[Wall],
         held: Held | None = None,
