@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import ssduck
-from ssduck.demos import cleaner as cleaner_module
-from ssduck.demos.chain import Chain
-from ssduck.demos.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
 from ssduck.demos.cleanup import ALLOWED, clean
-from ssduck.demos.motion import FASTEST, SWIFTEST, legs, timed
-from ssduck.demos.obstacles import Surroundings, walls_of
-from ssduck.demos.planning import length, plan, shortened
-from ssduck.demos.spaces import wrapped
+from ssduck.demos.motion import cleaner as cleaner_module
+from ssduck.demos.motion.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
+from ssduck.demos.motion.driving import FASTEST, SWIFTEST, legs, timed
+from ssduck.demos.motion.kinematics import KinematicChain
+from ssduck.demos.motion.obstacles import Surroundings, walls_of
+from ssduck.demos.motion.planning import length, plan, shortened
+from ssduck.demos.motion.spaces import wrapped
 from ssduck.simulators.scenes import find_scene
 from ssduck.world.world import World
 
@@ -43,7 +43,7 @@ def barrett(few):
 
 @pytest.fixture(scope="module")
 def chain(barrett):
-    return Chain.of(barrett)
+    return KinematicChain.of(barrett)
 
 
 def postures(chain, count, seed):

@@ -516,10 +516,12 @@ def test_what_stands_in_for_a_shape_is_told_of(client):
         physicsClientId=client,
     )
     number = pybullet.createMultiBody(0, shape, physicsClientId=client)
-    with pytest.warns(UserWarning, match="bounding boxes"):
+    with pytest.warns(UserWarning, match="bounding boxes") as caught:
         world = ssduck.World.attach(client, names={number: "field"})
-    with pytest.warns(UserWarning, match="field: not all shapes are given back"):
+    assert [w.filename for w in caught] == [__file__]
+    with pytest.warns(UserWarning, match="field: not all shapes are given back") as caught:
         copy = world.excerpt(world)
+    assert [w.filename for w in caught] == [__file__]
     assert copy["field"].aabb[0] == pytest.approx(world["field"].aabb[0])
     with ssduck.Interpreter() as ss:  # it is marked in the copy, too
         ss.add_variable("copy", copy)
@@ -578,6 +580,7 @@ def test_an_opened_record_makes_a_world_of_what_is_recorded(recorded, tmp_path):
         copy = opened.eval("SELECT obj FROM kitchen{0.5} AS environment;")
     said = [str(one.message) for one in told]
     assert len(said) == 2
+    assert {one.filename for one in told} == {__file__}
     assert said[0].startswith("fridge, cooker, barrett_4918")
     assert "only shapes, links, joints and masses are known" in said[0]
     assert said[1].startswith("gravity and time step are not recorded")
@@ -716,6 +719,7 @@ def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     kitchen["fridge_webcam"].power(False)
     file = kitchen.save(tmp_path / "saved")
     assert file == tmp_path / "saved" / "scene.toml"
+    assert "\neye = [3.55, -4.1, 3.45]\n" in file.read_text(encoding="utf-8")
     loaded = ssduck.load(tmp_path / "saved").call_variable("kitchen")
     assert loaded.time == pytest.approx(kitchen.time)
     assert loaded.camera == kitchen.camera

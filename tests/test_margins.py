@@ -114,8 +114,9 @@ def test_recorded_ticks_go_by_those_that_a_body_came_with_and_tell(sim, client):
             sim.step()
             assert ss.eval(ask.format(after).replace("on(", "clearance(")) > 0.0
             assert ss.eval("on(sim.low, sim.high);") is True
-        with pytest.warns(UserWarning, match="margins of low, high were changed"):
+        with pytest.warns(UserWarning, match="margins of low, high were changed") as caught:
             assert ss.eval(ask.format(after)) is False
+        assert [w.filename for w in caught] == [__file__]
         assert ss.eval(ask.format(before)) is True  # told once
 
 

@@ -138,10 +138,13 @@ def test_what_is_not_whole_is_noticed(run: Path, damage, told: str) -> None:
 def test_a_record_that_ends_early_says_so(run: Path, left: int) -> None:
     without(run, *range(left, PARTS))
     with (
-        pytest.warns(UserWarning, match=f"closed with {PARTS} parts, and ends after {left}"),
+        pytest.warns(
+            UserWarning, match=f"closed with {PARTS} parts, and ends after {left}"
+        ) as caught,
         ssduck.open(run) as ss,
     ):
         assert len(ss.past("lab").ticks) == 1 + 2 * left
+    assert {warning.filename for warning in caught} == {__file__}
 
 
 def test_a_whole_one_says_nothing(run: Path) -> None:

@@ -258,8 +258,9 @@ def test_ticks_are_numbered_and_timed(attached):
 
 def test_poses_that_are_no_numbers_become_null_and_are_told_once(attached, client):
     pybullet.resetBasePositionAndOrientation(0, [float("nan")] * 3, [0, 0, 0, 1], client)
-    with pytest.warns(UserWarning, match="body_0.*NULL"):
+    with pytest.warns(UserWarning, match="body_0.*NULL") as caught:
         attached.tick()
+    assert [w.filename for w in caught] == [__file__]
     attached.tick()  # a second warning would be an error here
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", attached)
@@ -286,8 +287,9 @@ def test_nothing_that_follows_from_an_unknown_number_is_known(attached, client, 
         place, turn = [0, 0, 2], [0, 0, 0, 1]
         (place if what == "position" else turn)[0] = nan
         pybullet.resetBasePositionAndOrientation(1, place, turn, client)
-    with pytest.warns(UserWarning, match=r"^body_1: .* is NULL"):
+    with pytest.warns(UserWarning, match=r"^body_1: .* is NULL") as caught:
         attached.ask(["links", "shapes"])
+    assert [w.filename for w in caught] == [__file__]
     entities, links, shapes = columns(attached, "entities", "links", "shapes")
     boxed = "xmin" if what != "velocity" else "vx"
     for table in (entities, links):

@@ -15,6 +15,7 @@ from ssduck.errors import (
     ParseError,
     ProgramWarning,
     SelectScriptError,
+    SqlError,
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
@@ -670,6 +671,24 @@ def test_warnings_are_of_the_users_line(world, door):
             ss.strict = False
         with pytest.warns(UserWarning, match="replaces") as caught:
             ss.add_function("count", lambda _: 3)
+        assert [warning.filename for warning in caught] == [__file__]
+
+
+def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
+    fetched = queries.Planned._fetched
+
+    def refused(planned, *args):
+        if not planned.plan.cautious:
+            raise SqlError("no such thing", is_refused=True)
+        return fetched(planned, *args)
+
+    text = "SELECT id FROM kitchen WHERE 10 / (1 + mass(this)) > 5 AS list;"
+    with _interpreter(world, row_by_row=False) as ss:
+        expected = ss.eval(text)
+    monkeypatch.setattr(queries.Planned, "_fetched", refused)
+    with _interpreter(world, row_by_row=False) as ss:
+        with pytest.warns(UserWarning, match="DuckDB refused a query's SQL: no such") as caught:
+            assert ss.eval(text) == expected
         assert [warning.filename for warning in caught] == [__file__]
 
 

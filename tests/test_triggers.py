@@ -566,8 +566,9 @@ def test_a_callback_that_raises_does_not_stop_the_world(ss, sim):
 
     with pytest.warns(
         TriggerWarning, match="trigger 't': its callback failed: ValueError: at the top"
-    ):
+    ) as caught:
         ss.add_trigger("t", HEIGHT, 0.1, callback)
+    assert [w.filename for w in caught] == [__file__]
     with pytest.warns(TriggerWarning, match="ValueError: too low") as caught:
         sim.step(240)
     assert sim.time == pytest.approx(1)
@@ -587,7 +588,7 @@ def test_a_program_that_fails_does_not_stop_the_world(ss, sim):
         TriggerWarning, match="trigger 't': its program failed: EvaluationError"
     ) as caught:
         sim.step(3)
-    assert len(caught) == 1
+    assert [w.filename for w in caught] == [__file__]
     ss.eval("clear('v');")
     with pytest.warns(TriggerWarning, match="UnknownNameError: there is no variable 'v'") as caught:
         sim.step(2)
@@ -842,8 +843,9 @@ def test_closing_does_not_wait_for_ever(ss, sim, monkeypatch):
     got = []
     ss.add_trigger("t", HEIGHT, 0, lambda _: got.append(1) or go.wait(10), queue=1)
     until(lambda: got)
-    with pytest.warns(TriggerWarning, match="trigger 't': its callback is still running"):
+    with pytest.warns(TriggerWarning, match="trigger 't': its callback is still running") as caught:
         ss.close()
+    assert [w.filename for w in caught] == [__file__]
     go.set()
 
 

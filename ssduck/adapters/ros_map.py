@@ -7,10 +7,7 @@ is at `origin`. The key `z` is ssduck's own, and of no account to others.
 
 from __future__ import annotations
 
-import ast
-import json
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +19,6 @@ from ssduck.formatting import reason
 
 FREE, OCCUPIED = 254, 0
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
-# What YAML reads as a text without quotes.
-_PLAIN = re.compile(r"\w[\w.-]*\.pgm", re.ASCII)
 _NEEDED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
 
@@ -35,6 +30,7 @@ def save(
     z: float | tuple[float, float],
 ) -> Path:
     """Write both files; gives the path of the YAML file."""
+    import yaml
     from PIL import Image
 
     path = path if path.suffix else path.with_suffix(".yaml")
@@ -42,8 +38,8 @@ def save(
     if picture == path:
         raise ArgumentError(f"{path} is where the picture goes; name the YAML file, map.yaml say")
     pixels = np.where(cells.T[::-1], OCCUPIED, FREE).astype(np.uint8)
-    told = {
-        "image": _text(picture.name),
+    values = {
+        "image": picture.name,
         "resolution": resolution,
         "origin": [*origin, 0.0],
         "negate": 0,
@@ -51,23 +47,14 @@ def save(
         "free_thresh": FREE_THRESH,
         "z": list(z) if isinstance(z, tuple) else z,
     }
-    lines = [f"{key}: {value}\n" for key, value in told.items()]
     try:
-        text = "".join(lines).encode()  # before anything is written: not all names can be told
+        str(path).encode()  # before anything is written: some names are no text
         Image.fromarray(pixels).save(picture, "PPM")
-        path.write_bytes(text)
+        with path.open("w", encoding="utf-8", newline="\n") as file:
+            yaml.safe_dump(values, file, sort_keys=False, default_flow_style=None, width=math.inf)
     except (OSError, ValueError) as error:  # a null character is a ValueError
         raise ArgumentError(f"{path} cannot be written: {reason(error)}") from error
     return path
-
-
-def _text(name: str) -> str:
-    """A file's name as YAML has it: in quotes where it would be read as something else."""
-    if _PLAIN.fullmatch(name):
-        return name
-    quoted = json.dumps(name, ensure_ascii=False)
-    # YAML takes these for ends of lines, or refuses them; JSON does not.
-    return re.sub("[\x7f-\x9f\u2028\u2029\ufeff]", lambda m: f"\\u{ord(m[0]):04x}", quoted)
 
 
 def load(
@@ -80,14 +67,14 @@ def load(
     """
     from PIL import Image
 
-    told = _told(path)
+    values = _values(path)
     try:
-        with Image.open(path.parent / str(told["image"])) as picture:
+        with Image.open(path.parent / str(values["image"])) as picture:
             shade = np.asarray(picture.convert("L"), dtype=np.float64).T[:, ::-1] / 255.0
-        x, y, turn = map(float, told["origin"])
-        resolution = float(told["resolution"])
-        thresholds = float(told["occupied_thresh"]), float(told["free_thresh"])
-        height = told.get("z", 0.0)
+        x, y, turn = map(float, values["origin"])
+        resolution = float(values["resolution"])
+        thresholds = float(values["occupied_thresh"]), float(values["free_thresh"])
+        height = values.get("z", 0.0)
         z = tuple(map(float, height)) if isinstance(height, list) else float(height)
     except (OSError, TypeError, ValueError) as error:
         raise ArgumentError(f"{path} cannot be read as a map: {reason(error)}") from error
@@ -95,11 +82,11 @@ def load(
         raise ArgumentError(
             f"{path} cannot be read as a map: resolution {resolution:g}, origin {x:g}, {y:g}"
         )
-    if told.get("mode") == "raw":
+    if values.get("mode") == "raw":
         raise ArgumentError(f"{path}: the mode is raw; trinary and scale can be read")
     if turn != 0.0:
         raise ArgumentError(f"{path}: the map is turned by {turn:g} rad; grids are along the axes")
-    if told["negate"] not in (1, "true", "True"):
+    if values["negate"] not in (1, "true", "True"):
         shade = 1.0 - shade
     occupied, free = shade > thresholds[0], shade < thresholds[1]
     lost = int((~occupied & ~free).sum())
@@ -111,21 +98,18 @@ def load(
     return (~free if unknown else occupied), (x, y), resolution, z  # type: ignore[return-value]
 
 
-def _told(path: Path) -> dict[str, Any]:
-    """The keys and values of the YAML file: the part of YAML that such files are written in."""
+def _values(path: Path) -> dict[str, Any]:
+    """The keys and values of the YAML file."""
+    import yaml
+
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise ArgumentError(f"{path} cannot be read: {line}{error.problem}") from error
+    except (OSError, ValueError, yaml.YAMLError) as error:
         raise ArgumentError(f"{path} cannot be read: {reason(error)}") from error
-    found: dict[str, Any] = {}
-    for line in text.splitlines():
-        key, _, value = map(str.strip, line.partition(":"))
-        if key.startswith("#") or not value or value.startswith("#"):
-            continue
-        try:
-            found[key] = ast.literal_eval(value)  # passes over a comment, too
-        except (ValueError, SyntaxError):
-            found[key] = value.partition(" #")[0].rstrip()
+    found: dict[str, Any] = values if isinstance(values, dict) else {}
     missing = [key for key in _NEEDED if key not in found]
     if missing:
         raise ArgumentError(f"{path} is no map of ROS's map_server: it has no {missing[0]}")

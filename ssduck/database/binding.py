@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -13,7 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.errors import EvaluationError, UnsupportedError
+from ssduck.errors import EvaluationError, UnsupportedError, warn
 from ssduck.formatting import listed
 from ssduck.geometry.queries import Shapes
 from ssduck.recording.recorder import Recorder
@@ -197,11 +196,10 @@ class Bound:
         new = [name for name in snapshot.repadded if name not in self._repadded]
         if new:
             self._repadded.update(new)
-            warnings.warn(
+            warn(
                 f"{self.world.name!r}: the collision margins of {listed(new)} were changed; "
                 "recorded ticks go by those that a body came with, so that on, touching and "
                 "their like may differ there from what the simulator did",
-                stacklevel=2,
             )
 
     def joints(self, tick: int, id: int) -> Joints:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.demos.cleaner import Cleaner, Failed
 from ssduck.demos.kitchen import on
+from ssduck.demos.motion import Cleaner, Failed
 from ssduck.demos.results import keep_picture
 from ssduck.geometry.shapes import Array
 from ssduck.interpreter.interpreter import Interpreter

@@ -19,9 +19,9 @@ from ssduck.errors import (
     LimitError,
     ProgramWarning,
     SelectScriptError,
+    warn,
 )
 from ssduck.formatting import shown
-from ssduck.interpreter.caller_warnings import warn
 from ssduck.interpreter.linter import Doubts
 from ssduck.interpreter.namespace import Names
 from ssduck.interpreter.planner import Planner

@@ -11,9 +11,8 @@ from typing import Any
 
 from ssduck.adapters.registry import tables_of_forms
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import shown
-from ssduck.interpreter.caller_warnings import warn
 from ssduck.interpreter.output import help_of_forms
 from ssduck.interpreter.sources import within
 from ssduck.interpreter.temporal_functions import FORMS

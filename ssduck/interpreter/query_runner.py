@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import islice
@@ -14,7 +13,7 @@ from sqlglot import exp
 
 from ssduck.database.database import Database, Statement
 from ssduck.database.values import to_sql
-from ssduck.errors import ArgumentError, SelectScriptError, SqlError
+from ssduck.errors import ArgumentError, SelectScriptError, SqlError, warn
 from ssduck.interpreter.sources import all_elements, arrow_of, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (
@@ -148,7 +147,7 @@ class Planned:
             if self.plan.cautious or error.is_final:
                 raise _of_relation(error) from error
             if error.is_refused:  # our mistake: the answer is right, but slow
-                warnings.warn(f"DuckDB refused a query's SQL: {error.message}", stacklevel=2)
+                warn(f"DuckDB refused a query's SQL: {error.message}")
             self._failures += 1
             raise SqlFailedError from error
         except JointError as error:  # of a row that a condition may leave out

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import warnings
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from ssduck.errors import SimulatorError
+from ssduck.errors import SimulatorError, warn
 from ssduck.formatting import listed
 from ssduck.schema import MASSES
 
@@ -33,8 +32,7 @@ class Reweighed:
         new = list(self._names.values())[self._warned :]
         self._warned += len(new)
         if new:
-            warnings.warn(
+            warn(
                 f"{world.name}: {listed(new)}: the mass was changed while it is recorded; recorded "
                 "ticks tell the mass that a body had when it was first recorded",
-                stacklevel=2,
             )

@@ -49,7 +49,8 @@ def _sum(
         context.risk()  # Python's integers have no end
     sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
     extent = Extent.FINITE if tag == INTEGER else _extent(kind, left, right)
-    return SqlValue(exp.paren(sql), tag, wide=tag == INTEGER, extent=extent)
+    # Copied at each term, a long sum would take time that grows with the square of its length.
+    return SqlValue(exp.paren(sql, copy=False), tag, wide=tag == INTEGER, extent=extent)
 
 
 def _quotient(context: Context, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:

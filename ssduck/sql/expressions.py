@@ -192,7 +192,7 @@ class Expressions(ExpressionScope):
             return likeness(left_value, right_value)
         if sign == "+" and left_value.tag.type == right_value.tag.type == "text":
             joined = exp.DPipe(this=wrapped(left_value.sql), expression=wrapped(right_value.sql))
-            return SqlValue(exp.paren(joined), TEXT)
+            return SqlValue(exp.paren(joined, copy=False), TEXT)
         if sign == "+" and left_value.tag.type == right_value.tag.type == "list":
             return concatenation(left_value, right_value)
         return arithmetic(self.context, node, left_value, right_value)
@@ -235,8 +235,9 @@ def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
     middle = (len(sides) + 1) // 2
     left, right = _joined(sign, sides[:middle]), _joined(sign, sides[middle:])
     if sign == "XOR":
-        return exp.paren(exp.NEQ(this=wrapped(left), expression=wrapped(right)))
-    return exp.paren(exp.and_(left, right) if sign == "AND" else exp.or_(left, right))
+        return exp.paren(exp.NEQ(this=wrapped(left), expression=wrapped(right)), copy=False)
+    connect = exp.and_ if sign == "AND" else exp.or_
+    return exp.paren(connect(left, right, copy=False), copy=False)
 
 
 def _is_short(items: Sequence[Node]) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
+
+import tomli_w
 
 from ssduck.errors import SceneError
 from ssduck.simulators.backends import backend
@@ -17,6 +19,8 @@ from ssduck.world.excerpt import originals_of, sensors_of, tick_of
 from ssduck.world.snapshot import Snapshot
 
 FILE = "scene.toml"
+# An array of numbers, which tomli-w writes a line each.
+_ARRAY = re.compile(r"\[\n((?: {4}[^ ]+,\n)+)\]")
 
 # What of a scene, and of each of its parts, is told otherwise than by its own name.
 _SCENE = ("description", "gravity", "timestep", "time", "elastic")
@@ -50,63 +54,48 @@ def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path) -> Scene:
 def write_scene(scene: Scene, folder: Path) -> Path:
     """Write the file of a scene into its folder."""
     file = folder / FILE
-    file.write_text("\n".join(_lines(scene, folder)) + "\n", encoding="utf-8")
+    text = tomli_w.dumps(_document(scene, folder))
+    file.write_text(_ARRAY.sub(_on_one_line, text), encoding="utf-8")
     return file
 
 
-def _lines(scene: Scene, folder: Path) -> Iterator[str]:
-    """The lines of a scene's file; what is as it is without being said is left out."""
-    yield f"name = {_told(scene.name)}"
-    for name in _SCENE:
-        if getattr(scene, name) != getattr(Scene, name):
-            yield f"{name} = {_told(getattr(scene, name))}"
-    yield from _table("[camera]", scene.camera, Camera())
-    yield from _table("[engine]", scene.engine, Engine(0, 50, 1))
-    for body in scene.bodies:
-        yield from _table("[[body]]", body, BodySpec("", None, Path()), folder)
-    for sensor in scene.sensors:
-        yield from _sensor(sensor)
-    for constraint in scene.constraints:
-        yield from _table("[[constraint]]", constraint, ConstraintSpec("", ""))
+def _document(scene: Scene, folder: Path) -> dict[str, Any]:
+    """A scene's file; what is as it is without being said is left out."""
+    values = {name: getattr(scene, name) for name in _SCENE}
+    document = {
+        "name": scene.name,
+        **{name: value for name, value in values.items() if value != getattr(Scene, name)},
+        "camera": _changed(scene.camera, Camera()),
+        "engine": _changed(scene.engine, Engine(0, 50, 1)),
+        "body": [_body(body, folder) for body in scene.bodies],
+        "sensor": list(map(_sensor, scene.sensors)),
+        "constraint": [_changed(one, ConstraintSpec("", "")) for one in scene.constraints],
+    }
+    return {name: value for name, value in document.items() if value not in ({}, [])}
 
 
-def _table(header: str, part: Any, plain: Any, folder: Path | None = None) -> Iterator[str]:
+def _changed(part: Any, plain: Any) -> dict[str, Any]:
     values = {f.name: getattr(part, f.name) for f in fields(part)}
-    told = {name: value for name, value in values.items() if value != getattr(plain, name)}
-    if not told and not header.startswith("[["):
-        return
-    yield from ("", header)
-    for name, value in told.items():
-        if isinstance(value, Path):
-            assert folder is not None
-            yield f"urdf = {_told(value.relative_to(folder).as_posix())}"
-        else:
-            yield f"{name} = {_told(value)}"
+    return {name: value for name, value in values.items() if value != getattr(plain, name)}
 
 
-def _sensor(sensor: SensorSpec) -> Iterator[str]:
-    yield from ("", "[[sensor]]")
-    for name in ("name", "type", "on", "link", "position", "orientation", "period"):
-        value = getattr(sensor, name)
-        if value is not None:
-            yield f"{name} = {_told(value)}"
+def _body(body: BodySpec, folder: Path) -> dict[str, Any]:
+    urdf = body.model.relative_to(folder).as_posix()
+    plain = BodySpec(body.name, body.kind, body.model)
+    values = {"name": body.name, "kind": body.kind, "urdf": urdf, **_changed(body, plain)}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _sensor(sensor: SensorSpec) -> dict[str, Any]:
+    names = ("name", "type", "on", "link", "position", "orientation", "period")
+    values = {name: getattr(sensor, name) for name in names}
     if sensor.max_range:
-        yield f"max_range = {_told(sensor.max_range)}"
+        values["max_range"] = sensor.max_range
     if not sensor.powered:
-        yield "powered = false"
-    for name, value in sensor.settings.items():
-        yield f"{name} = {_told(value)}"
+        values["powered"] = False
+    values |= sensor.settings
+    return {name: value for name, value in values.items() if value is not None}
 
 
-def _told(value: Any) -> str:
-    """A value as TOML; numbers to the last digit."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        # As in JSON, but for the one character that TOML wants escaped and JSON does not.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_told(k)} = {_told(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_told, value)) + "]"
-    return repr(value)
+def _on_one_line(array: re.Match[str]) -> str:
+    return "[" + " ".join(array[1].split()).rstrip(",") + "]"

@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import copy
 import time
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate, chain
 from typing import Any
 
 import numpy as np
 
-from ssduck.errors import UnsupportedError
+from ssduck.errors import UnsupportedError, warn
 from ssduck.geometry.batch import Sorts
 from ssduck.geometry.distance import Counter
 from ssduck.geometry.narrow_phase import Narrow
@@ -493,10 +492,9 @@ class Snapshot:
             member = self.members[row]
             if member.id not in self._warned:
                 self._warned.add(member.id)
-                warnings.warn(
+                warn(
                     f"{member.name}: the simulator gives a pose or a velocity that is no number; "
                     "what follows from it is NULL",
-                    stacklevel=5,
                 )
 
     def _write_contacts(self, contacts: Sequence[Contact]) -> None:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any, Protocol
 from weakref import WeakSet
 
-from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import shown
 from ssduck.interpreter.program import Compiled
 from ssduck.interpreter.triggers.conditions import Terms, When
@@ -222,10 +221,9 @@ class Triggers:
         self._followed.clear()
         for trigger in triggers:
             if trigger.inbox is not None and not trigger.inbox.join(PATIENCE):
-                warnings.warn(
+                warn(
                     f"trigger {trigger.terms.name!r}: its callback is still running",
                     TriggerWarning,
-                    stacklevel=3,
                 )
 
     # -- worlds (ssduck.world.observers.Follower) -------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from ssduck.errors import warn
 from ssduck.interpreter.program import Compiled
 from ssduck.interpreter.triggers.callback_queue import Inbox
 from ssduck.interpreter.triggers.conditions import Settling, Terms
@@ -238,7 +238,7 @@ class _Log:
         told = f"trigger {self.name!r}: its {what} failed: {type(error).__name__}: {error}"
         if told not in self._warned and len(self._warned) < MOST_WARNINGS:
             self._warned.add(told)
-            warnings.warn(told, TriggerWarning, stacklevel=2)
+            warn(told, TriggerWarning)
 
 
 def _guarded(callback: Callable[[Any], object], log: _Log) -> Callable[[Any], object]:

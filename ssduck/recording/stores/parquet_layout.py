@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -33,7 +32,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, warn
 from ssduck.recording.buffers import FRAMES, Ticks
 from ssduck.recording.episode import Episode
 
@@ -133,10 +132,9 @@ class FolderRun:
             if is_model:
                 raise RecordError(f"{place / part_name(len(found))} is missing")
             if table == "ticks":
-                warnings.warn(
+                warn(
                     f"{place / part_name(len(found))} is missing: the record of {self.world!r} was "
                     f"closed with {wanted} parts, and ends after {len(found)} of them",
-                    stacklevel=2,
                 )
         return found
 

@@ -19,7 +19,6 @@ What PyBullet does, as measured with 3.2.7:
 from __future__ import annotations
 
 import tempfile
-import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -28,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssduck.errors import SimulatorError
+from ssduck.errors import SimulatorError, warn
 from ssduck.formatting import listed
 from ssduck.geometry.shapes import Array, compose, invert
 from ssduck.simulators.backends import Original, Tick
@@ -376,4 +375,4 @@ class _Copier:
         if self.source is None:
             self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
         for what, names in self.guessed.items():
-            warnings.warn(f"{listed(names)}: {what}" if names else what, stacklevel=6)
+            warn(f"{listed(names)}: {what}" if names else what)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import gc
 import math
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck import validation as checks
-from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
+from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
 from ssduck.formatting import listed, shown
 from ssduck.geometry.shapes import (
     Array,
@@ -491,12 +490,11 @@ def _handles(client: int) -> list[int]:
 
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
-        warnings.warn(
+        warn(
             f"{listed([body.name for body in bodies])}: PyBullet does not give back "
             "all shapes (a height field is such a shape); bounding boxes are used instead, which "
             "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
             "the shapes themselves",
-            stacklevel=2,
         )
 
 

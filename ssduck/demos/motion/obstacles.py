@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.demos.chain import Chain, poses
+from ssduck.demos.motion.kinematics import KinematicChain, poses
 from ssduck.geometry.broad_phase import Flags, Pairs
 from ssduck.geometry.gjk import ABOVE, Bodies, Cores, compare
 from ssduck.geometry.shapes import Array, Geometry, Indices, PlacedGeometry
@@ -107,7 +107,7 @@ class Surroundings:
 
     def __init__(
         self,
-        chain: Chain,
+        chain: KinematicChain,
         robot: Entity,
         walls: Sequence[Wall],
         held: Held | None = None,

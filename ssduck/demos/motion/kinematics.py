@@ -46,7 +46,7 @@ def inverse(pose: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class KinematicChain:
     """The links of a robot, and how its joints move them.
 
     Attributes:
@@ -66,7 +66,7 @@ class Chain:
     upper: Array
 
     @classmethod
-    def of(cls, robot: Entity) -> Chain:
+    def of(cls, robot: Entity) -> KinematicChain:
         """The chain of a robot, worked out from where its links are at this tick."""
         world = robot.world
         body = robot.body_of(world.snapshot.members[world.snapshot.rows[robot.id]], "plan for")

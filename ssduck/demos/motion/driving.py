@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ssduck.demos.chain import Chain
-from ssduck.demos.spaces import BaseSpace, wrapped
+from ssduck.demos.motion.kinematics import KinematicChain
+from ssduck.demos.motion.spaces import BaseSpace, wrapped
 from ssduck.geometry.shapes import Array, Indices
 from ssduck.world.entities import Entity
 
@@ -44,7 +44,7 @@ class Mover:
     """
 
     robot: Entity
-    chain: Chain
+    chain: KinematicChain
     arm: Indices
     wheels: tuple[str, str]
     radius: float

@@ -8,11 +8,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from ssduck.demos.chain import Chain
-from ssduck.demos.motion import Mover
-from ssduck.demos.obstacles import Held, Surroundings, Wall, hull_in, walls_of
-from ssduck.demos.planning import plan, shortened
-from ssduck.demos.spaces import ARM_APART, ARM_SPACING, BASE_APART, ArmSpace, BaseSpace
+from ssduck.demos.motion.driving import Mover
+from ssduck.demos.motion.kinematics import KinematicChain
+from ssduck.demos.motion.obstacles import Held, Surroundings, Wall, hull_in, walls_of
+from ssduck.demos.motion.planning import plan, shortened
+from ssduck.demos.motion.spaces import ARM_APART, ARM_SPACING, BASE_APART, ArmSpace, BaseSpace
 from ssduck.errors import StateError
 from ssduck.geometry.broad_phase import Flags
 from ssduck.geometry.shapes import Array, Indices
@@ -113,7 +113,7 @@ class Cleaner:
     ) -> None:
         self.robot, self.rng = robot, rng
         self.world: World = robot.world
-        self.chain = Chain.of(robot)
+        self.chain = KinematicChain.of(robot)
         self.arm = self.chain.columns(ARM)
         self.hand = self.chain.link("arm7")
         self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, after)

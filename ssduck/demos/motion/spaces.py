@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.demos.chain import Chain
-from ssduck.demos.obstacles import Surroundings
+from ssduck.demos.motion.kinematics import KinematicChain
+from ssduck.demos.motion.obstacles import Surroundings
 from ssduck.geometry.broad_phase import Flags
 from ssduck.geometry.shapes import Array, Indices
 
@@ -34,7 +34,7 @@ class ArmSpace:
         apart: what is kept free around it, m.
     """
 
-    chain: Chain
+    chain: KinematicChain
     around: Surroundings
     base: Array
     others: Array
@@ -93,7 +93,7 @@ class BaseSpace:
         apart: what is kept free around it, m.
     """
 
-    chain: Chain
+    chain: KinematicChain
     around: Surroundings
     positions: Array
     height: float
