@@ -14,10 +14,11 @@ setup: ## make .venv with everything that development needs
 test: ## run the tests
 	$(PYTHON) -m pytest
 
-lint: ## check style and types, and that what is generated is up to date
+lint: ## check style, types and layers, and that what is generated is up to date
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
+	$(PYTHON) -c "from importlinter.cli import lint_imports_command as lint; lint()" --no-cache
 	$(PYTHON) -m tools.build_kitchen --check
 	$(PYTHON) -m tools.build_hall --check
 	$(PYTHON) -m tools.build_chaos --check

@@ -29,12 +29,12 @@ import ssduck
 from benchmarks.ticks import kitchen
 from benchmarks.timing import Way, minima, printed, shown, shown_finely
 from ssduck import Recording
-from ssduck.geometry import Array
-from ssduck.memory import Memory
-from ssduck.recorder import RING_TICKS, Recorder
-from ssduck.rings import STORED
-from ssduck.simulators.pybullet import PyBulletSimulator
-from ssduck.storing import Storing
+from ssduck.geometry.shapes import Array
+from ssduck.recording.background_writer import Storing
+from ssduck.recording.buffers import STORED
+from ssduck.recording.recorder import RING_TICKS, Recorder
+from ssduck.recording.stores.memory import Memory
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 Scene: TypeAlias = Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]
 Numbers: TypeAlias = npt.NDArray[Any]

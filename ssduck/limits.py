@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ssduck import checks
+from ssduck import validation as checks
 from ssduck.errors import LimitError, NumberError
-from ssduck.messages import shown
+from ssduck.formatting import shown
 
 # So many rows, calls or paths are counted before the clock is looked at.
 _STRIDE = 8

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ssduck import checks
+from ssduck import validation as checks
 from ssduck.errors import ArgumentError
-from ssduck.messages import shown
+from ssduck.formatting import shown
 
 
 def number(value: Any, what: str) -> float:

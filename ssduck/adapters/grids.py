@@ -11,18 +11,18 @@ import numpy as np
 
 from ssduck.adapters.arguments import number, numbers, positive, whole
 from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.grid_values import MOST_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
-from ssduck.entities import Entity, Sensor
 from ssduck.errors import ArgumentError
-from ssduck.geometry import Array, rotation_matrices
-from ssduck.grids import MOST_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
-from ssduck.messages import shown
-from ssduck.rasters import ROUNDED, Raster
-from ssduck.sensors import SENSOR_TYPES
-from ssduck.sightlines import are_blocked
-from ssduck.slicing import Slicer
-from ssduck.solids import PlacedSolids
-from ssduck.tree import Bare, Call, Name, Query, This
+from ssduck.formatting import shown
+from ssduck.geometry.line_of_sight import are_blocked
+from ssduck.geometry.raster import ROUNDED, Raster
+from ssduck.geometry.rasterize import Slicer
+from ssduck.geometry.shapes import Array, rotation_matrices
+from ssduck.geometry.solids import PlacedSolids
+from ssduck.language.tree import Bare, Call, Name, Query, This
+from ssduck.simulators.sensor_types import SENSOR_TYPES
+from ssduck.world.entities import Entity, Sensor
 
 # Cells that sensors look at together.
 _TOGETHER = 1_000_000

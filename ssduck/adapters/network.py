@@ -9,12 +9,12 @@ from typing import Any, TypeAlias
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.clauses import Clause, clauses, with_arguments
 from ssduck.adapters.columns import distinct, plain_value
+from ssduck.adapters.display import readable
 from ssduck.adapters.optional import library
-from ssduck.answers import readable
-from ssduck.entities import Entity
 from ssduck.errors import ArgumentError
-from ssduck.messages import shown
-from ssduck.tree import Call, ListOf, Name, Node, Query, This
+from ssduck.formatting import shown
+from ssduck.language.tree import Call, ListOf, Name, Node, Query, This
+from ssduck.world.entities import Entity
 
 # None, or of several edges between two nodes the relation or the number of the row.
 Key: TypeAlias = str | int | None

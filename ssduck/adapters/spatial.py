@@ -11,12 +11,12 @@ import numpy as np
 from ssduck.adapters.arguments import positive, whole
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.files import check_file, replace_file
+from ssduck.adapters.highlight import highlighted
+from ssduck.adapters.point_cloud import PointCloud, sampled
 from ssduck.adapters.shapes import SHAPES, shapes_of
-from ssduck.checks import MOST_PIXELS
 from ssduck.errors import ArgumentError
-from ssduck.highlight import highlighted
-from ssduck.point_cloud import PointCloud, sampled
-from ssduck.solids import Solid
+from ssduck.geometry.solids import Solid
+from ssduck.validation import MOST_PIXELS
 
 if TYPE_CHECKING:
     import trimesh

@@ -14,11 +14,11 @@ import pyarrow as pa
 from ssduck.adapters.arguments import whole
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.columns import distinct, plain_value, table_of
+from ssduck.adapters.display import as_json
 from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.optional import library
-from ssduck.answers import as_json
-from ssduck.result import Result, values_of
-from ssduck.types import EXACT
+from ssduck.adapters.result import Result, values_of
+from ssduck.sql.types import EXACT
 
 # What numpy's integers of 64 bits hold.
 _MOST = 2**63

@@ -17,7 +17,7 @@ import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck import ctrl_c
+from ssduck.database import interrupts as ctrl_c
 from ssduck.database.writer import Writer
 from ssduck.errors import (
     EvaluationError,
@@ -28,11 +28,11 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
+from ssduck.formatting import shown
 from ssduck.limits import Limits, Meter
-from ssduck.messages import shown
-from ssduck.paths import given_path
-from ssduck.recorder import Recorder
-from ssduck.relations import TOLD_BY
+from ssduck.recording.paths import given_path
+from ssduck.recording.recorder import Recorder
+from ssduck.sql.relations.relation import TOLD_BY
 
 T = TypeVar("T")
 

@@ -14,19 +14,28 @@ from typing import Any, TypeVar
 import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 
-from ssduck.colliding import Asked, Question
-from ssduck.database.bound import Bound
+from ssduck.database.binding import Bound
 from ssduck.database.connection import Connection
+from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
-from ssduck.functions import Function
-from ssduck.history import Near
-from ssduck.joints import JointError, Joints
-from ssduck.memo import Memo
-from ssduck.record import PAIR, Record
-from ssduck.relations import ANY, CHECKED_TICK
-from ssduck.shapes import ANSWERS, depth
-from ssduck.types import Converter, Signature, Tag, converter, is_exactly
-from ssduck.udfs import BY_MARGINS, JOINTS, MARGINS, NARROW, OF_WHOLE_TICK, THEN, THEN_TOLD
+from ssduck.geometry.batch import Asked, Question
+from ssduck.geometry.queries import ANSWERS, depth
+from ssduck.language.builtins import Function
+from ssduck.language.memo import Memo
+from ssduck.recording.replay.record import PAIR, Record
+from ssduck.recording.stores.duckdb import Near
+from ssduck.simulators.joints import JointError, Joints
+from ssduck.sql.relations.registry import (
+    BY_MARGINS,
+    JOINTS,
+    MARGINS,
+    NARROW,
+    OF_WHOLE_TICK,
+    THEN,
+    THEN_TOLD,
+)
+from ssduck.sql.relations.relation import ANY, CHECKED_TICK
+from ssduck.sql.types import Signature, Tag
 
 
 def add_users(

@@ -5,17 +5,17 @@ from __future__ import annotations
 from itertools import count
 from pathlib import Path
 
-from ssduck.database.bound import Bound, Kept
+from ssduck.database.binding import Bound, Kept
 from ssduck.database.connection import Connection
 from ssduck.errors import UnsupportedError
-from ssduck.history import History
-from ssduck.memory import Memory
-from ssduck.record import Record
-from ssduck.recorded_world import RecordedWorld
-from ssduck.recorder import MEMORY_TICKS, RING_TICKS, Recorder
-from ssduck.recording import Recording, check_names
-from ssduck.sealed import PART_TICKS, Folder, FolderRecording
-from ssduck.world import World
+from ssduck.recording.recorder import MEMORY_TICKS, RING_TICKS, Recorder
+from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.replayed_world import RecordedWorld
+from ssduck.recording.spec import Recording, check_names
+from ssduck.recording.stores.duckdb import History
+from ssduck.recording.stores.memory import Memory
+from ssduck.recording.stores.parquet import PART_TICKS, Folder, FolderRecording
+from ssduck.world.world import World
 
 
 class Recorders:

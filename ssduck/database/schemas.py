@@ -6,14 +6,14 @@ from collections.abc import Collection, Sequence
 
 from sqlglot import exp
 
-from ssduck.catalog import described, dropped, formulas
-from ssduck.database.asked import behind_a_schema
-from ssduck.database.bound import Bound, Kept
+from ssduck.database.binding import Bound, Kept
 from ssduck.database.connection import Connection
-from ssduck.history import History, history_name, model_name, not_recorded, quoted
-from ssduck.models import MODELS
-from ssduck.recording import RECORDABLE
-from ssduck.tables import TABLES, second_names
+from ssduck.database.macros import described, dropped, formulas
+from ssduck.database.referenced_tables import behind_a_schema
+from ssduck.recording.spec import RECORDABLE
+from ssduck.recording.static_tables import MODELS
+from ssduck.recording.stores.duckdb import History, history_name, model_name, not_recorded, quoted
+from ssduck.schema import TABLES, second_names
 
 _HISTORIES = {history_name(table): table for table in ("ticks", *RECORDABLE)}
 _MODELS = tuple(map(model_name, MODELS))

@@ -8,16 +8,16 @@ from itertools import chain, count
 
 from sqlglot import exp
 
-from ssduck.database.bound import Bound, Kept
+from ssduck.database.binding import Bound, Kept
 from ssduck.database.connection import Connection
 from ssduck.database.recorders import Recorders
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import Plans
 from ssduck.errors import ArgumentError
-from ssduck.history import ABOUT
-from ssduck.recorded_world import RecordedWorld
-from ssduck.recording import Recording
-from ssduck.world import UNNAMED, World
+from ssduck.recording.replay.replayed_world import RecordedWorld
+from ssduck.recording.spec import Recording
+from ssduck.recording.stores.duckdb import ABOUT
+from ssduck.world.world import UNNAMED, World
 
 # Schemas that DuckDB has already.
 _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))

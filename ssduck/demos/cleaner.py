@@ -8,16 +8,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from ssduck.broad import Flags
 from ssduck.demos.chain import Chain
 from ssduck.demos.motion import Mover
 from ssduck.demos.obstacles import Held, Surroundings, Wall, hull_in, walls_of
 from ssduck.demos.planning import plan, shortened
 from ssduck.demos.spaces import ARM_APART, ARM_SPACING, BASE_APART, ArmSpace, BaseSpace
-from ssduck.entities import Entity
 from ssduck.errors import StateError
-from ssduck.geometry import Array, Indices
-from ssduck.world import World
+from ssduck.geometry.broad_phase import Flags
+from ssduck.geometry.shapes import Array, Indices
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
 
 T = TypeVar("T")
 

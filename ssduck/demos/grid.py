@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 if TYPE_CHECKING:
-    from ssduck.entities import Entity
-    from ssduck.interpreter import Interpreter
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.world.entities import Entity
 
 Cell: TypeAlias = tuple[int, int]
 Place: TypeAlias = tuple[float, float]

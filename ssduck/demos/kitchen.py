@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssduck.answers import answer_of, console_of_answers, fitted, readable
+from ssduck.adapters.display import answer_of, console_of_answers, fitted, readable
 from ssduck.demos.drawing import save
 from ssduck.demos.results import keep_picture
-from ssduck.scenes import Scene, find_scene, shipped_scenes
+from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
-    from ssduck.interpreter import Interpreter
+    from ssduck.interpreter.interpreter import Interpreter
 
 # Of both languages, and of Python's as far as the demonstration uses them.
 _KEYWORDS = (
@@ -177,7 +177,7 @@ def ask(
     Raises:
         SelectScriptError: the scene cannot be loaded, or the picture not be written.
     """
-    from ssduck.opening import load
+    from ssduck.interpreter.opening import load
 
     console = console_of_answers()
     asked = questions(scene)

@@ -10,8 +10,8 @@ import numpy as np
 
 from ssduck.demos.chain import Chain
 from ssduck.demos.spaces import BaseSpace, wrapped
-from ssduck.entities import Entity
-from ssduck.geometry import Array, Indices
+from ssduck.geometry.shapes import Array, Indices
+from ssduck.world.entities import Entity
 
 # Steps of the simulation between two commands.
 EVERY = 8

@@ -1,7 +1,7 @@
 """Whether a robot is clear of what is around it, and of itself, for many postures at once.
 
 The shapes are those of the world's tick, compared by the batched narrow phase of relations
-(`ssduck.gjk`); what it leaves undecided counts as too near.
+(`ssduck.geometry.gjk`); what it leaves undecided counts as too near.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.broad import Flags, Pairs
 from ssduck.demos.chain import Chain, poses
-from ssduck.entities import Entity
-from ssduck.geometry import Array, Geometry, Indices, PlacedGeometry
-from ssduck.gjk import ABOVE, Bodies, Cores, compare
-from ssduck.solids import Solid, solid_of
+from ssduck.geometry.broad_phase import Flags, Pairs
+from ssduck.geometry.gjk import ABOVE, Bodies, Cores, compare
+from ssduck.geometry.shapes import Array, Geometry, Indices, PlacedGeometry
+from ssduck.geometry.solids import Solid, solid_of
+from ssduck.world.entities import Entity
 
 # Postures that are looked at together.
 TOGETHER = 64

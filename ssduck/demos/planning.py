@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ssduck.broad import Flags
-from ssduck.geometry import Array
+from ssduck.geometry.broad_phase import Flags
+from ssduck.geometry.shapes import Array
 
 # How often a tree grows towards the other in turn.
 MOST_STEPS = 50

@@ -23,15 +23,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ssduck.answers import Answer, lines_of
+from ssduck.adapters.display import Answer, lines_of
 from ssduck.demos.drawing import Colour, TopView
 from ssduck.demos.grid import Cell, Grid, Place, free_cells, shortest_way
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
-    from ssduck.entities import Entity
-    from ssduck.interpreter import Interpreter
-    from ssduck.world import World
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.world.entities import Entity
+    from ssduck.world.world import World
 
 Sight: TypeAlias = tuple[str, str]
 
@@ -91,7 +91,7 @@ class Watch:
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRIPS) -> bool:
     """Let both robots drive, tell what was seen, check the record, draw their ways."""
-    from ssduck.recording import Recording
+    from ssduck.recording.spec import Recording
 
     free = tried()
     for name, cells in free.items():
@@ -118,9 +118,9 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
 
 def still_kitchen() -> Interpreter:
     """The kitchen without gravity, its robots just above the floor."""
-    from ssduck.interpreter import Interpreter
-    from ssduck.scenes import find_scene
-    from ssduck.world import World
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.simulators.scenes import find_scene
+    from ssduck.world.world import World
 
     scene = replace(find_scene("kitchen"), gravity=(0.0, 0.0, 0.0), timestep=STEP)
     ss = Interpreter()

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.broad import Flags
 from ssduck.demos.chain import Chain
 from ssduck.demos.obstacles import Surroundings
-from ssduck.geometry import Array, Indices
+from ssduck.geometry.broad_phase import Flags
+from ssduck.geometry.shapes import Array, Indices
 
 # Of an arm: how far anything moves between two postures of a path, m, and what is kept free.
 ARM_SPACING = 0.03

@@ -8,7 +8,7 @@ import time
 import pytest
 
 import ssduck
-import ssduck.adapters
+import ssduck.adapters.registry
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -28,7 +28,9 @@ def kitchen():
 @pytest.fixture
 def registry(monkeypatch):
     """The registry as it is, whatever a test adds."""
-    monkeypatch.setattr(ssduck.adapters, "_ADAPTERS", dict(ssduck.adapters._ADAPTERS))
+    monkeypatch.setattr(
+        ssduck.adapters.registry, "_ADAPTERS", dict(ssduck.adapters.registry._ADAPTERS)
+    )
 
 
 def test_a_form_of_ones_own(kitchen, registry):
@@ -234,7 +236,7 @@ def test_forms_of_packages(kitchen, registry, monkeypatch):
             make("nothing", "math:pi", group),
         ]
 
-    monkeypatch.setattr(ssduck.adapters, "entry_points", points)
+    monkeypatch.setattr(ssduck.adapters.registry, "entry_points", points)
     with pytest.raises(FunctionError, match="AS how_many: TypeError"):  # a selection has no len
         kitchen.eval("SELECT id FROM kitchen AS how_many;")
     with pytest.raises(ArgumentError, match="AS gone: no_such_package:form cannot be loaded"):

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pytest
 
 import ssduck
+from ssduck.database.values import tag_of, tag_of_any
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -21,7 +22,6 @@ from ssduck.errors import (
     ParseError,
     UnknownNameError,
 )
-from ssduck.types import tag_of, tag_of_any
 
 # So many rows that queries over them are SQL where they can be.
 MANY = 70

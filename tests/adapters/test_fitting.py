@@ -11,9 +11,9 @@ import rich.console
 from rich.cells import cell_len
 
 import ssduck
-from ssduck.answers import answer_of, fitted
-from ssduck.fitting import elided
-from ssduck.shown import Shown
+from ssduck.adapters.display import answer_of, fitted
+from ssduck.adapters.table_view import Shown
+from ssduck.adapters.text_table import elided
 
 WIDE = [{f"column_{n}": n * 1.5 for n in range(31)} for _ in range(4)]
 PROSE = "One sentence of some words, and another one that is about as long as this."

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.adapters import grids as forms
+from ssduck.adapters.grid_values import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.grids import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
-from ssduck.scenes import find_scene
-from ssduck.simulators.pybullet import PyBulletSimulator
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.simulators.scenes import find_scene
 
 ROOT = Path(__file__).resolve().parent.parent
 ALL = "SELECT obj FROM kitchen AS"

@@ -10,8 +10,8 @@ import pytest
 import trimesh
 
 import ssduck
+from ssduck.adapters.highlight import OUTLINE
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError
-from ssduck.highlight import OUTLINE
 
 TURN = pybullet.getQuaternionFromEuler([0.3, -0.7, 1.1])
 PLACE = [0.5, -0.25, 1.0]

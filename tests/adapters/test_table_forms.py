@@ -19,11 +19,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.adapters import find
 from ssduck.adapters.columns import array_of
+from ssduck.adapters.registry import find
+from ssduck.adapters.result import Result
+from ssduck.adapters.table_view import Shown
 from ssduck.errors import ArgumentError, LimitError, UnsupportedError
-from ssduck.result import Result
-from ssduck.shown import Shown
 
 ROBOTS = "SELECT id, position, z, isRobot, obj FROM kitchen WHERE isRobot(this) AS"
 NAMES = ["fridge", "cooker", "barrett_4918", "roomba_625x"]

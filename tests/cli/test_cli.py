@@ -23,9 +23,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import ssduck
-from ssduck import opening
-from ssduck.cli import app
+from ssduck.cli.app import app
 from ssduck.demos.kitchen import KITCHEN
+from ssduck.interpreter import opening
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
@@ -682,7 +682,7 @@ SLOW = [
 @LINUX
 @pytest.mark.parametrize("arguments", SLOW)
 def test_interrupted(here, arguments):
-    main = "import ssduck.cli; print('begun', flush=True); ssduck.cli.main()"
+    main = "import ssduck.cli.app; print('begun', flush=True); ssduck.cli.app.main()"
     with start(*arguments, module=("-c", main)) as process:
         assert process.stdout.readline() == "begun\n"
         time.sleep(1.0)
@@ -694,7 +694,7 @@ def test_interrupted(here, arguments):
 def test_help_waits_for_neither_simulator_nor_database(tmp_path):
     code = """
 import sys
-from ssduck.cli import main
+from ssduck.cli.app import main
 sys.argv = ["ssduck", "--help"]
 try:
     main()

@@ -13,9 +13,9 @@ import duckdb
 import pytest
 
 import ssduck
-from ssduck import ctrl_c
-from ssduck.database import Database
+from ssduck.database import interrupts as ctrl_c
 from ssduck.database.connection import Connection
+from ssduck.database.database import Database
 from ssduck.errors import SqlError
 from ssduck.limits import Limits
 
@@ -351,7 +351,7 @@ def test_a_line_that_could_not_be_opened_is_opened_the_next_time(monkeypatch, da
 
 FORKED = """
 import os, signal, ssduck
-from ssduck import ctrl_c
+from ssduck.database import interrupts as ctrl_c
 
 def in_child():
     assert signal.set_wakeup_fd(-1) == -1

@@ -15,11 +15,11 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.catalog import TABLE_MACROS
-from ssduck.database import Database
-from ssduck.models import MODELS
-from ssduck.tables import ROWS, TABLES, second_names
-from ssduck.udfs import RELATIONS
+from ssduck.database.database import Database
+from ssduck.database.macros import TABLE_MACROS
+from ssduck.recording.static_tables import MODELS
+from ssduck.schema import ROWS, TABLES, second_names
+from ssduck.sql.relations.registry import RELATIONS
 
 NINE_PAIRS = (
     "SELECT a.name, b.name FROM entities a, entities b "
@@ -308,7 +308,7 @@ def test_stepping_is_seen_by_the_next_query(sim):
 
 
 def test_many_texts_do_not_pile_up(ss, monkeypatch):
-    monkeypatch.setattr("ssduck.planner.MOST_PLANS", 10)
+    monkeypatch.setattr("ssduck.interpreter.planner.MOST_PLANS", 10)
     for number in range(25):
         assert ss.eval(f"SELECT id FROM kitchen WHERE z(this) > {number + 10} AS list;") == []
     assert sum(map(len, ss._planner._plans.values())) <= 10
@@ -388,7 +388,7 @@ def test_one_folder_calls_duckdb():
             for name, found in importers.items():
                 if name in names:
                     found.add(path.relative_to(package).as_posix())
-    for name, folder in (("duckdb", "database/"), ("pybullet", "simulators/")):
+    for name, folder in (("duckdb", "database/"), ("pybullet", "simulators/pybullet/")):
         assert importers[name]
         assert all(path.startswith(folder) for path in importers[name])
 

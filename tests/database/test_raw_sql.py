@@ -4,11 +4,11 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.history import history_name, model_name
-from ssduck.models import MODELS
-from ssduck.recording import RECORDABLE, Recording
-from ssduck.tables import TABLES, second_names
-from ssduck.udfs import RELATIONS
+from ssduck.recording.spec import RECORDABLE, Recording
+from ssduck.recording.static_tables import MODELS
+from ssduck.recording.stores.duckdb import history_name, model_name
+from ssduck.schema import TABLES, second_names
+from ssduck.sql.relations.registry import RELATIONS
 
 # A literal for each type of parameter; entities are the rows a and b.
 LITERALS = {

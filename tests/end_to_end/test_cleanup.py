@@ -17,8 +17,8 @@ from ssduck.demos.motion import FASTEST, SWIFTEST, legs, timed
 from ssduck.demos.obstacles import Surroundings, walls_of
 from ssduck.demos.planning import length, plan, shortened
 from ssduck.demos.spaces import wrapped
-from ssduck.scenes import find_scene
-from ssduck.world import World
+from ssduck.simulators.scenes import find_scene
+from ssduck.world.world import World
 
 FEW = ("barrett_4918", "kitchen", "chair_12d0", "chair_6b56", "table", "sink", "cup_58a2")
 

@@ -16,7 +16,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import ssduck
-from ssduck.cli import app
+from ssduck.cli.app import app
 from ssduck.demos import (
     NAMES,
     chaos,

@@ -14,9 +14,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import ssduck
-from ssduck.cli import app
+from ssduck.adapters.grid_values import OccupancyGrid
+from ssduck.cli.app import app
 from ssduck.errors import ArgumentError, RecordError, SceneError, SqlError, UnknownNameError
-from ssduck.grids import OccupancyGrid
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="such names are for POSIX")
 

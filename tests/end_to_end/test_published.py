@@ -174,7 +174,7 @@ def test_longer_ways(ss, form, most, monkeypatch):
 @pytest.mark.parametrize("form", ["plain", "no cycle"])
 def test_hanoi_as_sql(told, form, monkeypatch):
     """A search through so short a list is no statement, unless it is made one."""
-    monkeypatch.setattr("ssduck.queries.FEW_ROWS", 0)
+    monkeypatch.setattr("ssduck.interpreter.query_runner.FEW_ROWS", 0)
     ss, statements = told
     program, _, result = HANOI[form]
     assert ss.eval(program) == result

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import ssduck
-from ssduck.scenes import find_scene
+from ssduck.simulators.scenes import find_scene
 
 # (cell, program, result)
 CELLS: list[tuple[str, str, Any]] = [

@@ -18,7 +18,7 @@ import pytest
 import ssduck
 from ssduck import openrave
 from ssduck.errors import ArgumentError
-from ssduck.scenes import find_scene
+from ssduck.simulators.scenes import find_scene
 
 CELL_41 = """
 class interpeter_environment(ssRAVE.interpreter):

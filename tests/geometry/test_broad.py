@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ssduck import broad
-from ssduck.broad import meeting
+from ssduck.geometry import broad_phase as broad
+from ssduck.geometry.broad_phase import meeting
 
 
 def brute(boxes, apart=0.0):

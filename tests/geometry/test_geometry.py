@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ssduck import geometry
-from ssduck.geometry import (
+from ssduck.geometry import shapes as geometry
+from ssduck.geometry.shapes import (
     IDENTITY,
     Boxer,
     Geometry,

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from pairs import Shape
 from test_narrow import STRAIGHT, box, capsule, cylinder, mesh_of, narrow, plane, sphere
 
-from ssduck import gjk
-from ssduck.colliding import Question, Sorts, box_depths
-from ssduck.geometry import Geometry
-from ssduck.gjk import ABOVE, BELOW, UNDECIDED, compare
-from ssduck.narrow import COLLIDES
-from ssduck.relations import MOST_IDS
-from ssduck.shapes import FEW, Shapes
-from ssduck.solids import solid_of
+from ssduck.geometry import gjk
+from ssduck.geometry.batch import Question, Sorts, box_depths
+from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, compare
+from ssduck.geometry.narrow_phase import COLLIDES
+from ssduck.geometry.queries import FEW, Shapes
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import solid_of
+from ssduck.schema import MOST_IDS
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))

@@ -12,8 +12,8 @@ import pytest
 from test_gjk import sorts_of
 from test_narrow import narrow
 
-from ssduck.colliding import Question, entities_of, pair_number
-from ssduck.narrow import COLLIDES
+from ssduck.geometry.batch import Question, entities_of, pair_number
+from ssduck.geometry.narrow_phase import COLLIDES
 
 SEEDS = range(28)
 EDGE = 1e-8

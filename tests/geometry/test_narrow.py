@@ -17,15 +17,17 @@ from hypothesis import strategies as st
 from pairs import Shape, ell
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck import overlap, surfaces, volumes
-from ssduck.geometry import Boxer, Geometry, PlacedGeometry, rotation_matrices
-from ssduck.meshes import triangle_depths
-from ssduck.narrow import Narrow
-from ssduck.overlap import hull_around, share_inside
-from ssduck.placed import Placed
-from ssduck.separation import Counter
-from ssduck.solids import solid_of
-from ssduck.surfaces import Surface
+from ssduck.geometry import common_volume as volumes
+from ssduck.geometry import containment as overlap
+from ssduck.geometry import surfaces
+from ssduck.geometry.containment import hull_around, share_inside
+from ssduck.geometry.distance import Counter
+from ssduck.geometry.mesh_distance import triangle_depths
+from ssduck.geometry.narrow_phase import Narrow
+from ssduck.geometry.placed_solid import Placed
+from ssduck.geometry.shapes import Boxer, Geometry, PlacedGeometry, rotation_matrices
+from ssduck.geometry.solids import solid_of
+from ssduck.geometry.surfaces import Surface
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ import pytest
 from conftest import box_obj, collision, joint, link, robot
 
 import ssduck
-from ssduck import geometry
+from ssduck.geometry import shapes as geometry
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*PyBullet does not give back")
 RECORDED = ssduck.Recording(tables=("entities", "links", "shapes", "contacts"))

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck import queries
 from ssduck.errors import SelectScriptError, SqlError, UnsupportedError
-from ssduck.intervals import RELATIONS_OF_INTERVALS
-from ssduck.udfs import RELATIONS
+from ssduck.interpreter import query_runner as queries
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS
+from ssduck.sql.relations.registry import RELATIONS
 
 BOX, SPHERE, PLANE = pybullet.GEOM_BOX, pybullet.GEOM_SPHERE, pybullet.GEOM_PLANE
 CYLINDER, CAPSULE = pybullet.GEOM_CYLINDER, pybullet.GEOM_CAPSULE

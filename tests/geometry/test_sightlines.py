@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry import Geometry
-from ssduck.sightlines import are_blocked
-from ssduck.solids import PlacedSolids, solid_of
+from ssduck.geometry.line_of_sight import are_blocked
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import PlacedSolids, solid_of
 
 RNG = np.random.default_rng(11)
 CORNERS = RNG.normal(size=(15, 3)) * 0.3
@@ -113,5 +113,5 @@ def test_nothing_is_in_the_way_of_nothing():
 def test_bunches_change_nothing(monkeypatch):
     ends = RNG.uniform(-1, 1, (50, 3))
     whole = are_blocked(placed(SHAPES["hull"]), np.ones(3), ends)
-    monkeypatch.setattr("ssduck.sightlines.TOGETHER", 1)
+    monkeypatch.setattr("ssduck.geometry.line_of_sight.TOGETHER", 1)
     assert np.array_equal(are_blocked(placed(SHAPES["hull"]), np.ones(3), ends), whole)

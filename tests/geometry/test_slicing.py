@@ -11,10 +11,10 @@ import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry import Geometry
-from ssduck.rasters import ROUNDED, Raster
-from ssduck.slicing import Slicer
-from ssduck.solids import PlacedSolids, solid_of
+from ssduck.geometry.raster import ROUNDED, Raster
+from ssduck.geometry.rasterize import Slicer
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import PlacedSolids, solid_of
 
 RNG = np.random.default_rng(7)
 POINTS = RNG.normal(size=(20, 3)) * [0.3, 0.2, 0.25]
@@ -303,7 +303,7 @@ def test_bunches_change_nothing(monkeypatch):
     shapes = [(CONVEX["hull"], RNG.uniform(-0.5, 0.5, 3), Rotation.random(rng=k)) for k in range(9)]
     shapes += [(prism(ELL, 0.3), RNG.uniform(-0.5, 0.5, 3), Rotation.random(rng=9))]
     whole = Slicer(placed(*shapes)).cells(RASTER, -0.1, 0.1)
-    monkeypatch.setattr("ssduck.slicing.TOGETHER", 7)
+    monkeypatch.setattr("ssduck.geometry.rasterize.TOGETHER", 7)
     assert np.array_equal(Slicer(placed(*shapes)).cells(RASTER, -0.1, 0.1), whole)
     alone = [Slicer(placed(shape)).cells(RASTER, -0.1, 0.1) for shape in shapes]
     assert np.array_equal(np.any(alone, axis=0), whole)

@@ -9,8 +9,8 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck import queries
 from ssduck.errors import RemovedEntityError
+from ssduck.interpreter import query_runner as queries
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 

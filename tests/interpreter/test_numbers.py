@@ -17,13 +17,13 @@ import pytest
 from typer.testing import CliRunner
 
 import ssduck
-from ssduck import grids
-from ssduck.cli import app
+from ssduck.adapters import grid_values as grids
+from ssduck.adapters.result import Result
+from ssduck.adapters.table_view import Shown
+from ssduck.cli.app import app
 from ssduck.errors import SelectScriptError
-from ssduck.openrave_modules import OccupancyGridMap
-from ssduck.recorded_world import RecordedWorld
-from ssduck.result import Result
-from ssduck.shown import Shown
+from ssduck.openrave import OccupancyGridMap
+from ssduck.recording.replay.replayed_world import RecordedWorld
 
 HUGE = 10**400
 NO_NUMBERS = ["1", "", None, [1], {}, 1j, math.nan, True, False]

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.language import parse
+from ssduck.language.parser import parse
 
 
 @pytest.fixture(scope="module")

@@ -24,10 +24,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck import running
-from ssduck.changes import changed, copied, is_true, likeness, rows_of
 from ssduck.errors import ArgumentError, SimulatorError, UnknownNameError, UnsupportedError
-from ssduck.triggers import TriggerWarning
+from ssduck.interpreter.triggers.diff import changed, copied, is_true, likeness, rows_of
+from ssduck.interpreter.triggers.registry import TriggerWarning
+from ssduck.world import running
 
 
 def falling(client, height=10.0):
@@ -837,7 +837,7 @@ def test_a_queue_whose_callback_removes_its_trigger_and_steps(ss, sim):
 
 
 def test_closing_does_not_wait_for_ever(ss, sim, monkeypatch):
-    monkeypatch.setattr("ssduck.triggers.PATIENCE", 0.05)
+    monkeypatch.setattr("ssduck.interpreter.triggers.registry.PATIENCE", 0.05)
     go = threading.Event()
     got = []
     ss.add_trigger("t", HEIGHT, 0, lambda _: got.append(1) or go.wait(10), queue=1)

@@ -11,7 +11,6 @@ import polars as pl
 import pytest
 
 import ssduck
-from ssduck import evaluate, queries
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -19,7 +18,9 @@ from ssduck.errors import (
     SelectScriptError,
     UnknownNameError,
 )
-from ssduck.keys import Keys, exactly
+from ssduck.interpreter import query_runner as queries
+from ssduck.language import evaluator as evaluate
+from ssduck.language.value_keys import Keys, exactly
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 
@@ -537,7 +538,7 @@ def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
 
 
 def test_relations_of_programs_that_are_gone_are_forgotten(ss, monkeypatch):
-    from ssduck.language import parse
+    from ssduck.language.parser import parse
 
     monkeypatch.setattr(evaluate, "MOST_COMPILED", 1)
     for number in range(5):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError, UnsupportedError
-from ssduck.intervals import RELATIONS_OF_INTERVALS, changes_of, intervals_of
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, intervals_of
 
 STEP = 1 / 240
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ssduck import queries
+from ssduck.interpreter import query_runner as queries
 from tools.write_cases import cases, prepared, sql_of
 
 CASES = cases()

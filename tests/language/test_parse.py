@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssduck.errors import ParseError, SelectScriptError
-from ssduck.language import parse
-from ssduck.tree import (
+from ssduck.language.parser import parse
+from ssduck.language.tree import (
     Aged,
     Assignment,
     Binary,

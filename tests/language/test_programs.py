@@ -10,8 +10,8 @@ import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, ParseError, SelectScriptError, UnknownNameError
-from ssduck.functions import BUILTINS
-from ssduck.udfs import RELATIONS
+from ssduck.language.builtins import BUILTINS
+from ssduck.sql.relations.registry import RELATIONS
 
 EVALUATORS = {"compiled": {}, "row by row": {"row_by_row": True}}
 

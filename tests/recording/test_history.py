@@ -560,7 +560,7 @@ def test_a_window_is_compared_once(looked_at: ssduck.Interpreter) -> None:
 
 
 def test_a_long_window_has_its_values_written_in(falling: ssduck.Interpreter) -> None:
-    from ssduck import queries
+    from ssduck.interpreter import query_runner as queries
 
     _step(falling, 60)
     for name in ("board", "ball_0"):

@@ -11,8 +11,8 @@ import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.geometry import compose, cross, multiply, rotate, rotation_matrices
-from ssduck.recording import RECORDABLE
+from ssduck.geometry.shapes import compose, cross, multiply, rotate, rotation_matrices
+from ssduck.recording.spec import RECORDABLE
 
 ALL = Recording(tables=RECORDABLE)
 POSES = Recording()

@@ -15,7 +15,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import RecordError
-from ssduck.folder import part_name
+from ssduck.recording.stores.parquet_layout import part_name
 
 PARTS = 4
 PLACE = "world=lab/episode={}"

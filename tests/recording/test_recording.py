@@ -10,7 +10,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import SqlError
-from ssduck.recorder import Recorder
+from ssduck.recording.recorder import Recorder
 
 
 class Store:

@@ -25,7 +25,7 @@ from ssduck.errors import (
     SqlError,
     UnsupportedError,
 )
-from ssduck.recording import RECORDABLE
+from ssduck.recording.spec import RECORDABLE
 from tools import kill
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -340,10 +340,10 @@ def folder(tmp_path_factory):
 def test_others_read_the_folder_as_it_is(folder, table):
     place = folder / table
     scanned = duckdb.sql(f"SELECT * FROM '{str(place).replace(chr(39), chr(39) * 2)}/**/*.parquet'")
-    columns = [column.name for column in ssduck.tables.TABLES[table]]
+    columns = [column.name for column in ssduck.schema.TABLES[table]]
     assert scanned.columns == [*columns, "episode", "world"]
     kept = {"real": "DOUBLE", "integer": "BIGINT", "text": "VARCHAR", "flag": "BOOLEAN"}
-    types = [kept[column.type] for column in ssduck.tables.TABLES[table]]
+    types = [kept[column.type] for column in ssduck.schema.TABLES[table]]
     assert [str(type) for type in scanned.types[:-2]] == types
     assert [str(type) for type in scanned.types[-2:]] == ["BIGINT", "VARCHAR"]
     counts = {}
@@ -899,7 +899,7 @@ import resource, signal, sys
 import pybullet, ssduck
 from ssduck import Recording
 from ssduck.errors import SelectScriptError
-from ssduck.recording import RECORDABLE
+from ssduck.recording.spec import RECORDABLE
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 kind, path = sys.argv[1:]

@@ -20,7 +20,7 @@ from ssduck import Recording
 from ssduck.database import recorders, writer
 from ssduck.database.writer import Writer
 from ssduck.errors import SqlError
-from ssduck.recorder import Recorder
+from ssduck.recording.recorder import Recorder
 
 ROOT = Path(__file__).resolve().parent.parent
 RING = 10

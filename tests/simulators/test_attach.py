@@ -10,8 +10,8 @@ from pybullet_utils.bullet_client import BulletClient
 
 import ssduck
 from ssduck.errors import RemovedEntityError, SelectScriptError, SimulatorError
-from ssduck.scenes import SensorSpec, find_scene
-from ssduck.simulators.pybullet import PyBulletSimulator
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.simulators.scenes import SensorSpec, find_scene
 
 
 @pytest.fixture

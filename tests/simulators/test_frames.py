@@ -16,7 +16,7 @@ from conftest import box_obj, collision, joint, link, robot
 from scipy.spatial.transform import Rotation
 
 import ssduck
-from ssduck.messages import MOST_NAMED
+from ssduck.formatting import MOST_NAMED
 
 LIBRARY = Path(pybullet_data.getDataPath())
 POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]

@@ -15,7 +15,7 @@ from conftest import collision, joint, link, robot
 
 import ssduck
 from ssduck.errors import SceneError, UnknownNameError
-from ssduck.scenes import Camera, Scene, find_scene, read_scene, shipped_scenes
+from ssduck.simulators.scenes import Camera, Scene, find_scene, read_scene, shipped_scenes
 
 ROOT = Path(__file__).resolve().parent.parent
 LIBRARY = Path(pybullet_data.getDataPath())

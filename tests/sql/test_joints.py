@@ -16,7 +16,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.recording import Recording
+from ssduck.recording.spec import Recording
 
 LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
 EDGE = 1e-6
@@ -290,8 +290,8 @@ def test_joints_that_were_not_recorded(write):
 
 
 def test_beyond_the_limits_and_unknown():
-    from ssduck.joints import Joints, openness
-    from ssduck.simulators import Joint
+    from ssduck.simulators.interface import Joint
+    from ssduck.simulators.joints import Joints, openness
 
     slide = Joint("slide", "prismatic", 1, 0.0, 0.5, None, None)
     assert openness(slide, -0.05) == pytest.approx(-0.1)

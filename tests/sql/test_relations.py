@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import UnknownNameError
-from ssduck.udfs import RELATIONS
+from ssduck.sql.relations.registry import RELATIONS
 
 EDGE = 1e-9
 

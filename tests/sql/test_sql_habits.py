@@ -10,8 +10,6 @@ from collections import defaultdict
 import pytest
 
 import ssduck
-from ssduck import queries
-from ssduck.doubts import MOST_UNBORNE
 from ssduck.errors import (
     ArgumentError,
     ParseError,
@@ -19,6 +17,8 @@ from ssduck.errors import (
     SelectScriptError,
     UnknownNameError,
 )
+from ssduck.interpreter import query_runner as queries
+from ssduck.interpreter.linter import MOST_UNBORNE
 
 PEOPLE = [
     {"name": "Ada", "age": 36, "group": "a"},
@@ -373,7 +373,7 @@ def test_forms_in_any_case(ss, keyword, form):
 
 
 def test_forms_of_users_in_any_case(ss, monkeypatch):
-    from ssduck import adapters
+    from ssduck.adapters import registry as adapters
 
     monkeypatch.setattr(adapters, "_ADAPTERS", dict(adapters._ADAPTERS))
     adapters.adapter("many")(lambda selection: len(selection.rows))

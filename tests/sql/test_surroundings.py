@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from test_shapes import Stage, pairs_of
 
 import ssduck
-from ssduck.recording import Recording
+from ssduck.recording.spec import Recording
 
 EDGE = 1e-6
 WALL = 0.02

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck import many_ticks, queries
-from ssduck.geometry import multiply, rotation_matrices, turns_of
-from ssduck.history import NEAR_COLUMNS, POSE, Near, near_rows
-from ssduck.memory import _near_of_two
-from ssduck.relations import BOX
+from ssduck.geometry.shapes import multiply, rotation_matrices, turns_of
+from ssduck.interpreter import query_runner as queries
+from ssduck.recording.replay import batch_queries as many_ticks
+from ssduck.recording.stores.duckdb import NEAR_COLUMNS, POSE, Near, near_rows
+from ssduck.recording.stores.memory import _near_of_two
+from ssduck.sql.relations.relation import BOX
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +195,7 @@ def test_two_entities_at_many_ticks_need_no_statement_of_their_own(
     comings: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wanted = comings.eval("holds(near(board, ball, 0.12));")
-    monkeypatch.setattr("ssduck.memory.near_rows", None)
+    monkeypatch.setattr("ssduck.recording.stores.memory.near_rows", None)
     assert comings.eval("holds(near(board, ball, 0.12));") == wanted != []
 
 

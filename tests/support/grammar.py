@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.scenes import find_scene
+from ssduck.simulators.scenes import find_scene
 
 T = TypeVar("T")
 
@@ -1007,7 +1007,7 @@ class Evaluators:
 @contextmanager
 def evaluators() -> Iterator[Evaluators]:
     """Both evaluators on a small world; lists are sources of SQL, however short."""
-    from ssduck import queries
+    from ssduck.interpreter import query_runner as queries
 
     with ExitStack() as stack:
         stack.enter_context(warnings.catch_warnings())

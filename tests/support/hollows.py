@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ssduck.geometry import Geometry
+from ssduck.geometry.shapes import Geometry
 from tests.pairs import PATCH, TURNS, Shape, ell, patch_vertices
 
 

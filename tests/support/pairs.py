@@ -14,12 +14,12 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck.geometry import Geometry
-from ssduck.gjk import ABOVE, BELOW, Bodies, Cores, compare
-from ssduck.meshes import mesh_apart, mesh_depth
-from ssduck.placed import Placed
-from ssduck.separation import Counter, Separation, separation
-from ssduck.solids import solid_of
+from ssduck.geometry.distance import Counter, Separation, separation
+from ssduck.geometry.gjk import ABOVE, BELOW, Bodies, Cores, compare
+from ssduck.geometry.mesh_distance import mesh_apart, mesh_depth
+from ssduck.geometry.placed_solid import Placed
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import solid_of
 
 KINDS = ("sphere", "box", "cylinder", "capsule", "plane", "hull", "flat", "mesh", "open mesh")
 COMBINATIONS = list(itertools.combinations_with_replacement(KINDS, 2))

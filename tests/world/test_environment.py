@@ -22,8 +22,8 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.scenes import shipped_scenes
-from ssduck.udfs import RELATIONS
+from ssduck.simulators.scenes import shipped_scenes
+from ssduck.sql.relations.registry import RELATIONS
 
 # Nothing that these rest on moves, and nothing else touches them.
 CLOSED = ("kitchen", "sink", "toaster", "knife_block")

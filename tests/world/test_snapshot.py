@@ -13,9 +13,10 @@ from conftest import joint, link, robot
 
 import ssduck
 from ssduck.errors import SimulatorError
-from ssduck.simulators.pybullet import PyBulletSimulator
-from ssduck.snapshot import FORGOTTEN_AFTER
-from ssduck.tables import TABLES, LiveTable
+from ssduck.schema import TABLES
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.world.live_tables import LiveTable
+from ssduck.world.snapshot import FORGOTTEN_AFTER
 
 
 class Spy:

@@ -24,9 +24,9 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.scenes import find_scene
-from ssduck.simulators.pybullet import PyBulletSimulator
-from ssduck.simulators.pybullet_bodies import describe
+from ssduck.simulators.pybullet.bodies import describe
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.simulators.scenes import find_scene
 
 EQUAL = 1e-6
 TABLES = {

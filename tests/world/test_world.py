@@ -18,7 +18,7 @@ from ssduck.errors import (
     SimulatorError,
     UnknownNameError,
 )
-from ssduck.scenes import Camera, find_scene
+from ssduck.simulators.scenes import Camera, find_scene
 
 
 @pytest.fixture
