@@ -21,7 +21,7 @@ from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import find_scene
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 ALL = "SELECT obj FROM kitchen AS"
 
 

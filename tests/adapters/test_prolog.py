@@ -18,7 +18,9 @@ from ssduck.adapters.logic import _asp_term, _atom, _float, _term
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
 
 PRINTED = (
-    (Path(__file__).parent / "data" / "clauses.txt").read_text(encoding="utf-8").split("\n")[:-1]
+    (Path(__file__).parents[1] / "data" / "clauses.txt")
+    .read_text(encoding="utf-8")
+    .split("\n")[:-1]
 )
 SWIPL = shutil.which("swipl")
 needs_swipl = pytest.mark.skipif(SWIPL is None, reason="SWI-Prolog (swipl) is not installed")

@@ -13,7 +13,9 @@ import pytest
 
 import ssduck
 
-FACTS = tomllib.loads((Path(__file__).parent / "data" / "kitchen.toml").read_text(encoding="utf-8"))
+FACTS = tomllib.loads(
+    (Path(__file__).parents[1] / "data" / "kitchen.toml").read_text(encoding="utf-8")
+)
 ON_THE_TABLE = [
     *("plate_835a", "plate_496f", "plate_fa76"),
     *("cup_905a", "cup_58a2", "cup_b6af", "cup_d441"),

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import box_obj, collision, link, robot
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -17,6 +16,7 @@ import ssduck
 from ssduck.adapters.grid_values import OccupancyGrid
 from ssduck.cli.app import app
 from ssduck.errors import ArgumentError, RecordError, SceneError, SqlError, UnknownNameError
+from tests.support.urdf import box_obj, collision, link, robot
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="such names are for POSIX")
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import box_obj
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -28,6 +27,7 @@ from ssduck.geometry.shapes import (
     rotate,
     rotation_matrices,
 )
+from tests.support.urdf import box_obj
 
 coordinates = st.floats(-50.0, 50.0)
 lengths = st.floats(1e-3, 20.0)

@@ -6,21 +6,31 @@ import itertools
 import math
 
 import numpy as np
-import pairs
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pairs import Shape
-from test_narrow import STRAIGHT, box, capsule, cylinder, mesh_of, narrow, plane, sphere
 
 from ssduck.geometry import gjk
-from ssduck.geometry.batch import Question, Sorts, box_depths
+from ssduck.geometry.batch import Question, box_depths
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, compare
 from ssduck.geometry.narrow_phase import COLLIDES
 from ssduck.geometry.queries import FEW, Shapes
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import MOST_IDS
+from tests.support import pairs
+from tests.support.pairs import Shape
+from tests.support.solids import (
+    STRAIGHT,
+    box,
+    capsule,
+    cylinder,
+    mesh_of,
+    narrow,
+    plane,
+    sorts_of,
+    sphere,
+)
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))
@@ -165,12 +175,6 @@ PATCH = Geometry("mesh", (0, 0, 0), pairs.patch_vertices(1, 1, 1), pairs.PATCH)
 ALL = [box(0.5, 0.4, 0.3), sphere(0.3), capsule(0.2, 0.4), cylinder(0.3, 0.4), CUBE, ELL, PATCH]
 ALL += [mesh_of(cylinder()), Geometry.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), plane((0, 0.6, 0.8))]
 APART = [0.0, 1e-3, 0.1, 0.25, 3.0, math.inf]
-
-
-def sorts_of(tick):
-    counts = np.diff(tick._starts)
-    owners = np.repeat(np.arange(len(counts)), counts)
-    return Sorts(tick._solids, np.arange(len(owners)), owners)
 
 
 def crowd(seed, *, is_round, side=1.5):

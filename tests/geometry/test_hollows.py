@@ -5,15 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 
-import hollows
 import numpy as np
-import pairs
 import pytest
-from test_gjk import sorts_of
-from test_narrow import narrow
 
 from ssduck.geometry.batch import Question, entities_of, pair_number
 from ssduck.geometry.narrow_phase import COLLIDES
+from tests.support import hollows, pairs
+from tests.support.solids import narrow, sorts_of
 
 SEEDS = range(28)
 EDGE = 1e-8

@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 import pybullet
 import pytest
-from conftest import box_obj, collision, link, robot
 
 import ssduck
 from ssduck.errors import SelectScriptError, StateError
+from tests.support.urdf import box_obj, collision, link, robot
 
 CUBE = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
 FACES = [0, 1, 3, 0, 3, 2, 4, 7, 5, 4, 6, 7, 0, 5, 1, 0, 4, 5]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pybullet
 import pytest
-from conftest import box_obj, collision, joint, link, robot
 
 import ssduck
 from ssduck.geometry import shapes as geometry
+from tests.support.urdf import box_obj, collision, joint, link, robot
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*PyBullet does not give back")
 RECORDED = ssduck.Recording(tables=("entities", "links", "shapes", "contacts"))

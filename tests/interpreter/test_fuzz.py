@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-fuzz = pytest.importorskip("tools.fuzz")
+from tools import fuzz
+
 
 pytestmark = pytest.mark.filterwarnings("ignore::ssduck.ProgramWarning")
 

@@ -28,7 +28,7 @@ from ssduck.errors import (
 from ssduck.recording.spec import RECORDABLE
 from tools import kill
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 ALL = Recording(tables=RECORDABLE)
 KINDS = ["folder", "live", "file"]
 POSIX = pytest.mark.skipif(os.name != "posix", reason="limits and signals of POSIX")

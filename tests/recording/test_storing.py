@@ -22,7 +22,7 @@ from ssduck.database.writer import Writer
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 RING = 10
 BALLS = 3
 POSIX = pytest.mark.skipif(os.name != "posix", reason="forks")

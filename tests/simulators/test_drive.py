@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pybullet
 import pytest
-from conftest import collision, joint, link, robot
 
 import ssduck
 from ssduck.errors import (
@@ -16,6 +15,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
+from tests.support.urdf import collision, joint, link, robot
 
 BOX = collision('<box size="0.1 0.1 0.1"/>')
 LIMIT = '<limit lower="-1" upper="1" effort="30" velocity="0.5"/>'

@@ -12,64 +12,16 @@ import pybullet
 import pybullet_data
 import pytest
 import trimesh
-from conftest import box_obj, collision, joint, link, robot
 from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.formatting import MOST_NAMED
+from tests.support.arm import ARM, HIGH, LIMIT, LOW, POSE, TWIST, unsettle
+from tests.support.urdf import box_obj, collision, joint, link, robot
 
 LIBRARY = Path(pybullet_data.getDataPath())
-POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
-TWIST = ["vx", "vy", "vz", "wx", "wy", "wz"]
 # PyBullet gives link frames in single precision, centres of mass in double.
 SINGLE = 1e-6
-LOW, HIGH = ["xmin", "ymin", "zmin"], ["xmax", "ymax", "zmax"]
-
-LIMIT = '<limit lower="{}" upper="{}" effort="{}" velocity="{}"/>'
-# Inertial frames that are shifted and turned, on the base and on links; all kinds of joints.
-ARM = robot(
-    link(
-        "base",
-        com=(0.1, 0.2, 0.3),
-        rpy=(0.3, -0.2, 1.1),
-        shapes=collision('<box size="0.4 0.2 0.1"/>', xyz=(0.05, 0, 0.1), rpy=(0.1, 0.2, 0.3))
-        + collision('<cylinder radius="0.1" length="0.5"/>', xyz=(0, 0.3, 0), rpy=(1, 0, 0)),
-    ),
-    link(
-        "upper",
-        com=(0, 0, 0.25),
-        rpy=(0, 0.5, 0),
-        shapes=collision('<capsule radius="0.05" length="0.4"/>', xyz=(0, 0, 0.2), rpy=(0, 0.7, 0)),
-    ),
-    link("slide", com=(0.02, 0, 0), shapes=collision('<sphere radius="0.07"/>', xyz=(0.1, 0, 0))),
-    link("plate", com=(-0.1, 0.1, 0), rpy=(0, 0, 0.4)),
-    link(
-        "wheel",
-        shapes=collision('<cylinder radius="0.15" length="0.04"/>', rpy=(math.pi / 2, 0, 0)),
-    ),
-    joint(
-        "shoulder",
-        "revolute",
-        "base",
-        "upper",
-        xyz=(0, 0.1, 0.2),
-        rpy=(0.2, 0, 0.1),
-        axis=(0, 1, 0),
-        limit=LIMIT.format(-2.5, 1.5, 40, 3),
-    ),
-    joint(
-        "extend",
-        "prismatic",
-        "upper",
-        "slide",
-        xyz=(0, 0, 0.5),
-        axis=(0, 0, 1),
-        limit=LIMIT.format(-0.2, 0.3, 15, 0.5),
-    ),
-    joint("mount", "fixed", "slide", "plate", xyz=(0.1, 0, 0), rpy=(0, 0, 1)),
-    joint("roll", "continuous", "base", "wheel", xyz=(0.3, 0, 0), axis=(0, 1, 0)),
-)
-
 MODELS = [
     "kuka_iiwa/model.urdf",
     "r2d2.urdf",
@@ -115,20 +67,6 @@ def body(request, client, write):
     handle = pybullet.loadURDF(str(path), physicsClientId=client)
     unsettle(client, handle, seed=len(request.param))
     return handle
-
-
-def unsettle(client, handle, seed):
-    rng = np.random.default_rng(seed)
-    turn = Rotation.random(random_state=seed).as_quat()
-    pybullet.resetBasePositionAndOrientation(handle, rng.normal(size=3), turn, client)
-    pybullet.resetBaseVelocity(handle, rng.normal(size=3), rng.normal(size=3), client)
-    for index in range(pybullet.getNumJoints(handle, client)):
-        kind, low, high = (pybullet.getJointInfo(handle, index, client)[i] for i in (2, 8, 9))
-        if kind in (pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC):
-            low, high = (low, high) if low < high else (-1.0, 1.0)
-            pybullet.resetJointState(
-                handle, index, rng.uniform(low, high), rng.normal(), physicsClientId=client
-            )
 
 
 def link_states(client, handle):

@@ -11,13 +11,13 @@ from pathlib import Path
 import pybullet
 import pybullet_data
 import pytest
-from conftest import collision, joint, link, robot
 
 import ssduck
 from ssduck.errors import SceneError, UnknownNameError
 from ssduck.simulators.scenes import Camera, Scene, find_scene, read_scene, shipped_scenes
+from tests.support.urdf import collision, joint, link, robot
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = Path(pybullet_data.getDataPath())
 LIMIT = '<limit lower="{}" upper="{}" effort="5" velocity="2"/>'
 CUP = robot(link("cup", shapes=collision('<box size="0.1 0.1 0.1"/>')), name="cup")

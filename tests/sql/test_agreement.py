@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from grammar import evaluators, program, programs, seeded, shrunk
 from hypothesis import HealthCheck, given, settings
+
+from tests.support.grammar import evaluators, program, programs, seeded, shrunk
 
 SEEDS = range(2500)
 # So many of a hundred queries run as SQL alone.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-from conftest import collision, joint, link, robot
-from test_shapes import Stage
 
 import ssduck
 from ssduck.errors import (
@@ -17,6 +15,8 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.recording.spec import Recording
+from tests.support.stage import Stage
+from tests.support.urdf import collision, joint, link, robot
 
 LIMIT = '<limit lower="{}" upper="{}" effort="1" velocity="1"/>'
 EDGE = 1e-6

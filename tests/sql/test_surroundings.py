@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pybullet
 import pytest
-from conftest import collision, joint, link, robot
 from scipy.spatial.transform import Rotation
-from test_shapes import Stage, pairs_of
 
 import ssduck
 from ssduck.recording.spec import Recording
+from tests.support.stage import Stage, pairs_of
+from tests.support.urdf import collision, joint, link, robot
 
 EDGE = 1e-6
 WALL = 0.02
@@ -105,7 +105,7 @@ def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
     if name in PROFILES:
         text, in_middle = of_boxes(*PROFILES[name][0]), PROFILES[name][1]
     else:
-        from conftest import box_obj
+        from tests.support.urdf import box_obj
 
         file = torus() if name == "ring" else box_obj([-0.2] * 3, [0.2] * 3)
         text, in_middle = of_mesh(write("mesh.obj", file)), True

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ssduck.geometry.shapes import Geometry
-from tests.pairs import PATCH, TURNS, Shape, ell, patch_vertices
+from tests.support.pairs import PATCH, TURNS, Shape, ell, patch_vertices
 
 
 def mesh(vertices, faces):

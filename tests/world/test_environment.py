@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pybullet
 import pytest
-from conftest import box_obj, collision, joint, link, robot
 
 import ssduck
 from ssduck.errors import (
@@ -24,6 +23,7 @@ from ssduck.errors import (
 )
 from ssduck.simulators.scenes import shipped_scenes
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.urdf import box_obj, collision, joint, link, robot
 
 # Nothing that these rest on moves, and nothing else touches them.
 CLOSED = ("kitchen", "sink", "toaster", "knife_block")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pybullet
 import pytest
-from conftest import collision, joint, link, robot
 from scipy.spatial.transform import Rotation
 
 import ssduck
@@ -19,8 +18,9 @@ from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import SensorSpec, find_scene, read_sensor
 from ssduck.simulators.sensor_types import MOST_RAYS, SENSOR_TYPES
 from ssduck.world.sensor_readings import Reading
+from tests.support.urdf import collision, joint, link, robot
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 # What Bullet's rays are true to, metres: its convex hulls are 1 mm larger, its steps end at 0.1 mm.
 EXACT = 5e-4
 LASER = {"min_angle": -180, "max_angle": 180, "resolution": 1, "max_range": 20}

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections import Counter
 
 import numpy as np
 import pybullet
 import pytest
-from conftest import joint, link, robot
 
 import ssduck
 from ssduck.errors import SimulatorError
@@ -17,41 +15,8 @@ from ssduck.schema import TABLES
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.snapshot import FORGOTTEN_AFTER
-
-
-class Spy:
-    """A simulator that counts what is read of another, and of how many bodies."""
-
-    def __init__(self, simulator):
-        self._simulator = simulator
-        self.read = Counter()
-
-    def __getattr__(self, name):
-        return getattr(self._simulator, name)
-
-    broken = ()
-
-    def read_frames(self, bodies, *, links_move):
-        self._check("frames")
-        self.read["frames"] += 1
-        self.read["bodies"] += len(bodies)
-        if links_move and any(len(body.links) > 1 for body in bodies):
-            self.read["links"] += 1
-        return self._simulator.read_frames(bodies, links_move=links_move)
-
-    def _check(self, what):
-        if what in self.broken:
-            raise SimulatorError("broken")
-
-    def read_joints(self, bodies):
-        self._check("joints")
-        self.read["joints"] += 1
-        return self._simulator.read_joints(bodies)
-
-    def read_contacts(self):
-        self._check("contacts")
-        self.read["contacts"] += 1
-        return self._simulator.read_contacts()
+from tests.support.spy import Spy
+from tests.support.urdf import joint, link, robot
 
 
 def scene(client):

@@ -9,11 +9,8 @@ import numpy as np
 import pybullet
 import pybullet_data
 import pytest
-from conftest import collision, joint, link, robot
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_frames import ARM, HIGH, LOW, POSE, TWIST, unsettle
-from test_snapshot import Spy
 
 import ssduck
 from ssduck.errors import (
@@ -27,6 +24,9 @@ from ssduck.errors import (
 from ssduck.simulators.pybullet.bodies import describe
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import find_scene
+from tests.support.arm import ARM, HIGH, LOW, POSE, TWIST, unsettle
+from tests.support.spy import Spy
+from tests.support.urdf import collision, joint, link, robot
 
 EQUAL = 1e-6
 TABLES = {

@@ -7,7 +7,6 @@ import copy
 import numpy as np
 import pybullet
 import pytest
-from conftest import collision, joint, link, robot
 from scipy.spatial.transform import Rotation
 
 import ssduck
@@ -19,6 +18,7 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.simulators.scenes import Camera, find_scene
+from tests.support.urdf import collision, joint, link, robot
 
 
 @pytest.fixture
