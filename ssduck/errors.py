@@ -24,7 +24,7 @@ _BETWEEN = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
 
 
 @dataclass(frozen=True)
-class Span:
+class SourceSpan:
     """A part of a program's text: `text[start:end]`, in characters."""
 
     start: int
@@ -59,7 +59,7 @@ class SelectScriptError(Exception):
         message: str,
         *,
         text: str | None = None,
-        span: Span | None = None,
+        span: SourceSpan | None = None,
         suggestions: Iterable[str] = (),
         instead: Callable[[str], str] | None = None,
     ) -> None:

@@ -8,7 +8,7 @@ from itertools import islice
 from reprlib import Repr
 from typing import Any
 
-from ssduck.errors import EvaluationError, Span
+from ssduck.errors import EvaluationError, SourceSpan
 
 # So many keys and letters of what is wrong are told.
 MOST_KEYS = 20
@@ -83,7 +83,7 @@ def described(value: Any) -> str:
     return f"a list with {', '.join(kinds[:_MOST_KINDS])}{more}"
 
 
-def unusable(error: Exception, span: Span | None) -> EvaluationError:
+def unusable(error: Exception, span: SourceSpan | None) -> EvaluationError:
     """Of values that Python brought in: an array that is neither true nor false, say.
 
     Their libraries have errors of their own, of whatever kind and length.

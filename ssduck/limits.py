@@ -65,7 +65,7 @@ class Limits:
         )
 
 
-class Meter:
+class Usage:
     """How much of its limits a running program has used.
 
     Args:

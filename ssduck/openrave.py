@@ -15,7 +15,7 @@ from ssduck.adapters.shapes import placed_shapes
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import shown
 from ssduck.geometry.raster import Raster
-from ssduck.geometry.rasterize import Slicer
+from ssduck.geometry.rasterize import Rasterizer
 from ssduck.world.entities import KinBody, Robot, Sensor
 from ssduck.world.openrave_names import AABB, CLONE_BODIES, SensorCommand
 from ssduck.world.world import World
@@ -95,7 +95,7 @@ class OccupancyGridMap:
             raise ValueError("SetSize comes first")
         with self._world.held(("shapes",)):
             placed = placed_shapes(self._world, self._world.GetBodies())
-        return Slicer(placed).cells(Raster((x, y), size, (nx, ny)), z, z).tobytes()
+        return Rasterizer(placed).cells(Raster((x, y), size, (nx, ny)), z, z).tobytes()
 
 
 MODULES: dict[str, Callable[[World], OccupancyGridMap]] = {"occupancygridmap": OccupancyGridMap}

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from ssduck.adapters.base import Adapter, Selection
     from ssduck.adapters.registry import adapter, find
     from ssduck.adapters.result import Result
-    from ssduck.adapters.table_view import Shown
+    from ssduck.adapters.table_view import TableView
 
 __all__ = [
     "Adapter",
     "Result",
     "Selection",
-    "Shown",
+    "TableView",
     "adapter",
     "find",
 ]
@@ -29,6 +29,6 @@ __getattr__, __dir__ = exports(
         "base": ("Adapter", "Selection"),
         "registry": ("adapter", "find"),
         "result": ("Result",),
-        "table_view": ("Shown",),
+        "table_view": ("TableView",),
     },
 )

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ssduck.adapters.text_table import Fitted
+    from ssduck.adapters.text_table import FittedTable
 
 # How wide the output is at least where there is no terminal to tell.
 WIDTH = 100
 
 
 @dataclass(frozen=True)
-class Answer:
+class DisplayTable:
     """An answer as rows.
 
     Attributes:
@@ -63,22 +63,24 @@ class RowsOfColumns(ABC):
         """All rows, as tuples."""
 
 
-def answer_of(value: Any) -> Answer:
+def answer_of(value: Any) -> DisplayTable:
     """A value as rows: lists of dicts and of lists row by row, else a row a value."""
     if isinstance(value, RowsOfColumns):
-        return Answer(_distinct(value.columns), list(value), types=value.types)
+        return DisplayTable(_distinct(value.columns), list(value), types=value.types)
     if isinstance(value, dict):
-        return Answer(["key", "value"], list(value.items()))
+        return DisplayTable(["key", "value"], list(value.items()))
     if value is None:
-        return Answer(["value"], [], named=False)
+        return DisplayTable(["value"], [], named=False)
     if not isinstance(value, list):
-        return Answer(["value"], [[value]], named=False)
+        return DisplayTable(["value"], [[value]], named=False)
     if value and all(isinstance(row, dict) for row in value):
         names = list(dict.fromkeys(name for row in value for name in row))
-        return Answer([_key(name) for name in names], [[*map(row.get, names)] for row in value])
+        return DisplayTable(
+            [_key(name) for name in names], [[*map(row.get, names)] for row in value]
+        )
     if value and all(isinstance(row, list) for row in value):
-        return Answer([], value, named=False)
-    return Answer(["value"], [[element] for element in value], named=False)
+        return DisplayTable([], value, named=False)
+    return DisplayTable(["value"], [[element] for element in value], named=False)
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
@@ -222,7 +224,7 @@ def terminal_width() -> int | None:
     return console.width if console.is_terminal else None
 
 
-def print_table(answer: Answer) -> None:
+def print_table(answer: DisplayTable) -> None:
     """A table that fits the terminal; elsewhere it is as wide as it is."""
     console = console_of_answers()
     if console.is_terminal:
@@ -231,14 +233,14 @@ def print_table(answer: Answer) -> None:
         sys.stdout.writelines(f"{line}\n" for line in lines_of(answer))
 
 
-def fitted(answer: Answer, note: str = "") -> Fitted:
+def fitted(answer: DisplayTable, note: str = "") -> FittedTable:
     """A table that fits a terminal.
 
     Args:
         answer: the rows.
         note: what a line below tells of them.
     """
-    from ssduck.adapters.text_table import Column, Fitted
+    from ssduck.adapters.text_table import FittedTable, TextColumn
 
     told = (answer.columns, answer.types) if answer.types else (answer.columns,)
     heads = list(zip(*(map(_on_one_line, names) for names in told), strict=True))
@@ -247,10 +249,10 @@ def fitted(answer: Answer, note: str = "") -> Fitted:
     if not answer.named:
         heads = [()] * len(cells)
     parts = zip(heads, cells, _numeric(answer), strict=True)
-    return Fitted([Column(*part) for part in parts], note)
+    return FittedTable([TextColumn(*part) for part in parts], note)
 
 
-def lines_of(answer: Answer) -> Iterator[str]:
+def lines_of(answer: DisplayTable) -> Iterator[str]:
     """The lines of a table that is read by programs, or kept."""
     from rich.cells import cell_len
 
@@ -271,7 +273,7 @@ def lines_of(answer: Answer) -> Iterator[str]:
         yield "  ".join(padded).rstrip()
 
 
-def _numeric(answer: Answer) -> list[bool]:
+def _numeric(answer: DisplayTable) -> list[bool]:
     """Which columns hold numbers only; they are aligned at the right."""
     columns = zip_longest(*answer.rows)
     found = [all(map(_is_number, column)) for column in columns]

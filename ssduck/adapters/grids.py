@@ -17,10 +17,10 @@ from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
 from ssduck.geometry.line_of_sight import are_blocked
 from ssduck.geometry.raster import ROUNDED, Raster
-from ssduck.geometry.rasterize import Slicer
+from ssduck.geometry.rasterize import Rasterizer
 from ssduck.geometry.shapes import Array, rotation_matrices
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.language.tree import Bare, Call, Name, Query, This
+from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.entities import Entity, Sensor
 
@@ -69,7 +69,7 @@ def _sliced(
     heights: tuple[float, float],
 ) -> OccupancyGrid:
     raster = Raster((lower[0], lower[1]), size, (counts[0], counts[1]))
-    cells = Slicer(placed).cells(raster, *heights)
+    cells = Rasterizer(placed).cells(raster, *heights)
     z = heights[0] if heights[0] == heights[1] else heights
     return OccupancyGrid(cells, raster.origin, size, z)
 
@@ -79,7 +79,7 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 3)
     nx, ny, nz = _counts(lower, upper, size)
-    raster, slicer = Raster((lower[0], lower[1]), size, (nx, ny)), Slicer(placed)
+    raster, slicer = Raster((lower[0], lower[1]), size, (nx, ny)), Rasterizer(placed)
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
         ground = lower[2] + layer * size
@@ -202,7 +202,9 @@ def _with_entity(query: Query) -> Query:
 
 
 def _is_entity(item: Any) -> bool:
-    return isinstance(item, This) or (isinstance(item, Name | Bare | Call) and item.name == "obj")
+    return isinstance(item, This) or (
+        isinstance(item, Name | UnresolvedName | Call) and item.name == "obj"
+    )
 
 
 # -- bounds ---------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from ssduck.adapters.display import readable
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
-from ssduck.language.tree import Call, ListOf, Name, Node, Query, This
+from ssduck.language.tree import Call, ListLiteral, Name, Node, Query, This
 from ssduck.world.entities import Entity
 
 # None, or of several edges between two nodes the relation or the number of the row.
@@ -91,7 +91,7 @@ _ENTITIES = frozenset(("obj", "robot", "kinbody", "sensor"))
 
 def _is_of_relations(query: Query) -> bool:
     match query.items:
-        case (Call(name="to", arguments=(ListOf(), _)), *_):
+        case (Call(name="to", arguments=(ListLiteral(), _)), *_):
             return not any(map(_is_entity, query.items))
     return False
 

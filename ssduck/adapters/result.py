@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
-    from ssduck.adapters.table_view import Shown
+    from ssduck.adapters.table_view import TableView
 
 # A result of more columns does not name them all.
 _MOST_NAMED = 12
@@ -142,14 +142,14 @@ class Result(RowsOfColumns):
         """A table for notebooks, of the first rows."""
         return _shown(self)._repr_html_()  # notebooks call it so
 
-    def __rich__(self) -> Shown:
+    def __rich__(self) -> TableView:
         return _shown(self)
 
 
-def _shown(result: Result) -> Shown:
-    from ssduck.adapters.table_view import Shown
+def _shown(result: Result) -> TableView:
+    from ssduck.adapters.table_view import TableView
 
-    return Shown(result)
+    return TableView(result)
 
 
 def values_of(column: pa.ChunkedArray | pa.Array) -> list[Any]:

@@ -7,14 +7,21 @@ from dataclasses import replace
 from typing import Any
 
 from ssduck import validation as checks
-from ssduck.adapters.display import Answer, answer_of, fitted, lines_of, readable, terminal_width
-from ssduck.adapters.text_table import Fitted
+from ssduck.adapters.display import (
+    DisplayTable,
+    answer_of,
+    fitted,
+    lines_of,
+    readable,
+    terminal_width,
+)
+from ssduck.adapters.text_table import FittedTable
 
 # So many rows are shown.
 MOST_ROWS = 20
 
 
-class Shown:
+class TableView:
     """What shows as a table: its first rows, numbers rounded to six digits.
 
     A terminal shows it as text that fits, a notebook as HTML, rich as a table of its own.
@@ -32,7 +39,7 @@ class Shown:
         rows = checks.whole(rows, "show: rows", least=0)
         answer = answer_of(value)
         self._count = len(answer.rows)
-        self._answer: Answer = replace(answer, rows=list(answer.rows)[:rows])
+        self._answer: DisplayTable = replace(answer, rows=list(answer.rows)[:rows])
 
     @property
     def _more(self) -> str:
@@ -64,7 +71,7 @@ class Shown:
         # A wide table is scrolled; the notebook is not made wider by it.
         return f'<div style="overflow-x: auto">{table}</div>{more}'
 
-    def __rich__(self) -> Fitted:
+    def __rich__(self) -> FittedTable:
         return fitted(self._answer, self._more)
 
 

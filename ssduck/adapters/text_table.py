@@ -26,7 +26,7 @@ NARROWEST = 20
 
 
 @dataclass(frozen=True)
-class Column:
+class TextColumn:
     """A column of a table, as texts of one line each.
 
     Attributes:
@@ -70,13 +70,13 @@ class _Layout:
         omitted: how many columns are not shown.
     """
 
-    columns: Sequence[Column]
+    columns: Sequence[TextColumn]
     widths: Sequence[int]
     folds: bool = False
     omitted: int = 0
 
 
-class Fitted:
+class FittedTable:
     """A table as wide as a console of rich's, or as a number of cells.
 
     Args:
@@ -84,7 +84,7 @@ class Fitted:
         note: what a line below tells of the rows; empty for nothing.
     """
 
-    def __init__(self, columns: Sequence[Column], note: str = "") -> None:
+    def __init__(self, columns: Sequence[TextColumn], note: str = "") -> None:
         self._columns = columns
         self._note = note
 
@@ -152,7 +152,7 @@ def _width(text: str) -> int:
 # -- how wide ---------------------------------------------------------------------------------
 
 
-def _layout(columns: Sequence[Column], width: int) -> _Layout:
+def _layout(columns: Sequence[TextColumn], width: int) -> _Layout:
     natural = [column.natural for column in columns]
     if _total(natural) <= width:
         return _Layout(columns, natural)
@@ -168,11 +168,11 @@ def _layout(columns: Sequence[Column], width: int) -> _Layout:
 
 
 def _outermost(
-    columns: Sequence[Column], natural: Sequence[int], elidable: Sequence[int], width: int
+    columns: Sequence[TextColumn], natural: Sequence[int], elidable: Sequence[int], width: int
 ) -> _Layout:
     """As many columns from both sides as there is room for, beside a mark in the middle."""
     rows = len(columns[0].cells)
-    mark = Column((MARK,) * len(columns[0].head), [MARK] * rows, numeric=False)
+    mark = TextColumn((MARK,) * len(columns[0].head), [MARK] * rows, numeric=False)
     marked = width - len(GAP) - mark.natural
     if elidable[0] > marked:  # not even one
         if marked < 1:

@@ -24,7 +24,7 @@ from typer.core import TyperGroup
 
 from ssduck.adapters.display import (
     WRITERS,
-    Answer,
+    DisplayTable,
     print_line,
     print_table,
 )
@@ -207,7 +207,7 @@ def demo(
 
     if listed:
         told = [(each, description_of(each)) for each in NAMES]
-        print_table(Answer(["demo", "what it shows"], told))
+        print_table(DisplayTable(["demo", "what it shows"], told))
         return
     if output is not None and (out is not None or not picture):
         other = "--no-picture" if out is None else "--out"
@@ -328,7 +328,7 @@ def scenes() -> None:
     from ssduck.simulators.scenes import read_scene, shipped_scenes
 
     shipped = [(name, read_scene(path).description) for name, path in shipped_scenes().items()]
-    print_table(Answer(["scene", "description"], shipped))
+    print_table(DisplayTable(["scene", "description"], shipped))
 
 
 @app.command()
@@ -346,7 +346,7 @@ def functions(
             print_line(ss.help(name))
             return
         listed = [_usage_and_gist(ss.help(known)) for known in ss.help()]
-    print_table(Answer(["function", "what it does"], listed))
+    print_table(DisplayTable(["function", "what it does"], listed))
 
 
 def _usage_and_gist(text: str) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ssduck.adapters.display import Answer, print_line, print_table
+from ssduck.adapters.display import DisplayTable, print_line, print_table
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
@@ -168,7 +168,7 @@ def episodes(
         (e.world, e.number, e.started, e.ticks, e.start, e.end, " ".join(e.tables))
         for e in _episodes(path)
     ]
-    print_table(Answer(columns, rows))
+    print_table(DisplayTable(columns, rows))
 
 
 def _episodes(path: Path) -> list[Episode]:

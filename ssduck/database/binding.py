@@ -14,12 +14,18 @@ import numpy as np
 
 from ssduck.errors import EvaluationError, UnsupportedError, warn
 from ssduck.formatting import listed
-from ssduck.geometry.queries import Shapes
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.lookups import TOLD
 from ssduck.recording.replay.record import Record
-from ssduck.recording.stores.duckdb import POSE, Archive, Shown, history_name, not_recorded
-from ssduck.simulators.joints import Joints
+from ssduck.recording.stores.duckdb import (
+    POSE,
+    TickArchive,
+    VisibleRows,
+    history_name,
+    not_recorded,
+)
+from ssduck.simulators.joints import EntityJoints
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.world import World
 
@@ -34,7 +40,7 @@ _NO_SHAPES = (
 
 
 @dataclass(frozen=True)
-class Kept:
+class WorldRecording:
     """The history of a world: who keeps it, where, and how it is told.
 
     Attributes:
@@ -44,14 +50,14 @@ class Kept:
         shown: the rows that DuckDB is shown where they are, by table.
     """
 
-    history: Archive
+    history: TickArchive
     record: Record
     recorder: Recorder | None = None
-    shown: tuple[Mapping[str, Shown], ...] = ()
+    shown: tuple[Mapping[str, VisibleRows], ...] = ()
 
 
 @dataclass
-class Bound:
+class BoundWorld:
     """A world in this database.
 
     Attributes:
@@ -68,7 +74,7 @@ class Bound:
     key: str
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
-    kept: Kept | None = None
+    kept: WorldRecording | None = None
     held: World | None = None
     planned_margins: float = 0.0
     _poses: OrderedDict[int, Poses] = field(default_factory=OrderedDict)
@@ -142,9 +148,9 @@ class Bound:
             told = [[None if math.isnan(one) else one for one in pose] for pose in told]
         return dict(zip(ids.tolist(), map(tuple, told), strict=True))
 
-    def buffers(self) -> list[tuple[str, str, LiveTable | Shown]]:
+    def buffers(self) -> list[tuple[str, str, LiveTable | VisibleRows]]:
         """What DuckDB is to be shown: of which table, under which name, and the rows."""
-        found: list[tuple[str, str, LiveTable | Shown]] = [
+        found: list[tuple[str, str, LiveTable | VisibleRows]] = [
             (table, self.live(table), live) for table, live in self.world.snapshot.tables.items()
         ]
         for part, tables in enumerate(self.kept.shown if self.kept is not None else ()):
@@ -161,7 +167,7 @@ class Bound:
         parts = len(self.kept.shown) if self.kept is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
 
-    def shapes(self, tick: int | None, ids: Sequence[int] | None) -> Shapes:
+    def shapes(self, tick: int | None, ids: Sequence[int] | None) -> ShapeQueries:
         """The shapes at a tick, those of some entities at least, or at the present one.
 
         Args:
@@ -202,7 +208,7 @@ class Bound:
                 "their like may differ there from what the simulator did",
             )
 
-    def joints(self, tick: int, id: int) -> Joints:
+    def joints(self, tick: int, id: int) -> EntityJoints:
         """The joints of an entity at a tick.
 
         Raises:
@@ -217,7 +223,7 @@ class Bound:
             assert self.kept is not None
             member = self.kept.record.members[id]
         joints = () if member.body is None else member.body.joints
-        return Joints(member.name, joints, own["position"][own["entity"] == id].tolist())
+        return EntityJoints(member.name, joints, own["position"][own["entity"] == id].tolist())
 
     def joint_owners(self) -> dict[str, set[int]]:
         """The ids of the entities that have a joint of each name, now or at a recorded tick."""

@@ -1,7 +1,7 @@
 """The one door to DuckDB: worlds as schemas, statements, and the tick that they run on.
 
-A `Database` is a `Connection` on which statements run, and the `Worlds` that they are about, each a
-schema of views that look into its buffers. Nothing outside this folder imports `duckdb`.
+A `Database` is a `Connection` on which statements run, and the `WorldRegistry` that they are
+about, each a schema of views that look into its buffers. Nothing outside this folder imports `duckdb`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import pyarrow as pa
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.functions import add_own, add_users, converter_of
 from ssduck.database.recorders import Recorders, check_runs
-from ssduck.database.referenced_tables import Asked, check_length, tells_past_masses
+from ssduck.database.referenced_tables import ReferencedTables, check_length, tells_past_masses
 from ssduck.database.schemas import Schemas
-from ssduck.database.statement import Plans, Statement
+from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
-from ssduck.database.worlds import Worlds
+from ssduck.database.worlds import WorldRegistry
 from ssduck.errors import EvaluationError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
@@ -28,8 +28,8 @@ from ssduck.recording.export import exported
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names
-from ssduck.recording.stores.parquet import FolderRecording
-from ssduck.sql.types import Signature, Tag
+from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.sql.types import Signature, SqlType
 from ssduck.world.world import World
 
 __all__ = ["Database", "Statement"]
@@ -59,11 +59,11 @@ class Database:
         running: list[Recorder] = []
         self.connection = Connection(path, tracer, limits or Limits(), running)
         self._lock = threading.RLock()
-        self._asked = Asked()
-        self.plans = Plans(self.connection, self._asked.for_good)
+        self._asked = ReferencedTables()
+        self.plans = PreparedPlans(self.connection, self._asked.for_good)
         self._schemas = Schemas(self.connection)
         self._recorders = Recorders(self.connection, running)
-        self._worlds = Worlds(
+        self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
         )
         if self.connection.is_file:
@@ -145,7 +145,7 @@ class Database:
         """Make a user's function one of SQL; replaces one of that signature."""
         add_users(self.connection, signature, function, self._worlds.by_schema)
 
-    def converter(self, tag: Tag) -> Converter | None:
+    def converter(self, tag: SqlType) -> Converter | None:
         """What makes values of a type of those that SQL gives back; None if they are."""
         return converter_of(tag, self._worlds.by_schema)
 
@@ -206,7 +206,7 @@ class Database:
                 check_names(recording, world.snapshot.members)
             self._worlds.record(bound, recording)
 
-    def record_to(self, world: World, recording: Recording, path: Path) -> FolderRecording:
+    def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
         """Write the ticks of a world to a folder from now on, too."""
         with self._lock:
             check_runs(world)

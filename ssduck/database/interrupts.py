@@ -35,7 +35,7 @@ class _Line:
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
-        self.current: Listening | None = None
+        self.current: InterruptListener | None = None
         self._receiver, self._sender = socket.socketpair()
         self._receiver.setblocking(False)
         self._sender.setblocking(False)
@@ -71,7 +71,7 @@ class _Line:
             self.current.hear(signals, stops=stops)
 
 
-class Listening:
+class InterruptListener:
     """Someone who is to be stopped at Ctrl-C, from `enter` to `leave`.
 
     Python may raise KeyboardInterrupt amid `enter` and `leave`; what was begun is undone by
@@ -88,7 +88,7 @@ class Listening:
         self.pressed = False
         self._stop = stop
         self._line: _Line | None = None
-        self._outer: Listening | None = None
+        self._outer: InterruptListener | None = None
         # Where signals were written before; at most one place.
         self._before: list[int] = []
 

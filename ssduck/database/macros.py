@@ -18,11 +18,11 @@ from ssduck.recording.stores.duckdb import history_name, model_name
 from ssduck.schema import ROWS, TABLES
 from ssduck.sql.from_clause import pairs_of
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.relations.relation import Candidates, Relation
+from ssduck.sql.relations.relation import CandidatePairs, Relation
 
 
 @dataclass(frozen=True)
-class TableMacro:
+class PairTableMacro:
     """A table of pairs of a world, for SQL over thousands of bodies: a join of rows takes longer.
 
     Attributes:
@@ -34,7 +34,7 @@ class TableMacro:
 
     name: str
     parameters: tuple[str, ...]
-    candidates: Candidates
+    candidates: CandidatePairs
     about: str
 
     def macro(self, place: Sequence[str], schema: str) -> str:
@@ -55,17 +55,17 @@ class TableMacro:
 
 
 TABLE_MACROS = (
-    TableMacro(
+    PairTableMacro(
         "colliding_pairs",
         ("depth := 1e-6",),
-        Candidates("colliding", "depth"),
+        CandidatePairs("colliding", "depth"),
         "A row is the ids a, b of two entities that are deeper in each other than depth, 1e-6 m "
         "if it is not given; each pair both ways.",
     ),
-    TableMacro(
+    PairTableMacro(
         "pairs_within",
         ("d",),
-        Candidates("within", "d"),
+        CandidatePairs("within", "d"),
         "A row is the ids a, b of two entities whose clearance is at most d metres; each pair "
         "both ways.",
     ),

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import duckdb
 
-from ssduck.database.binding import Bound
+from ssduck.database.binding import BoundWorld
 from ssduck.database.macros import TABLE_MACROS, looking_up
-from ssduck.errors import LimitError, Span
+from ssduck.errors import LimitError, SourceSpan
 from ssduck.schema import MARGINS, MASSES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.world import World
@@ -58,7 +58,7 @@ MOST_WORDS = 200_000
 MOST_BRACKETS = 100
 
 
-class Asked:
+class ReferencedTables:
     """What users' statements ask for.
 
     A view or a prepared statement asks again when it is used, under another name; so what such a
@@ -80,7 +80,7 @@ class Asked:
             self.for_good |= asked
         return asked | self.for_good
 
-    def worlds(self, sql: str, bound: Sequence[Bound]) -> list[World] | None:
+    def worlds(self, sql: str, bound: Sequence[BoundWorld]) -> list[World] | None:
         """The worlds that a statement may be about; None for all, where it may use another one.
 
         The first one's tables go without its name.
@@ -123,7 +123,7 @@ def check_length(sql: str) -> None:
         if depth > MOST_BRACKETS:
             start = len(letters[:place].decode())
             told = f"SQL nested deeper than {MOST_BRACKETS} brackets"
-            raise LimitError(told, text=sql, span=Span(start, start + 1))
+            raise LimitError(told, text=sql, span=SourceSpan(start, start + 1))
 
 
 _DEEPER = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}

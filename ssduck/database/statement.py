@@ -26,7 +26,7 @@ _KNOWN = frozenset((*TABLES, *map(history_name, ("ticks", *RECORDABLE, FRAMES)))
 _PARAMETERS = "the parameters"
 
 
-class Plans:
+class PreparedPlans:
     """The plans that DuckDB keeps for prepared statements.
 
     Args:
@@ -79,7 +79,7 @@ class Statement:
 
     def __init__(
         self,
-        plans: Plans,
+        plans: PreparedPlans,
         select: exp.Select,
         types: Mapping[str, Literal["real", "integer"]],
     ) -> None:

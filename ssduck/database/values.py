@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import Any, TypeAlias
 
 from ssduck.recording.replay.record import Record
-from ssduck.sql.types import ANY, EXACT, FLAG, IDS, INTEGER, REAL, TEXT, Tag, merged
+from ssduck.sql.types import ANY, EXACT, FLAG, IDS, INTEGER, REAL, TEXT, SqlType, merged
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -19,7 +19,7 @@ MOST_FIELDS = 200
 SchemaOf: TypeAlias = Callable[[World], str]
 
 
-def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
+def tag_of(value: Any, schema_of: SchemaOf) -> SqlType:
     """The type of a value.
 
     Args:
@@ -36,12 +36,12 @@ def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
         case str():
             return _text((value,))
         case None:
-            return Tag("nothing")
+            return SqlType("nothing")
         case Entity() if not value.is_there:  # of one that is gone SQL knows nothing
             return ANY
         case Entity():
             past = value.moment is not None
-            return Tag("entity", schema=schema_of(value.world), past=past)
+            return SqlType("entity", schema=schema_of(value.world), past=past)
         case list():
             return _list((value,), schema_of)
         case dict():
@@ -49,7 +49,7 @@ def tag_of(value: Any, schema_of: SchemaOf) -> Tag:
     return ANY
 
 
-def tag_of_any(values: Sequence[Any], schema_of: SchemaOf) -> Tag | None:
+def tag_of_any(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | None:
     """The type of what is one of many values; None of none.
 
     Values of one kind are looked at together: there may be millions.
@@ -69,7 +69,7 @@ def _of(kind: type, values: Sequence[Any]) -> list[Any]:
     return [value for value in values if type(value) is kind]
 
 
-def _of_kind(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> Tag:
+def _of_kind(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> SqlType:
     if kind in _PLAIN:
         return _PLAIN[kind](values)
     if kind is list:
@@ -79,15 +79,15 @@ def _of_kind(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> Tag:
     return merged(tag_of(value, schema_of) for value in values) or ANY
 
 
-def _integer(values: Sequence[int]) -> Tag:
+def _integer(values: Sequence[int]) -> SqlType:
     return INTEGER if min(values) > -EXACT and max(values) < EXACT else ANY
 
 
-def _real(values: Sequence[float]) -> Tag:
+def _real(values: Sequence[float]) -> SqlType:
     return REAL if all(map(math.isfinite, values)) else ANY
 
 
-def _text(values: Sequence[str]) -> Tag:
+def _text(values: Sequence[str]) -> SqlType:
     odd = [text for text in values if not text.isprintable()]
     return ANY if any("\0" in text or _is_torn(text) for text in odd) else TEXT
 
@@ -101,7 +101,7 @@ def _is_torn(text: str) -> bool:
     return False
 
 
-_PLAIN: dict[type, Callable[[Sequence[Any]], Tag]] = {
+_PLAIN: dict[type, Callable[[Sequence[Any]], SqlType]] = {
     bool: lambda _: FLAG,
     int: _integer,
     float: _real,
@@ -109,15 +109,15 @@ _PLAIN: dict[type, Callable[[Sequence[Any]], Tag]] = {
 }
 
 
-def _list(values: Sequence[list[Any]], schema_of: SchemaOf) -> Tag:
+def _list(values: Sequence[list[Any]], schema_of: SchemaOf) -> SqlType:
     lists = list({id(value): value for value in values}.values())
     parts = lists[0] if len(lists) == 1 else list(chain.from_iterable(lists))
     tag = tag_of_any(parts, schema_of)
-    whole = Tag("list", tag, 3 if set(map(len, lists)) == {3} else None)
+    whole = SqlType("list", tag, 3 if set(map(len, lists)) == {3} else None)
     return whole if whole.is_sql else ANY
 
 
-def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> Tag:
+def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> SqlType:
     different = set(map(tuple, values))
     keys = different.pop()
     if different or not keys or len(keys) > MOST_FIELDS:
@@ -126,10 +126,10 @@ def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> Tag:
     if len(folded) < len(keys):  # SQL does not tell upper from lower case
         return ANY
     parts = [(key, tag_of_any(list(map(itemgetter(key), values)), schema_of)) for key in keys]
-    return Tag("record", fields=tuple((key, tag or ANY) for key, tag in parts))
+    return SqlType("record", fields=tuple((key, tag or ANY) for key, tag in parts))
 
 
-def is_exactly(value: Any, tag: Tag) -> bool:
+def is_exactly(value: Any, tag: SqlType) -> bool:
     """Whether a value is of a type, and SQL gives it back as it is: 3 is no real, 3.0 is.
 
     Args:
@@ -159,7 +159,7 @@ Converter: TypeAlias = Callable[[Any], Any]
 
 
 def converter(
-    tag: Tag, worlds: Mapping[str, World], records: Mapping[str, Record]
+    tag: SqlType, worlds: Mapping[str, World], records: Mapping[str, Record]
 ) -> Converter | None:
     """What makes values of those that SQL gives back: entities of ids; None if they are.
 

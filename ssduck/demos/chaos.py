@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ssduck.adapters.display import Answer, lines_of
+from ssduck.adapters.display import DisplayTable, lines_of
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
             for second, bodies, sides in ss.sql(COUNTED).fetchall()
             if second in energies
         ]
-        told = Answer(["second", "body and body", "body and side", "energy, J"], rows)
+        told = DisplayTable(["second", "body and body", "body and side", "energy, J"], rows)
         say("\n".join(lines_of(told)))
         say(
             f"What the camera in the western side sees changed {len(seen) - 1} times: "

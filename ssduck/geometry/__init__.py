@@ -12,16 +12,16 @@ from ssduck.lazy import exports
 
 if TYPE_CHECKING:
     from ssduck.geometry.line_of_sight import are_blocked
-    from ssduck.geometry.queries import Shapes
-    from ssduck.geometry.rasterize import Slicer
+    from ssduck.geometry.queries import ShapeQueries
+    from ssduck.geometry.rasterize import Rasterizer
     from ssduck.geometry.shapes import Boxer, Geometry, PlacedGeometry
 
 __all__ = [
     "Boxer",
     "Geometry",
     "PlacedGeometry",
-    "Shapes",
-    "Slicer",
+    "Rasterizer",
+    "ShapeQueries",
     "are_blocked",
 ]
 
@@ -29,8 +29,8 @@ __getattr__, __dir__ = exports(
     __name__,
     {
         "line_of_sight": ("are_blocked",),
-        "queries": ("Shapes",),
-        "rasterize": ("Slicer",),
+        "queries": ("ShapeQueries",),
+        "rasterize": ("Rasterizer",),
         "shapes": ("Boxer", "Geometry", "PlacedGeometry"),
     },
 )

@@ -18,7 +18,16 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from ssduck.geometry.broad_phase import Flags, Pairs, meeting
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, Bodies, Cores, Verdicts, compare, slack
+from ssduck.geometry.gjk import (
+    ABOVE,
+    BELOW,
+    UNDECIDED,
+    ConvexCores,
+    PlacedCores,
+    Verdicts,
+    compare,
+    slack,
+)
 from ssduck.geometry.shapes import Array, Indices, rotate
 from ssduck.geometry.solids import Solid
 
@@ -35,7 +44,7 @@ Asked: TypeAlias = Literal["colliding", "within", "touching"]
 
 
 @dataclass(frozen=True)
-class Question:
+class PairPredicate:
     """What is asked of two entities: it holds if it does of two of their shapes.
 
     Attributes:
@@ -58,14 +67,14 @@ class Question:
             return -self.distance
         return self.distance + margins if self.of == "touching" else self.distance
 
-    def bounds(self, sorts: Sorts, first: Indices, second: Indices) -> Array:
+    def bounds(self, sorts: ShapeTable, first: Indices, second: Indices) -> Array:
         """The bounds of pairs of shapes, (n,)."""
         found = np.full(len(first), self.bound(0.0))
         if self.of == "touching":
             found += sorts.margins[first] + sorts.margins[second]
         return found
 
-    def candidates(self, scene: Scene) -> Pairs:
+    def candidates(self, scene: TickPairs) -> Pairs:
         """The pairs of shapes whose boxes are near enough."""
         if self.of == "colliding":
             return _candidates(scene, scene.boxes, 0.0)
@@ -76,7 +85,7 @@ class Question:
         return _candidates(scene, grown, max(self.distance, 0.0) + _MARGIN)
 
 
-class Sorts:
+class ShapeTable:
     """What does not depend on the poses of shapes.
 
     Args:
@@ -109,11 +118,11 @@ class Sorts:
         up = np.array([0.0, 0.0, 1.0])
         normals = [s.normals[0] if s.type == "plane" and s.known else up for s in solids]
         self.normal = np.array(normals).reshape(-1, 3)[of]
-        self.cores = Cores(solids, of)
+        self.cores = ConvexCores(solids, of)
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class TickPairs:
     """The shapes of a tick, in arrays.
 
     Attributes:
@@ -124,7 +133,7 @@ class Scene:
         matrices: (n, 3, 3).
     """
 
-    sorts: Sorts
+    sorts: ShapeTable
     known: Flags
     boxes: Array
     positions: Array
@@ -149,11 +158,11 @@ class Scene:
         return self.moved(self.sorts.inner_centre)
 
     @cached_property
-    def bodies(self) -> Bodies:
+    def bodies(self) -> PlacedCores:
         """The shapes' cores."""
         turns = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
         centres, inner = map(np.ascontiguousarray, (self.centres.T, self.inner.T))
-        return Bodies(self.sorts.cores, turns, centres, inner)
+        return PlacedCores(self.sorts.cores, turns, centres, inner)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
         """Whose shapes these are: a number for each pair of entities, as of `pair_number`."""
@@ -167,7 +176,7 @@ def pair_number(i: int, j: int) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class PairResult:
     """What was found of all pairs of entities.
 
     Attributes:
@@ -190,7 +199,7 @@ class Found:
         return list(zip(first.tolist(), second.tolist(), strict=True))
 
 
-def known_with_all(sorts: Sorts, known: Flags) -> Flags:
+def known_with_all(sorts: ShapeTable, known: Flags) -> Flags:
     """Of each shape whether all of its entity are known."""
     lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
     all_known: Flags = lost[sorts.entities] == 0
@@ -198,11 +207,11 @@ def known_with_all(sorts: Sorts, known: Flags) -> Flags:
 
 
 def entities_of(
-    scene: Scene,
-    question: Question,
+    scene: TickPairs,
+    question: PairPredicate,
     holds: Callable[[int, int], bool],
     among: Pairs | None = None,
-) -> Found:
+) -> PairResult:
     """The pairs of entities of which something holds.
 
     Args:
@@ -222,25 +231,25 @@ def entities_of(
     return _found(scene, among, rules, bounds, holds)
 
 
-def _usable(scene: Scene, shapes: Pairs) -> Pairs:
+def _usable(scene: TickPairs, shapes: Pairs) -> Pairs:
     first, second = shapes
     usable = scene.known & scene.sorts.is_shown
     both = usable[first] & usable[second]
     return first[both], second[both]
 
 
-Rule: TypeAlias = Callable[[Scene, Indices, Indices, Array], Verdicts]
+Rule: TypeAlias = Callable[[TickPairs, Indices, Indices, Array], Verdicts]
 
 
 # What is too large for its squares is not decided by them.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _found(
-    scene: Scene,
+    scene: TickPairs,
     candidates: Pairs,
     rules: Sequence[Rule],
     bounds: Array,
     is_below: Callable[[int, int], bool],
-) -> Found:
+) -> PairResult:
     """The pairs of entities with shapes whose gaps are below bounds, or of which it is said.
 
     Args:
@@ -267,10 +276,10 @@ def _found(
         if owner not in more and is_below(s, t):
             more.add(owner)
     found = np.concatenate((found, np.array(sorted(more), np.intp)))
-    return Found(np.sort(found) if single else np.unique(found), compared)
+    return PairResult(np.sort(found) if single else np.unique(found), compared)
 
 
-def _candidates(scene: Scene, boxes: Array, apart: float) -> Pairs:
+def _candidates(scene: TickPairs, boxes: Array, apart: float) -> Pairs:
     """The pairs of known shapes, of two entities, whose boxes (6, n) are no farther apart.
 
     There are none if that is below 0, or no number.
@@ -293,7 +302,7 @@ def _candidates(scene: Scene, boxes: Array, apart: float) -> Pairs:
 # -- rules -------------------------------------------------------------------------------------
 
 
-def _by_spheres(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_spheres(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """The spheres around shapes, and those in them; a half-space has none."""
     sorts, error = scene.sorts, slack(scene.bodies, first, second)
     verdicts = np.zeros(len(first), np.int8)
@@ -311,7 +320,7 @@ def _distances(points: Array, first: Indices, second: Indices) -> Array:
     return lengths
 
 
-def _by_planes(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_planes(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """Half-spaces and any other shape, by the point of it that is farthest in."""
     sorts = scene.sorts
     verdicts = np.zeros(len(first), np.int8)
@@ -331,7 +340,7 @@ def _by_planes(scene: Scene, first: Indices, second: Indices, bounds: Array) -> 
     return verdicts
 
 
-def _by_axes(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_axes(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """Boxes that may be deep in each other: exactly."""
     verdicts = np.zeros(len(first), np.int8)
     some = np.flatnonzero(scene.sorts.is_box[first] & scene.sorts.is_box[second])
@@ -340,7 +349,7 @@ def _by_axes(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Ve
     return verdicts
 
 
-def _by_cores(scene: Scene, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_cores(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """What is convex; the convex hull of a mesh only tells that it is far from something."""
     sorts = scene.sorts
     verdicts = np.zeros(len(first), np.int8)
@@ -352,7 +361,7 @@ def _by_cores(scene: Scene, first: Indices, second: Indices, bounds: Array) -> V
     return verdicts
 
 
-def box_depths(scene: Scene, first: Indices, second: Indices) -> Array:
+def box_depths(scene: TickPairs, first: Indices, second: Indices) -> Array:
     """How deep boxes are in each other, m: the least overlap along their 15 axes; < 0 if apart."""
     a, b = scene.sorts.cores.half[:, first].T, scene.sorts.cores.half[:, second].T
     turn_a, turn_b = scene.matrices[first], scene.matrices[second]

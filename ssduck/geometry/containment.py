@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.geometry.common_volume import common_volume
-from ssduck.geometry.placed_solid import Placed
+from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.shapes import Array, Geometry
 from ssduck.geometry.solids import FLAT, Solid, hull_of, solid_of
 from ssduck.geometry.surfaces import without_copies
@@ -27,7 +27,7 @@ Box: TypeAlias = list[float]
 
 
 @dataclass(frozen=True, eq=False)
-class Hull:
+class WorldHull:
     """The convex hull of shapes, in the world; it has a volume.
 
     Attributes:
@@ -46,7 +46,7 @@ class Hull:
         return not len(self.normals)
 
 
-def hull_around(a: Sequence[Placed]) -> Hull | None:
+def hull_around(a: Sequence[PlacedSolid]) -> WorldHull | None:
     """The convex hull of shapes; None if it has no volume.
 
     Round shapes are polyhedra: see `share_inside`.
@@ -59,26 +59,26 @@ def hull_around(a: Sequence[Placed]) -> Hull | None:
         solid = hull_of(_points(a))
         if solid.offsets is None:
             return None
-        return Hull(solid.normals, solid.offsets, solid.core[solid.faces])
+        return WorldHull(solid.normals, solid.offsets, solid.core[solid.faces])
     endless = np.zeros((0, 3, 3))
     normal = planes[0].normals[0]
     if any(float(np.linalg.norm(normal - one.normals[0])) > ROUNDING for one in planes):
-        return Hull(np.zeros((0, 3)), np.zeros(0), endless)  # they differ in direction
+        return WorldHull(np.zeros((0, 3)), np.zeros(0), endless)  # they differ in direction
     heights = [float(normal @ one.position) for one in planes]
     bodies = (one for one in a if one.solid.type != "plane")
     heights += [float(one.reaches(normal[None])[0]) + one.solid.radius for one in bodies]
-    return Hull(normal[None], np.array([max(heights)]), endless)
+    return WorldHull(normal[None], np.array([max(heights)]), endless)
 
 
-def _own_hull(a: Placed) -> Hull | None:
+def _own_hull(a: PlacedSolid) -> WorldHull | None:
     """That of a polyhedron that is its own, and surely is not flat."""
     sharp = a.solid.type in ("box", "hull") and a.solid.inner_radius > FLAT * a.solid.reach
     if not sharp or a.offsets is None:
         return None
-    return Hull(a.normals, a.offsets, a.points[a.solid.faces])
+    return WorldHull(a.normals, a.offsets, a.points[a.solid.faces])
 
 
-def share_inside(hull: Hull | None, b: Sequence[Placed]) -> float | None:
+def share_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float | None:
     """The share of b's volume that is inside a convex hull, 0..1.
 
     Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, balls and
@@ -135,7 +135,7 @@ def most_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
     return inside / whole
 
 
-def most_in_hull(hull: Hull | None, b: Sequence[Placed]) -> float:
+def most_in_hull(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float:
     """The same: what a face of the hull cuts off from the sphere in a shape is not inside."""
     if hull is None:
         return 0.0
@@ -158,7 +158,7 @@ def _grown(solid: Solid, box: Box) -> Box:
     return [a - off, b - off, c - off, d + off, e + off, f + off]
 
 
-def _points(a: Sequence[Placed]) -> Array:
+def _points(a: Sequence[PlacedSolid]) -> Array:
     """Points of shapes in the world whose convex hull is theirs."""
     bodies = [one for one in a if one.solid.type != "plane"]
     placed = [one.solid.points @ one.matrix.T + one.position for one in bodies]
@@ -168,7 +168,7 @@ def _points(a: Sequence[Placed]) -> Array:
 # -- in a hull ---------------------------------------------------------------------------------
 
 
-def _span(hull: Hull, one: Placed) -> tuple[float, float]:
+def _span(hull: WorldHull, one: PlacedSolid) -> tuple[float, float]:
     """Heights over the faces of a hull: the most of a shape's lowest points, and of its highest.
 
     A shape whose highest are all below the faces is inside; one whose lowest are above a face is
@@ -191,7 +191,7 @@ def _span(hull: Hull, one: Placed) -> tuple[float, float]:
     return bottom, top
 
 
-def _volume_inside(hull: Hull, cut: Sequence[Placed]) -> float:
+def _volume_inside(hull: WorldHull, cut: Sequence[PlacedSolid]) -> float:
     """How much of shapes' volumes is within a hull."""
     parts, weights = [], []
     for one in cut:
@@ -206,7 +206,7 @@ def _volume_inside(hull: Hull, cut: Sequence[Placed]) -> float:
     return common_volume(triangles, np.concatenate(weights), around)
 
 
-def _below(hull: Hull, points: Array) -> Array:
+def _below(hull: WorldHull, points: Array) -> Array:
     """The surface (12, 3, 3) of a cube in a half-space, with all that it has of points it cuts."""
     low, high = points.min(axis=0), points.max(axis=0)
     normal, middle = hull.normals[0], (low + high) / 2
@@ -223,7 +223,7 @@ def _below(hull: Hull, points: Array) -> Array:
 # -- on the ground -----------------------------------------------------------------------------
 
 
-def footprint(a: Sequence[Placed]) -> Array:
+def footprint(a: Sequence[PlacedSolid]) -> Array:
     """The corners (k, 2) of the convex hull of the shapes' shadows; of half-spaces not."""
     points = without_copies(_points(a)[:, :2])
     from scipy.spatial import ConvexHull, QhullError
@@ -237,7 +237,7 @@ def footprint(a: Sequence[Placed]) -> Array:
     return corners
 
 
-def covers(a: Sequence[Placed], corners: Array, x: float, y: float) -> bool:
+def covers(a: Sequence[PlacedSolid], corners: Array, x: float, y: float) -> bool:
     """Whether a point of the ground is over the footprint, its rim included."""
     for one in a:
         if one.solid.type == "plane":

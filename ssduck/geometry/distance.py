@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.placed_solid import Placed, Point
+from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shapes import Array, cross
 
 # Below this, metres, surfaces touch.
@@ -45,7 +45,7 @@ _AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
 
 
 @dataclass
-class Counter:
+class CallCounter:
     """Counts the calls of FCL's collide and distance, and the pairs of entities compared.
 
     A pair counts once a tick. Of all pairs that are compared at once, those count whose boxes
@@ -57,7 +57,7 @@ class Counter:
 
 
 @dataclass(frozen=True, slots=True)
-class Separation:
+class SignedDistance:
     """The gap of a and b: `point_a - point_b == gap * normal`.
 
     Attributes:
@@ -75,17 +75,17 @@ class Separation:
     point_b: Point
     normal: Point | None
 
-    def swapped(self) -> Separation:
+    def swapped(self) -> SignedDistance:
         """The same of b and a."""
         normal = self.normal
         turned = None if normal is None else (-normal[0], -normal[1], -normal[2])
-        return Separation(self.gap, self.point_b, self.point_a, turned)
+        return SignedDistance(self.gap, self.point_b, self.point_a, turned)
 
 
-Rule: TypeAlias = Callable[[Placed, Placed], Separation]
+Rule: TypeAlias = Callable[[PlacedSolid, PlacedSolid], SignedDistance]
 
 
-def separation(a: Placed, b: Placed, calls: Counter) -> Separation:
+def separation(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
     """The gap of two convex solids, or of a half-space and any solid."""
     kinds = a.solid.type, b.solid.type
     rule = _RULES.get(kinds)
@@ -102,11 +102,13 @@ def separation(a: Placed, b: Placed, calls: Counter) -> Separation:
     return rounded(gap, p, q, normal, a, b)
 
 
-def rounded(gap: float, p: Any, q: Any, normal: Any, a: Placed, b: Placed) -> Separation:
+def rounded(
+    gap: float, p: Any, q: Any, normal: Any, a: PlacedSolid, b: PlacedSolid
+) -> SignedDistance:
     """The separation of two shapes from that of their cores."""
     ra, rb = a.solid.radius, b.solid.radius
     x, y, z = float(normal[0]), float(normal[1]), float(normal[2])
-    return Separation(
+    return SignedDistance(
         float(gap) - ra - rb,
         (float(p[0]) - ra * x, float(p[1]) - ra * y, float(p[2]) - ra * z),
         (float(q[0]) + rb * x, float(q[1]) + rb * y, float(q[2]) + rb * z),
@@ -117,7 +119,7 @@ def rounded(gap: float, p: Any, q: Any, normal: Any, a: Placed, b: Placed) -> Se
 # -- formulas ---------------------------------------------------------------------------------
 
 
-def _ends(a: Placed) -> tuple[Point, Point]:
+def _ends(a: PlacedSolid) -> tuple[Point, Point]:
     """The ends of the core of a sphere or a capsule."""
     if a.solid.type == "sphere":
         x, y, z = a.solid.core[0].tolist()
@@ -127,7 +129,7 @@ def _ends(a: Placed) -> tuple[Point, Point]:
     return a.world(0.0, 0.0, -half), a.world(0.0, 0.0, half)
 
 
-def _segments(a: Placed, b: Placed) -> Separation:
+def _segments(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     """Spheres and capsules: nearest points of two segments."""
     (p1, p2), (q1, q2) = _ends(a), _ends(b)
     d1, d2, r = _minus(p2, p1), _minus(q2, q1), _minus(p1, q1)
@@ -176,7 +178,7 @@ def _across(u: Point, v: Point) -> Point:
     return _across(along, (float(least == 0), float(least == 1), float(least == 2)))
 
 
-def _sphere_box(a: Placed, b: Placed) -> Separation:
+def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     centre = _ends(a)[0]
     x, y, z = point = b.local(centre)
     halves: Point = tuple(b.solid.core[7].tolist())
@@ -193,7 +195,7 @@ def _sphere_box(a: Placed, b: Placed) -> Separation:
     return rounded(abs(point[axis]) - halves[axis], centre, b.world(*nearest), normal, a, b)
 
 
-def _sphere_cylinder(a: Placed, b: Placed) -> Separation:
+def _sphere_cylinder(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     centre = _ends(a)[0]
     x, y, z = b.local(centre)
     off, wide, half = math.hypot(x, y), b.solid.disc, b.solid.half
@@ -212,7 +214,7 @@ def _sphere_cylinder(a: Placed, b: Placed) -> Separation:
     return rounded(gap, centre, b.world(*nearest), b.turned(*normal), a, b)
 
 
-def _plane(a: Placed, b: Placed) -> Separation:
+def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     """Any solid a over the half-space b: the point of a that is farthest in."""
     normal = b.normals[0]
     heights = (a.points - b.position) @ normal
@@ -228,7 +230,7 @@ def _plane(a: Placed, b: Placed) -> Separation:
     return rounded(lowest, deepest, deepest - lowest * normal, normal, a, b)
 
 
-def _planes(a: Placed, b: Placed) -> Separation:
+def _planes(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     """Half-spaces are apart only if they face away from each other."""
     n, m = a.normals[0], b.normals[0]
     p, q = np.array(a.position), np.array(b.position)
@@ -242,7 +244,7 @@ def _planes(a: Placed, b: Placed) -> Separation:
         step = m - float(n @ m) * n
         inside = p + float((q - p) @ m) / float(step @ m) * step
     x, y, z = inside.tolist()
-    return Separation(-math.inf, (x, y, z), (x, y, z), None)
+    return SignedDistance(-math.inf, (x, y, z), (x, y, z), None)
 
 
 _RULES: dict[tuple[str, str], Rule] = {
@@ -272,7 +274,7 @@ def _within(share: float) -> float:
 Core: TypeAlias = tuple[float, Array, Array, Array]
 
 
-def nearest_of_surfaces(a: Any, b: Any, calls: Counter) -> tuple[float, Array, Array]:
+def nearest_of_surfaces(a: Any, b: Any, calls: CallCounter) -> tuple[float, Array, Array]:
     """FCL's distance of two surfaces, 0 where they cross, and their nearest points."""
     import fcl
 
@@ -283,7 +285,7 @@ def nearest_of_surfaces(a: Any, b: Any, calls: Counter) -> tuple[float, Array, A
     return max(0.0, distance), p, q
 
 
-def _core_gap(a: Placed, b: Placed, calls: Counter) -> Core:
+def _core_gap(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
     distance, p, q = nearest_of_surfaces(a.object, b.object, calls)
     is_round = bool(a.solid.disc or b.solid.disc)
     if distance > TOUCH:
@@ -295,7 +297,7 @@ def _core_gap(a: Placed, b: Placed, calls: Counter) -> Core:
     return deep or _nearest(a, b, p, q)
 
 
-def _onto(a: Placed, towards: Array, point: Array) -> Array:
+def _onto(a: PlacedSolid, towards: Array, point: Array) -> Array:
     """A point of the prism of a cylinder, moved to where the cylinder is nearest to another."""
     if not a.solid.disc:
         return point
@@ -305,7 +307,7 @@ def _onto(a: Placed, towards: Array, point: Array) -> Array:
     return np.array(a.world(x * shrink, y * shrink, min(max(z, -half), half)))
 
 
-def _certified(a: Placed, b: Placed, p: Array, q: Array, tolerance: float) -> Core | None:
+def _certified(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: float) -> Core | None:
     """The gap if the way from q to p separates by it."""
     way = p - q
     length = math.sqrt(float(way @ way))
@@ -319,7 +321,7 @@ def _certified(a: Placed, b: Placed, p: Array, q: Array, tolerance: float) -> Co
     return length, p, q, normal
 
 
-def _deepest(a: Placed, b: Placed, tolerance: float) -> Core | None:
+def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
     """Minus the depth, the least overlap in any direction; None if a direction separates them."""
     ways = _ways(a, b)
     overlaps = b.reaches(ways) + a.reaches(-ways)
@@ -345,7 +347,7 @@ def _deepest(a: Placed, b: Placed, tolerance: float) -> Core | None:
     return _witnesses(depth, normal, a.face(-normal, flush), b.face(normal, flush))
 
 
-def _ways(a: Placed, b: Placed) -> Array:
+def _ways(a: PlacedSolid, b: PlacedSolid) -> Array:
     """Directions of least overlap: all of two boxes (Gottschalk 1996), some of other shapes."""
     if a.solid.type == b.solid.type == "box":
         pairs = np.repeat(a.matrix.T, 3, axis=0), np.tile(b.matrix.T, (3, 1))
@@ -357,7 +359,7 @@ def _ways(a: Placed, b: Placed) -> Array:
     return np.concatenate((b.normals, -a.normals, _AROUND))
 
 
-def _deepest_corner(a: Placed, b: Placed, depth: float) -> Array | None:
+def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | None:
     """A point of a that is as deep in b as the overlap in some direction, if there is one.
 
     That this point has to leave b bounds the depth from below, the overlap from above.
@@ -374,7 +376,7 @@ def _deepest_corner(a: Placed, b: Placed, depth: float) -> Array | None:
 
 
 def _expanded(
-    a: Placed, b: Placed, ways: Array, normal: Array, depth: float, tolerance: float
+    a: PlacedSolid, b: PlacedSolid, ways: Array, normal: Array, depth: float, tolerance: float
 ) -> tuple[float, Array] | None:
     """The depth and its direction, by a polytope in the difference that grows where it is thin.
 
@@ -439,7 +441,7 @@ def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
     return -depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal
 
 
-def _nearest(a: Placed, b: Placed, p: Array, q: Array) -> Core:
+def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
     """The nearest points of cores that are apart: Wolfe's point of least norm (1976)."""
     of_a, of_b = a.supports((q - p)[None]), b.supports((p - q)[None])
     if float(np.linalg.norm(p - q)) > TOUCH:

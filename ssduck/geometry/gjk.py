@@ -54,7 +54,7 @@ _OFF = np.array([[0, 0, 0], [0.27, 0.11, 0.4], [0, 0, 0], [-0.4, -0.27, -0.11]])
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
-class Cores:
+class ConvexCores:
     """The convex hulls of solids' cores around their solids' centres, in the solids' frames.
 
     Each is a sum: of a box with half extents (a sphere's is a point, a capsule's and a
@@ -109,7 +109,7 @@ def _padded(points: Array, count: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class PlacedCores:
     """Cores at poses.
 
     Attributes:
@@ -119,7 +119,7 @@ class Bodies:
         inner: (3, n), of the balls in them.
     """
 
-    cores: Cores
+    cores: ConvexCores
     turns: Array
     centres: Array
     inner: Array
@@ -202,7 +202,7 @@ class _Pairs:
         """Some of them."""
         return _Pairs(*(getattr(self, name).take(which, axis=-1) for name in _FIELDS))
 
-    def farthest(self, bodies: Bodies, ways: Array) -> Array:
+    def farthest(self, bodies: PlacedCores, ways: Array) -> Array:
         """The farthest points of the differences in directions (3, n)."""
         count = len(self.first)
         both = np.concatenate((self.first, self.second))
@@ -220,7 +220,7 @@ def _joined(parts: Sequence[_Pairs]) -> _Pairs:
     return _Pairs(*fields)
 
 
-def compare(bodies: Bodies, first: Indices, second: Indices, bound: float | Array) -> Verdicts:
+def compare(bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array) -> Verdicts:
     """Whether the gaps of pairs of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
 
     The gap is as of `ssduck.geometry.distance`: minus the depth where shapes meet. A verdict leaves
@@ -241,7 +241,7 @@ def compare(bodies: Bodies, first: Indices, second: Indices, bound: float | Arra
     return verdicts
 
 
-def slack(bodies: Bodies, first: Indices, second: Indices) -> Array:
+def slack(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
     """How near to the bound the gaps of pairs may be for the exact answer to be needed, metres."""
     cores, centres = bodies.cores, bodies.centres
     is_round = (cores.disc[first] > 0.0) | (cores.disc[second] > 0.0)
@@ -253,7 +253,7 @@ def slack(bodies: Bodies, first: Indices, second: Indices) -> Array:
     return error
 
 
-def _begin(bodies: Bodies, first: Indices, second: Indices, bounds: Array) -> _Pairs:
+def _begin(bodies: PlacedCores, first: Indices, second: Indices, bounds: Array) -> _Pairs:
     cores = bodies.cores
     between = bodies.centres[:, first] - bodies.centres[:, second]
     error = slack(bodies, first, second)
@@ -275,7 +275,7 @@ def _begin(bodies: Bodies, first: Indices, second: Indices, bounds: Array) -> _P
 # -- steps -------------------------------------------------------------------------------------
 
 
-def _decide(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> None:
+def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> None:
     """Write the verdicts of pairs, by their numbers."""
     pairs = _first_step(pairs, bodies, verdicts)
     around = []
@@ -293,7 +293,7 @@ def _decide(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> None:
             _move_around(left, _tetrahedron(left, bodies), bodies, verdicts)
 
 
-def _first_step(pairs: _Pairs, bodies: Bodies, verdicts: Verdicts) -> _Pairs:
+def _first_step(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> _Pairs:
     """Go from the centres' difference: it separates most of those that are apart.
 
     Of those that meet, many have the origin in a ball between that in the difference and the
@@ -321,7 +321,7 @@ _Around: TypeAlias = tuple[_Pairs, Array]
 
 
 def _step(
-    pairs: _Pairs, bodies: Bodies, verdicts: Verdicts, step: int
+    pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, step: int
 ) -> tuple[_Pairs, _Around | None]:
     """Take a step with each pair.
 
@@ -408,7 +408,7 @@ def _depths(corners: Array) -> tuple[Array, Array]:
     return np.where(flat, -np.inf, heights - 1e-13 * cube / length), normals
 
 
-def _move_around(pairs: _Pairs, corners: Array, bodies: Bodies, verdicts: Verdicts) -> None:
+def _move_around(pairs: _Pairs, corners: Array, bodies: PlacedCores, verdicts: Verdicts) -> None:
     """Decide pairs whose tetrahedra have the origin in or on them, by the face nearest to it.
 
     Either the difference ends there, or its farthest point beyond the face takes the place of
@@ -432,7 +432,7 @@ def _move_around(pairs: _Pairs, corners: Array, bodies: Bodies, verdicts: Verdic
         pairs, corners = pairs.only(left), moved[:, :, left]
 
 
-def _tetrahedron(pairs: _Pairs, bodies: Bodies) -> Array:
+def _tetrahedron(pairs: _Pairs, bodies: PlacedCores) -> Array:
     """Points of the differences in four directions around, of the frame of the first, (4, 3, n)."""
     turns = bodies.turns.take(pairs.first, axis=1).reshape(3, 3, -1)
     ways = np.einsum("ijn,dj->din", turns, _AROUND)

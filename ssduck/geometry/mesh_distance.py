@@ -22,8 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.geometry.distance import TOUCH, Core, Counter, Separation, nearest_of_surfaces, rounded
-from ssduck.geometry.placed_solid import Placed
+from ssduck.geometry.distance import (
+    TOUCH,
+    CallCounter,
+    Core,
+    SignedDistance,
+    nearest_of_surfaces,
+    rounded,
+)
+from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.shapes import Array, cross
 from ssduck.geometry.surfaces import Surface
 
@@ -34,7 +41,7 @@ SOME_CONTACTS = 16
 TELLING = 200
 
 
-def mesh_apart(a: Placed, b: Placed, calls: Counter) -> Separation | None:
+def mesh_apart(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance | None:
     """The gap of two solids, one or both a mesh; None if their cores meet."""
     if _pierced(a, b) or _pierced(b, a):
         return None
@@ -44,7 +51,7 @@ def mesh_apart(a: Placed, b: Placed, calls: Counter) -> Separation | None:
     return rounded(distance, p, q, (p - q) / distance, a, b)
 
 
-def mesh_depth(a: Placed, b: Placed, calls: Counter) -> Separation:
+def mesh_depth(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
     """The same for cores that meet."""
     found: list[Core] = [*_corners(a, b, calls), *_crossings(a, b, calls)]
     found += [(gap, p, q, -normal) for gap, q, p, normal in _corners(b, a, calls)]
@@ -56,7 +63,7 @@ def mesh_depth(a: Placed, b: Placed, calls: Counter) -> Separation:
     return rounded(gap, p, q, normal, a, b)
 
 
-def surely_deeper(a: Placed, b: Placed, deeper: float, calls: Counter) -> bool:
+def surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallCounter) -> bool:
     """Whether a mesh and another solid are deeper in each other, by some triangles that cross.
 
     Each bounds the depth from below. If these are not deeper, others may be.
@@ -69,7 +76,7 @@ def surely_deeper(a: Placed, b: Placed, deeper: float, calls: Counter) -> bool:
     return float(depths.max()) > deeper + TOUCH
 
 
-def _pierced(segment: Placed, mesh: Placed) -> list[int]:
+def _pierced(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
     """Which triangles a core that is a segment goes through: FCL overlooks some of them."""
     ends = segment.solid.fine_surface.vertices
     if len(ends) != 2:
@@ -89,7 +96,7 @@ def _pierced(segment: Placed, mesh: Placed) -> list[int]:
     return [int(face) for face in np.flatnonzero(hit)]
 
 
-def _encloses(outer: Placed, inner: Placed) -> bool:
+def _encloses(outer: PlacedSolid, inner: PlacedSolid) -> bool:
     """Whether a part of one is inside the other, if their surfaces do not cross."""
     if not _is_full(outer):
         return False
@@ -97,23 +104,23 @@ def _encloses(outer: Placed, inner: Placed) -> bool:
     return bool(outer.solid.fine_surface.encloses(points).any())
 
 
-def _is_full(placed: Placed) -> bool:
+def _is_full(placed: PlacedSolid) -> bool:
     """Whether the core has an inside."""
     solid = placed.solid
     return solid.closed and solid.volume > 0.0 and not solid.radius
 
 
-def _world(placed: Placed, points: Array) -> Array:
+def _world(placed: PlacedSolid, points: Array) -> Array:
     moved: Array = points @ placed.matrix.T + placed.position
     return moved
 
 
-def _local(placed: Placed, points: Array) -> Array:
+def _local(placed: PlacedSolid, points: Array) -> Array:
     moved: Array = (points - placed.position) @ placed.matrix
     return moved
 
 
-def _corners(a: Placed, b: Placed, calls: Counter) -> list[Core]:
+def _corners(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
     """The corner of a that is deepest in b."""
     if not _is_full(b):
         return []
@@ -142,7 +149,7 @@ def _planes(surface: Surface) -> tuple[Array, Array]:
     return normals, np.einsum("ij,ij->i", normals, a)
 
 
-def _deepest_in_mesh(points: Array, mesh: Placed, calls: Counter) -> Core:
+def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Core:
     """Of points inside a mesh the one that is farthest from its surface.
 
     The depths of two points differ by no more than they are apart: most are never asked for.
@@ -177,7 +184,7 @@ def _point() -> Surface:
     return Surface(np.zeros((1, 3)), np.zeros((1, 3), np.int32))
 
 
-def _facing(placed: Placed, point: Array) -> Array:
+def _facing(placed: PlacedSolid, point: Array) -> Array:
     """The normals (n, 3) of the faces that have a point of the surface."""
     surface = placed.solid.fine_surface
     local = _local(placed, point[None])[0]
@@ -194,7 +201,7 @@ def _facing(placed: Placed, point: Array) -> Array:
     return turned
 
 
-def _crossings(a: Placed, b: Placed, calls: Counter) -> list[Core]:
+def _crossings(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
     """The deepest two triangles that cross."""
     both = _touched(a, b, MOST_CONTACTS, calls)
     both |= {(0, face) for face in _pierced(a, b)} | {(face, 0) for face in _pierced(b, a)}
@@ -211,7 +218,7 @@ def _crossings(a: Placed, b: Placed, calls: Counter) -> list[Core]:
     return [(-depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal)]
 
 
-def _touched(a: Placed, b: Placed, most: int, calls: Counter) -> set[tuple[int, int]]:
+def _touched(a: PlacedSolid, b: PlacedSolid, most: int, calls: CallCounter) -> set[tuple[int, int]]:
     """Which triangles of the one cross which of the other, as FCL has it."""
     import fcl
 
@@ -246,7 +253,7 @@ def _crossing_point(first: Array, second: Array) -> Array:
     return middle
 
 
-def _world_triangles(placed: Placed, numbers: list[int] | Array) -> Array:
+def _world_triangles(placed: PlacedSolid, numbers: list[int] | Array) -> Array:
     surface = placed.solid.fine_surface
     return _world(placed, surface.vertices)[surface.faces[numbers]]
 
@@ -286,7 +293,7 @@ def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
     return depths, ways[rows, best] * sign[:, None]
 
 
-def _touching(a: Placed, b: Placed, calls: Counter) -> Core:
+def _touching(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
     """Cores that share a point of their surfaces, and no more that is known.
 
     Of the normals of the faces there it is that along which the shapes overlap least.
@@ -296,7 +303,7 @@ def _touching(a: Placed, b: Placed, calls: Counter) -> Core:
     return 0.0, middle, middle, _normal_at(a, b, middle)
 
 
-def _normal_at(a: Placed, b: Placed, point: Array) -> Array:
+def _normal_at(a: PlacedSolid, b: PlacedSolid, point: Array) -> Array:
     faces = np.concatenate((_facing(a, point), _facing(b, point)))
     if not len(faces):
         return np.array([0.0, 0.0, 1.0])

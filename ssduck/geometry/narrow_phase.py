@@ -17,12 +17,19 @@ from threading import RLock
 
 import numpy as np
 
-from ssduck.geometry.batch import Found, Question, Scene, Sorts, entities_of, known_with_all
+from ssduck.geometry.batch import (
+    PairPredicate,
+    PairResult,
+    ShapeTable,
+    TickPairs,
+    entities_of,
+    known_with_all,
+)
 from ssduck.geometry.broad_phase import Flags
 from ssduck.geometry.contact_support import UPRIGHT
 from ssduck.geometry.containment import (
     Box,
-    Hull,
+    WorldHull,
     box_around,
     covers,
     footprint,
@@ -31,9 +38,9 @@ from ssduck.geometry.containment import (
     most_in_hull,
     share_inside,
 )
-from ssduck.geometry.distance import Counter, Separation, separation
+from ssduck.geometry.distance import CallCounter, SignedDistance, separation
 from ssduck.geometry.mesh_distance import mesh_apart, mesh_depth, surely_deeper
-from ssduck.geometry.placed_solid import Placed, Point
+from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shapes import Array, Indices, rotate, rotation_matrices, unit_quaternions
 from ssduck.geometry.solids import PlacedSolids, Solid
 
@@ -49,7 +56,7 @@ CONTAINED = 0.95
 TOLD = 0.01
 
 
-class Narrow:
+class NarrowPhase:
     """The shapes of one tick.
 
     All methods take entities by number. Their answer is None, for unknown, if a pose or a shape of
@@ -76,7 +83,7 @@ class Narrow:
         orientations: Array,
         boxes: Array,
         starts: Sequence[int],
-        calls: Counter,
+        calls: CallCounter,
         margins: Array | None = None,
     ) -> None:
         self.calls = calls
@@ -84,19 +91,19 @@ class Narrow:
         self._solids: list[Solid] = [solids[number] for number in np.asarray(of).tolist()]
         self._positions, self._orientations, self._boxes = positions, orientations, boxes
         self._starts = list(starts)
-        self._placed: dict[int, Placed] = {}
+        self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
-        self._apart: dict[tuple[int, int], Separation | None] = {}
-        self._deep: dict[tuple[int, int], Separation] = {}
+        self._apart: dict[tuple[int, int], SignedDistance | None] = {}
+        self._deep: dict[tuple[int, int], SignedDistance] = {}
         self._clearances: dict[tuple[int, int], float | None] = {}
         self._beyond: dict[tuple[int, int], float] = {}
-        self._decided: dict[tuple[int, int, Question], bool | None] = {}
-        self._closest: dict[tuple[int, int], Separation | None] = {}
+        self._decided: dict[tuple[int, int, PairPredicate], bool | None] = {}
+        self._closest: dict[tuple[int, int], SignedDistance | None] = {}
         self._shares: dict[tuple[int, int], float | None] = {}
-        self._hulls: dict[int, Hull | None] = {}
+        self._hulls: dict[int, WorldHull | None] = {}
         self._arounds: dict[int, Box] = {}
         self._footprints: dict[int, Array] = {}
-        self._all: dict[Question, Found] = {}
+        self._all: dict[PairPredicate, PairResult] = {}
         self._compared: set[int] = set()
         # DuckDB calls from its own threads. A pair would be compared twice, not wrongly.
         self._lock = RLock()
@@ -105,13 +112,13 @@ class Narrow:
 
     def collides(self, i: int, j: int, deeper: float = COLLIDES) -> bool | None:
         """Whether they are deeper in each other, m."""
-        return self._holds(i, j, Question("colliding", deeper))
+        return self._holds(i, j, PairPredicate("colliding", deeper))
 
     def touches(self, i: int, j: int, apart: float = TOUCHES) -> bool | None:
         """Whether two shapes are at most so far apart, m, and the margins of both."""
-        return self._holds(i, j, Question("touching", apart))
+        return self._holds(i, j, PairPredicate("touching", apart))
 
-    def _holds(self, i: int, j: int, question: Question) -> bool | None:
+    def _holds(self, i: int, j: int, question: PairPredicate) -> bool | None:
         if i == j:
             return False
         key = (i, j, question) if i < j else (j, i, question)
@@ -120,7 +127,7 @@ class Narrow:
                 self._decided[key] = self._decide(*key)
             return self._decided[key]
 
-    def all_of(self, question: Question, sorts: Sorts) -> Found:
+    def all_of(self, question: PairPredicate, sorts: ShapeTable) -> PairResult:
         """The pairs of entities of which something holds.
 
         Args:
@@ -145,11 +152,11 @@ class Narrow:
             self._compared.update(pairs)
             self.calls.pairs += len(self._compared) - before
 
-    def _scene(self, sorts: Sorts) -> Scene:
+    def _scene(self, sorts: ShapeTable) -> TickPairs:
         known = known_with_all(sorts, self._finite & sorts.known)
-        return Scene(sorts, known, self._boxes.T, self._positions, self._matrices)
+        return TickPairs(sorts, known, self._boxes.T, self._positions, self._matrices)
 
-    def answer(self, s: int, t: int, question: Question) -> bool:
+    def answer(self, s: int, t: int, question: PairPredicate) -> bool:
         """Whether something holds of two shapes."""
         if question.of == "colliding":
             return self._are_deep(s, t, question.distance)
@@ -183,7 +190,7 @@ class Narrow:
 
     def shapes_touching(self, i: int, j: int, apart: float) -> list[int]:
         """Which of an entity's shapes are at most so far from one of another's, m, and margins."""
-        question = Question("touching", apart)
+        question = PairPredicate("touching", apart)
         with self._lock:
             near = self._near(i, j, apart + self._margins_of(i, j))
             found = {s for s, t in near if self.answer(s, t, question)}
@@ -222,7 +229,7 @@ class Narrow:
             found = (self._separation(s, t) for s, t in self._near(i, j, 0.0))
             return max((0.0, *(-one.gap for one in found)))
 
-    def separation(self, i: int, j: int) -> Separation | None:
+    def separation(self, i: int, j: int) -> SignedDistance | None:
         """The deepest two shapes if any meet, else the nearest two; None without shapes."""
         if i == j:
             return None
@@ -307,7 +314,7 @@ class Narrow:
             return True
         return most_in_hull(self._hull(a), self.shapes_of(b)) < CONTAINED - TOLD
 
-    def _hull(self, e: int) -> Hull | None:
+    def _hull(self, e: int) -> WorldHull | None:
         if e not in self._hulls:
             self._hulls[e] = hull_around(self.shapes_of(e))
         return self._hulls[e]
@@ -350,7 +357,7 @@ class Narrow:
 
     # -- of two entities ------------------------------------------------------------------
 
-    def _decide(self, i: int, j: int, question: Question) -> bool | None:
+    def _decide(self, i: int, j: int, question: PairPredicate) -> bool | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
         near = self._near(i, j, question.bound(self._margins_of(i, j)))
@@ -378,10 +385,10 @@ class Narrow:
                 break
         return best if best <= upto else math.inf
 
-    def _find_closest(self, i: int, j: int) -> Separation | None:
+    def _find_closest(self, i: int, j: int) -> SignedDistance | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
-        best: Separation | None = None
+        best: SignedDistance | None = None
         for bound, s, t in self._pairs(i, j):
             # Those that meet are all compared, for the deepest; the others up to the nearest.
             if best is not None and bound > max(0.0, best.gap) + ROUNDING:
@@ -440,7 +447,7 @@ class Narrow:
 
     # -- of two shapes --------------------------------------------------------------------
 
-    def _gap(self, s: int, t: int) -> Separation | None:
+    def _gap(self, s: int, t: int) -> SignedDistance | None:
         """The separation of shapes, s's from t's; None for meshes that meet."""
         first, second = key = self._in_order(s, t)
         if key not in self._apart:
@@ -450,7 +457,7 @@ class Narrow:
         found = self._apart[key]
         return found if found is None or first == s else found.swapped()
 
-    def _separation(self, s: int, t: int) -> Separation:
+    def _separation(self, s: int, t: int) -> SignedDistance:
         found = self._gap(s, t)
         if found is not None:
             return found
@@ -478,17 +485,17 @@ class Narrow:
         kinds = {self._solids[s].type, self._solids[t].type}
         return "mesh" in kinds and "plane" not in kinds
 
-    def _place(self, shape: int) -> Placed:
+    def _place(self, shape: int) -> PlacedSolid:
         if shape not in self._placed:
             x, y, z = self._positions[shape].tolist()
             turn = self._unit[shape].tolist()
             orientation = turn[0], turn[1], turn[2], turn[3]
-            self._placed[shape] = Placed(self._solids[shape], (x, y, z), orientation)
+            self._placed[shape] = PlacedSolid(self._solids[shape], (x, y, z), orientation)
         return self._placed[shape]
 
     # -- of one entity --------------------------------------------------------------------
 
-    def shapes_of(self, e: int) -> list[Placed]:
+    def shapes_of(self, e: int) -> list[PlacedSolid]:
         """The shapes of an entity that have points, where they are."""
         return [self._place(shape) for shape in self._shapes[e]]
 
@@ -504,7 +511,7 @@ class Narrow:
             centre: Array = (box[:3] + box[3:]) / 2
         return centre
 
-    def shapes_in(self, low: Array, high: Array, without: Iterable[int]) -> list[Placed]:
+    def shapes_in(self, low: Array, high: Array, without: Iterable[int]) -> list[PlacedSolid]:
         """The known shapes whose boxes meet a box, those of some entities left out."""
         with np.errstate(invalid="ignore"):
             both = (self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)

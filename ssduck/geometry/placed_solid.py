@@ -14,7 +14,7 @@ Point: TypeAlias = tuple[float, float, float]
 Point4: TypeAlias = tuple[float, float, float, float]
 
 
-class Placed:
+class PlacedSolid:
     """A solid at a pose in the world; the pose is finite, its quaternion w, x, y, z of length 1."""
 
     def __init__(self, solid: Solid, position: Point, orientation: Point4) -> None:

@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.batch import Question, Sorts, pair_number
+from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import meeting
-from ssduck.geometry.narrow_phase import COLLIDES, Narrow
+from ssduck.geometry.narrow_phase import COLLIDES, NarrowPhase
 from ssduck.geometry.shapes import Array
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.geometry.surroundings import Surroundings, Turn
+from ssduck.geometry.surroundings import NeighbourSearch, Turn
 from ssduck.schema import MOST_IDS
 
 # After more pairs, or one for every four entities, all pairs of the tick are compared at once.
@@ -46,7 +46,7 @@ class Statistics:
     calls: int
 
 
-class Shapes:
+class ShapeQueries:
     """The narrow phase of a tick, by the ids of entities.
 
     Every answer is None, for unknown, where a pose is no number, and where an entity is none of
@@ -62,14 +62,14 @@ class Shapes:
 
     def __init__(
         self,
-        narrow: Narrow,
+        narrow: NarrowPhase,
         numbers: Mapping[int, int],
-        sorts: Sorts,
+        sorts: ShapeTable,
         boxes: Array,
         ids: Ids,
     ) -> None:
         self._narrow = narrow
-        self._around = Surroundings(narrow, self._reached)
+        self._around = NeighbourSearch(narrow, self._reached)
         self._numbers = numbers
         self._sorts = sorts
         self._boxes = boxes
@@ -77,9 +77,9 @@ class Shapes:
         self._overlapping: dict[float, list[int]] = {}
         self._reaching: dict[float, list[int]] = {}
         # How many pairs were asked about one by one, by what was asked.
-        self._asked: Counter[Question] = Counter()
-        self._found: dict[Question, frozenset[int]] = {}
-        self._all: dict[Question, list[int]] = {}
+        self._asked: Counter[PairPredicate] = Counter()
+        self._found: dict[PairPredicate, frozenset[int]] = {}
+        self._all: dict[PairPredicate, list[int]] = {}
 
     def all_colliding(self, deeper: float) -> list[int]:
         """The pairs that are deeper in each other, m, as numbers; so are those of the others.
@@ -87,17 +87,17 @@ class Shapes:
         Raises:
             ArgumentError: that is no depth.
         """
-        return self._pairs(Question("colliding", depth(deeper)))
+        return self._pairs(PairPredicate("colliding", depth(deeper)))
 
     def all_within(self, apart: float) -> list[int]:
         """The pairs whose clearance is at most that, m; no entity and itself."""
-        return self._pairs(Question("within", apart))
+        return self._pairs(PairPredicate("within", apart))
 
     def all_touching(self, apart: float) -> list[int]:
         """The pairs with shapes that are at most so far apart, m, and the margins of both."""
-        return self._pairs(Question("touching", apart))
+        return self._pairs(PairPredicate("touching", apart))
 
-    def _pairs(self, question: Question) -> list[int]:
+    def _pairs(self, question: PairPredicate) -> list[int]:
         """The pairs of which something holds."""
         if question not in self._all:
             found = self._narrow.all_of(question, self._sorts)
@@ -145,7 +145,7 @@ class Shapes:
         self._narrow.note((pair_number(i, j),))
         return i, j
 
-    def _together(self, question: Question) -> frozenset[int] | None:
+    def _together(self, question: PairPredicate) -> frozenset[int] | None:
         """The pairs of which something holds, found at once; None while few were asked about.
 
         What is far, as bodies go, is near too many.
@@ -180,7 +180,7 @@ class Shapes:
             ArgumentError: that is no depth.
         """
         i, j = self._pair(a, b)
-        found = self._together(Question("colliding", depth(deeper)))
+        found = self._together(PairPredicate("colliding", depth(deeper)))
         return self._narrow.collides(i, j, deeper) if found is None else self._is_among(found, i, j)
 
     def penetration(self, a: int, b: int) -> float | None:
@@ -199,7 +199,7 @@ class Shapes:
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return False
-        found = self._together(Question("within", apart))
+        found = self._together(PairPredicate("within", apart))
         if found is not None:
             return self._is_among(found, i, j)
         gap = self._narrow.clearance(i, j, apart)
@@ -208,7 +208,7 @@ class Shapes:
     def touching(self, a: int, b: int, apart: float) -> bool | None:
         """Whether two of their shapes are at most so far apart, m, and the margins of both."""
         i, j = self._pair(a, b)
-        found = self._together(Question("touching", apart))
+        found = self._together(PairPredicate("touching", apart))
         return self._narrow.touches(i, j, apart) if found is None else self._is_among(found, i, j)
 
     def shapes_touching(self, a: int, b: int, apart: float) -> list[int]:
@@ -300,25 +300,25 @@ Answer: TypeAlias = Callable[..., Any]
 ANSWERS: dict[str, Answer] = {
     f"narrow {answer.__name__}": answer
     for answer in (
-        Shapes.all_colliding,
-        Shapes.all_within,
-        Shapes.all_touching,
-        Shapes.all_meeting,
-        Shapes.all_reaching,
-        Shapes.all_resting,
-        Shapes.collides,
-        Shapes.penetration,
-        Shapes.clearance,
-        Shapes.near,
-        Shapes.touching,
-        Shapes.points,
-        Shapes.on,
-        Shapes.supports,
-        Shapes.rests_on,
-        Shapes.encloses,
-        Shapes.beside,
-        Shapes.inside,
-        Shapes.contains,
-        Shapes.volume,
+        ShapeQueries.all_colliding,
+        ShapeQueries.all_within,
+        ShapeQueries.all_touching,
+        ShapeQueries.all_meeting,
+        ShapeQueries.all_reaching,
+        ShapeQueries.all_resting,
+        ShapeQueries.collides,
+        ShapeQueries.penetration,
+        ShapeQueries.clearance,
+        ShapeQueries.near,
+        ShapeQueries.touching,
+        ShapeQueries.points,
+        ShapeQueries.on,
+        ShapeQueries.supports,
+        ShapeQueries.rests_on,
+        ShapeQueries.encloses,
+        ShapeQueries.beside,
+        ShapeQueries.inside,
+        ShapeQueries.contains,
+        ShapeQueries.volume,
     )
 }

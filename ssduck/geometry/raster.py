@@ -54,7 +54,7 @@ class Raster:
 
 
 @dataclass(frozen=True, eq=False)
-class Spans:
+class StripIntervals:
     """Intervals along y of strips of cells.
 
     Attributes:

@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 from ssduck.geometry.broad_phase import Flags
 from ssduck.geometry.common_volume import cut
-from ssduck.geometry.raster import ROUNDED, Raster, Spans
-from ssduck.geometry.rasterize_round import Round, round_parts
+from ssduck.geometry.raster import ROUNDED, Raster, StripIntervals
+from ssduck.geometry.rasterize_round import RoundShape, round_parts
 from ssduck.geometry.shapes import Array, Indices
 from ssduck.geometry.solids import PlacedSolids, Solid
 
@@ -31,7 +31,7 @@ from ssduck.geometry.solids import PlacedSolids, Solid
 TOGETHER = 2_000_000
 
 
-class Slicer:
+class Rasterizer:
     """Shapes that are cut at heights, as often as one likes.
 
     Args:
@@ -43,7 +43,7 @@ class Slicer:
         groups: list[Indices] = [np.zeros(0, np.intp)]
         thin: list[Flags] = [np.zeros(0, bool)]
         count = 0
-        self._round: list[Round] = []
+        self._round: list[RoundShape] = []
         self._meshes: list[Array] = []
         self._planes: list[tuple[Array, float]] = []
         for solid, position, matrix in placed:
@@ -93,7 +93,9 @@ class Slicer:
                 _add_half_space(raster, normal, offset, (low + reach, high - reach), occupied)
         return occupied
 
-    def _spans(self, raster: Raster, low: float, high: float, reach: float) -> Iterator[Spans]:
+    def _spans(
+        self, raster: Raster, low: float, high: float, reach: float
+    ) -> Iterator[StripIntervals]:
         for shape in self._round:
             found = shape.spans(raster, low + reach, high - reach)
             if found is not None:
@@ -120,7 +122,7 @@ def _is_full_hull(solid: Solid) -> bool:
 
 def _of_polygons(
     raster: Raster, polygons: Array, groups: Indices, within: float
-) -> Iterator[Spans]:
+) -> Iterator[StripIntervals]:
     """The intervals of sets of convex polygons (n, k, 3), each set a number in `groups`."""
     if not len(polygons):
         return
@@ -143,7 +145,7 @@ def _of_polygons(
         keys = (owners[edges] - owners[edges[0]]) * raster.shape[0] + strips
         order = np.argsort(keys, kind="stable")
         keys, begin = np.unique(keys[order], return_index=True)
-        yield Spans(
+        yield StripIntervals(
             keys % raster.shape[0],
             np.minimum.reduceat(low[order], begin),
             np.maximum.reduceat(high[order], begin),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.geometry.raster import ROUNDED, Raster, Spans
+from ssduck.geometry.raster import ROUNDED, Raster, StripIntervals
 from ssduck.geometry.shapes import Array
 from ssduck.geometry.solids import Solid
 
@@ -16,7 +16,7 @@ _SLACK = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
+class RoundShape:
     """A sphere, or a cylinder along its frame's z.
 
     Attributes:
@@ -31,7 +31,7 @@ class Round:
     position: Array
     matrix: Array
 
-    def spans(self, raster: Raster, low: float, high: float) -> Spans | None:
+    def spans(self, raster: Raster, low: float, high: float) -> StripIntervals | None:
         """Its interval in each strip that it reaches between two heights; None if in none."""
         across = np.hypot(self.matrix[:, 0], self.matrix[:, 1])
         reach = self.radius * across + abs(self.matrix[:, 2]) * self.half
@@ -48,7 +48,7 @@ class Round:
         bounds = self._of_sphere if self.half < 0.0 else self._of_cylinder
         bottom, top = bounds(left, right, low, high)
         some = bottom <= top
-        return Spans(strips[some], bottom[some], top[some], within)
+        return StripIntervals(strips[some], bottom[some], top[some], within)
 
     def _of_sphere(self, left: Array, right: Array, low: float, high: float) -> tuple[Array, Array]:
         x, y, z = self.position
@@ -130,11 +130,13 @@ def _corners(pairs: tuple[tuple[Array, list[Array]], ...]) -> Array:
     return found
 
 
-def round_parts(solid: Solid, position: Array, matrix: Array) -> list[Round]:
+def round_parts(solid: Solid, position: Array, matrix: Array) -> list[RoundShape]:
     """The spheres and cylinders that a sphere, a cylinder or a capsule is made of."""
     if solid.type == "cylinder":
-        return [Round(solid.disc, solid.half, position, matrix)]
-    parts = [Round(solid.radius, -1.0, matrix @ point + position, matrix) for point in solid.core]
+        return [RoundShape(solid.disc, solid.half, position, matrix)]
+    parts = [
+        RoundShape(solid.radius, -1.0, matrix @ point + position, matrix) for point in solid.core
+    ]
     if solid.type == "capsule":
-        parts.append(Round(solid.radius, solid.half, position, matrix))
+        parts.append(RoundShape(solid.radius, solid.half, position, matrix))
     return parts

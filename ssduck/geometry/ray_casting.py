@@ -20,7 +20,7 @@ ROUNDED = 1e-9
 EDGE = 1e-9
 
 
-class Chords(NamedTuple):
+class RayChords(NamedTuple):
     """The parts of n rays that are in a convex solid.
 
     Attributes:
@@ -60,7 +60,7 @@ def first_met(solid: Solid, start: Array, ways: Array) -> Array:
     return met
 
 
-def chords_of(solid: Solid, starts: Array, ways: Array) -> Chords:
+def chords_of(solid: Solid, starts: Array, ways: Array) -> RayChords:
     """The parts of rays that are in a convex solid.
 
     Args:
@@ -73,10 +73,10 @@ def chords_of(solid: Solid, starts: Array, ways: Array) -> Chords:
     hit = [part.enter <= part.leave for part in parts]
     enter = [np.where(one, part.enter, np.inf) for one, part in zip(hit, parts, strict=True)]
     leave = [np.where(one, part.leave, -np.inf) for one, part in zip(hit, parts, strict=True)]
-    return Chords(held, np.min(enter, axis=0), np.max(leave, axis=0))
+    return RayChords(held, np.min(enter, axis=0), np.max(leave, axis=0))
 
 
-def _parts(solid: Solid, starts: Array, ways: Array) -> list[Chords]:
+def _parts(solid: Solid, starts: Array, ways: Array) -> list[RayChords]:
     match solid.type:
         case "sphere" | "capsule":
             found = [_quadratic(ways, starts - point, solid.radius) for point in solid.core]
@@ -89,7 +89,7 @@ def _parts(solid: Solid, starts: Array, ways: Array) -> list[Chords]:
     return [_half_spaces(solid.normals, solid.offsets, starts, ways)]
 
 
-def _half_spaces(normals: Array, offsets: Array, starts: Array, ways: Array) -> Chords:
+def _half_spaces(normals: Array, offsets: Array, starts: Array, ways: Array) -> RayChords:
     room, rate = offsets - starts @ normals.T, ways @ normals.T
     with np.errstate(divide="ignore", invalid="ignore"):
         share = room / rate
@@ -97,21 +97,21 @@ def _half_spaces(normals: Array, offsets: Array, starts: Array, ways: Array) -> 
     enter[(rate == 0.0) & (room < 0.0)] = np.inf  # along a face, outside of it
     leave = np.where(rate > 0.0, share, np.inf)
     held = np.asarray((room >= -ROUNDED).all(axis=-1))
-    return Chords(held, enter.max(axis=1), leave.min(axis=1))
+    return RayChords(held, enter.max(axis=1), leave.min(axis=1))
 
 
-def _cylinder(radius: float, half: float, starts: Array, ways: Array) -> Chords:
+def _cylinder(radius: float, half: float, starts: Array, ways: Array) -> RayChords:
     caps = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     side = _quadratic(ways[:, :2], starts[..., :2], radius)
     ends = _half_spaces(caps, np.array([half, half]), starts, ways)
-    return Chords(
+    return RayChords(
         side.held & ends.held,
         np.maximum(side.enter, ends.enter),
         np.minimum(side.leave, ends.leave),
     )
 
 
-def _quadratic(ways: Array, off: Array, radius: float) -> Chords:
+def _quadratic(ways: Array, off: Array, radius: float) -> RayChords:
     """Where |off + share * way| is at most a radius."""
     a, b = (ways * ways).sum(axis=1), (ways * off).sum(axis=1)
     c = (off * off).sum(axis=-1) - radius**2
@@ -123,7 +123,7 @@ def _quadratic(ways: Array, off: Array, radius: float) -> Chords:
     enter = np.where(still, np.where(within, -np.inf, np.inf), enter)
     leave = np.where(still, np.where(within, np.inf, -np.inf), leave)
     enter[room < 0.0] = np.inf
-    return Chords(np.asarray(c <= 2.0 * radius * ROUNDED), enter, leave)
+    return RayChords(np.asarray(c <= 2.0 * radius * ROUNDED), enter, leave)
 
 
 def crossings(solid: Solid, starts: Array, ways: Array) -> Array:

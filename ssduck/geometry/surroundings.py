@@ -16,9 +16,9 @@ import numpy as np
 
 from ssduck.geometry.batch import pair_number
 from ssduck.geometry.contact_support import carries
-from ssduck.geometry.distance import Separation
-from ssduck.geometry.narrow_phase import Narrow
-from ssduck.geometry.placed_solid import Placed, Point
+from ssduck.geometry.distance import SignedDistance
+from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.ray_casting import ROUNDED, chords_of, crossings, first_met, is_of_triangles
 from ssduck.geometry.shapes import Array, rotation_matrices
 
@@ -37,7 +37,7 @@ SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
 VERTICAL = 1e-6
 
 
-class Surroundings:
+class NeighbourSearch:
     """What is around the entities of one tick, by their shapes.
 
     All methods take entities by number. Their answer is None, for unknown, as the narrow phase's
@@ -49,7 +49,9 @@ class Surroundings:
             farther apart along any axis, m.
     """
 
-    def __init__(self, narrow: Narrow, pairs: Callable[[float], Iterable[tuple[int, int]]]) -> None:
+    def __init__(
+        self, narrow: NarrowPhase, pairs: Callable[[float], Iterable[tuple[int, int]]]
+    ) -> None:
         self._narrow = narrow
         self._pairs = pairs
         self._resting: dict[int, frozenset[int]] = {}
@@ -173,7 +175,9 @@ class Surroundings:
 # -- enclosed -----------------------------------------------------------------------------------
 
 
-def encloses(a: Sequence[Placed], axes: Array, b: Sequence[Placed], centre: Array) -> bool:
+def encloses(
+    a: Sequence[PlacedSolid], axes: Array, b: Sequence[PlacedSolid], centre: Array
+) -> bool:
     """Whether rays from a centre meet a on both sides along two axes at least.
 
     A convex shape that holds the centre is not met. An axis along which b reaches past a at both
@@ -200,14 +204,14 @@ def encloses(a: Sequence[Placed], axes: Array, b: Sequence[Placed], centre: Arra
     return bool(walled.sum() >= WALLED)
 
 
-def _may_be_met(one: Placed, axes: Array, centre: Array) -> bool:
+def _may_be_met(one: PlacedSolid, axes: Array, centre: Array) -> bool:
     """Whether a line along an axis through a point meets the sphere around a shape."""
     off = axes @ (np.array(one.world(*one.solid.centre)) - centre)
     beside = off @ off - off * off
     return bool((beside <= (one.solid.reach + ROUNDED) ** 2).any())
 
 
-def _extents(shapes: Sequence[Placed], ways: Array) -> Array:
+def _extents(shapes: Sequence[PlacedSolid], ways: Array) -> Array:
     """How far shapes reach in unit directions (n, 3), m from the origin, (n,)."""
     reaches = [
         np.full(len(ways), math.inf)
@@ -235,7 +239,10 @@ class _Lines:
 
 
 def is_in_sight(
-    a: Sequence[Placed], b: Sequence[Placed], others: Sequence[Placed], nearest: Separation
+    a: Sequence[PlacedSolid],
+    b: Sequence[PlacedSolid],
+    others: Sequence[PlacedSolid],
+    nearest: SignedDistance,
 ) -> bool:
     """Whether a horizontal ray from a or b meets the other before anything else.
 
@@ -256,7 +263,9 @@ def is_in_sight(
     )
 
 
-def _ways(a: Sequence[Placed], b: Sequence[Placed], nearest: Separation) -> list[Array]:
+def _ways(
+    a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], nearest: SignedDistance
+) -> list[Array]:
     """Horizontal unit directions from a to b."""
     up = np.concatenate((np.eye(3), -np.eye(3)))
     of_a, of_b = _extents(a, up), _extents(b, up)
@@ -272,7 +281,9 @@ def _ways(a: Sequence[Placed], b: Sequence[Placed], nearest: Separation) -> list
     return found
 
 
-def _lines(a: Sequence[Placed], b: Sequence[Placed], way: Array, nearest: Separation) -> _Lines:
+def _lines(
+    a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], way: Array, nearest: SignedDistance
+) -> _Lines:
     """Lines in a direction, over what a and b have in common across it."""
     across = np.array([-way[1], way[0], 0.0])
     axes = np.stack((way, across, [0.0, 0.0, 1.0]))
@@ -294,7 +305,7 @@ def _lines(a: Sequence[Placed], b: Sequence[Placed], way: Array, nearest: Separa
 
 
 def _is_clear(
-    lines: _Lines, a: Sequence[Placed], b: Sequence[Placed], others: Sequence[Placed]
+    lines: _Lines, a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], others: Sequence[PlacedSolid]
 ) -> bool:
     """Whether on one of the lines nothing is between a and b."""
     of_a, of_b = _stretches(lines, a), _stretches(lines, b)
@@ -317,7 +328,7 @@ def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> 
     )
 
 
-def _stretches(lines: _Lines, shapes: Sequence[Placed]) -> list[list[tuple[float, float]]]:
+def _stretches(lines: _Lines, shapes: Sequence[PlacedSolid]) -> list[list[tuple[float, float]]]:
     """Of each line where it enters shapes and leaves them, m; it crosses triangles in a point."""
     found: list[list[tuple[float, float]]] = [[] for _ in lines.starts]
     ways = lines.ways

@@ -12,10 +12,10 @@ from ssduck.lazy import exports
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.interpreter.opening import load, open_record
-    from ssduck.interpreter.program import Compiled
+    from ssduck.interpreter.program import CompiledProgram
 
 __all__ = [
-    "Compiled",
+    "CompiledProgram",
     "Interpreter",
     "load",
     "open_record",
@@ -26,6 +26,6 @@ __getattr__, __dir__ = exports(
     {
         "interpreter": ("Interpreter",),
         "opening": ("load", "open_record"),
-        "program": ("Compiled",),
+        "program": ("CompiledProgram",),
     },
 )

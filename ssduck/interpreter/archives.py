@@ -22,16 +22,16 @@ from ssduck.recording.buffers import FRAMES
 from ssduck.recording.episode import Episode
 from ssduck.recording.paths import given_path
 from ssduck.recording.replay.record import Record
-from ssduck.recording.replay.replayed_world import RecordedWorld
+from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import MODELS, defaults, geometries_of, members_of, run_of
 from ssduck.recording.stores.duckdb import (
     ABOUT,
     VERSION,
-    History,
-    Near,
+    DuckDBStore,
+    PairRequest,
+    StoreConnection,
     Waiting,
-    Writer,
     columns_of,
     model_name,
     near_rows,
@@ -43,7 +43,7 @@ from ssduck.schema import TABLES
 from ssduck.world.run_numbers import new_run
 
 
-class Run(Protocol):
+class RecordedRun(Protocol):
     """A run of a world that was recorded."""
 
     @property
@@ -77,7 +77,7 @@ def episodes(path: str | Path) -> list[Episode]:
         database.close()
 
 
-def runs(path: Path, database: Database) -> Sequence[Run]:
+def runs(path: Path, database: Database) -> Sequence[RecordedRun]:
     """The runs that are recorded at a place, by world and number.
 
     Args:
@@ -94,7 +94,9 @@ def runs(path: Path, database: Database) -> Sequence[Run]:
     return _stored_runs(path, database.connection.attach(path), database.connection.writer())
 
 
-def chosen_runs(found: Sequence[Run], world: str | None, number: int | None) -> list[Run]:
+def chosen_runs(
+    found: Sequence[RecordedRun], world: str | None, number: int | None
+) -> list[RecordedRun]:
     """One run of each world, or of one: that of a number, or the last that holds any tick.
 
     Raises:
@@ -118,13 +120,13 @@ def chosen_runs(found: Sequence[Run], world: str | None, number: int | None) -> 
     return list({run.world: run for run in fitting}.values())
 
 
-def world_of(run: Run, database: Database) -> RecordedWorld:
+def world_of(run: RecordedRun, database: Database) -> ReplayedWorld:
     """The world of a run, as far as it was recorded.
 
     Raises:
         RecordError: a file is missing or damaged.
     """
-    archive: OpenedFolder | History
+    archive: OpenedFolder | DuckDBStore
     if isinstance(run, FolderRun):
         archive = OpenedFolder(run, database.connection.writer())
         ticks, models = archive.ticks, {table: run.read(f"models/{table}") for table in MODELS}
@@ -149,14 +151,14 @@ def world_of(run: Run, database: Database) -> RecordedWorld:
         geometries_of(models),
         number,
     )
-    return RecordedWorld(run.world, record, archive)
+    return ReplayedWorld(run.world, record, archive)
 
 
 # -- folders ----------------------------------------------------------------------------------
 
 
 class OpenedFolder:
-    """A run in a folder, to be read (`ssduck.recording.stores.duckdb.Archive`).
+    """A run in a folder, to be read (`ssduck.recording.stores.duckdb.TickArchive`).
 
     Args:
         run: which.
@@ -171,7 +173,7 @@ class OpenedFolder:
 
     untold_run: int | None = None
 
-    def __init__(self, run: FolderRun, writer: Writer) -> None:
+    def __init__(self, run: FolderRun, writer: StoreConnection) -> None:
         self._run = run
         self._writer = writer
         self._starts, self.ticks = run.ticks()
@@ -218,7 +220,7 @@ class OpenedFolder:
             (first, last),
         )
 
-    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+    def near(self, asked: PairRequest, waiting: pa.Table | None) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks."""
         rows = self.select("entities", None)
         assert rows is not None
@@ -283,12 +285,12 @@ class StoredRun:
     world: str
     number: int
     told: dict[str, Any]
-    reader: Writer
+    reader: StoreConnection
 
-    def history(self, reader: Writer) -> History:
+    def history(self, reader: StoreConnection) -> DuckDBStore:
         """What is stored of it."""
         recording = _recording(self.told["recording"], self.path)
-        return History(self.schema, reader, recording, catalog=self.catalog)
+        return DuckDBStore(self.schema, reader, recording, catalog=self.catalog)
 
     @property
     def has_ticks(self) -> bool:
@@ -311,7 +313,7 @@ class StoredRun:
         )
 
 
-def _stored_runs(path: Path, catalog: str, reader: Writer) -> list[StoredRun]:
+def _stored_runs(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:
     file, about = (exp.Literal.string(text).sql("duckdb") for text in (catalog, ABOUT))
     schemas = reader.fetchall(
         f"SELECT schema_name FROM duckdb_tables() WHERE database_name = {file} "  # noqa: S608

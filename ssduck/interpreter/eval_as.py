@@ -12,13 +12,23 @@ from itertools import product
 from typing import Any, overload
 
 from ssduck.errors import ArgumentError
-from ssduck.language.clauses import Column
+from ssduck.language.clauses import SelectedValue
 from ssduck.language.evaluator import Frame
 from ssduck.language.overrides import plain
-from ssduck.language.tree import Aged, Bare, Call, Index, Literal, Name, Node, Query, This
+from ssduck.language.tree import (
+    Call,
+    Index,
+    Literal,
+    Name,
+    Node,
+    Query,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
 
 
-class Part:
+class QueryPart:
     """A part of a query, to be evaluated for the elements of a row.
 
     Args:
@@ -45,11 +55,11 @@ class Part:
         return self._frame.row(row, dict(self._frame.kept)).value(self.node)
 
 
-class Condition(Part):
+class Condition(QueryPart):
     """What WHERE says."""
 
 
-class Selected(Part, Sequence[Any]):
+class SelectedColumn(QueryPart, Sequence[Any]):
     """A column: `["function", name, arguments]`; of `to`, the value and the name.
 
     Args:
@@ -57,7 +67,7 @@ class Selected(Part, Sequence[Any]):
         frame: what is around the query.
     """
 
-    def __init__(self, column: Column, frame: Frame) -> None:
+    def __init__(self, column: SelectedValue, frame: Frame) -> None:
         super().__init__(column.node, frame)
         self._column = column
 
@@ -77,23 +87,25 @@ class Selected(Part, Sequence[Any]):
     def called(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
         """What a row calls it."""
         name = self._column.name
-        return name if isinstance(name, str) else Part(name, self._frame).value(elements, names)
+        return (
+            name if isinstance(name, str) else QueryPart(name, self._frame).value(elements, names)
+        )
 
     def _parts(self) -> tuple[str, str, list[Any]]:
         if self._is_renamed:
             name = self._column.name
             called = Literal(self.node.span, name) if isinstance(name, str) else name
-            inner = Selected(Column(self.node, _plain_name(self.node)), self._frame)
-            return "function", "to", [inner, Part(called, self._frame)]
+            inner = SelectedColumn(SelectedValue(self.node, _plain_name(self.node)), self._frame)
+            return "function", "to", [inner, QueryPart(called, self._frame)]
         match self.node:
             case Call(arguments=arguments):
                 pass
-            case Bare(span=span):
+            case UnresolvedName(span=span):
                 arguments = (This(span, None),)
             case _:
                 arguments = (self.node,)
         name = _plain_name(self.node)
-        return "function", name, [Part(argument, self._frame) for argument in arguments]
+        return "function", name, [QueryPart(argument, self._frame) for argument in arguments]
 
     @overload
     def __getitem__(self, index: int) -> Any: ...
@@ -106,7 +118,7 @@ class Selected(Part, Sequence[Any]):
         return 3
 
 
-class Columns(Sequence[Selected]):
+class SelectedColumns(Sequence[SelectedColumn]):
     """What SELECT lists; `eval` gives the value of the only column, or a list of all.
 
     Args:
@@ -115,11 +127,11 @@ class Columns(Sequence[Selected]):
         frame: what is around it.
     """
 
-    def __init__(self, query: Query, columns: Sequence[Column], frame: Frame) -> None:
+    def __init__(self, query: Query, columns: Sequence[SelectedValue], frame: Frame) -> None:
         self.query = query
         self.frame = frame
         self.form = "dict" if query.adapter is None else query.adapter.name
-        self._columns = [Selected(column, frame) for column in columns]
+        self._columns = [SelectedColumn(column, frame) for column in columns]
 
     def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
         """The value of the only column, or a list of all."""
@@ -127,9 +139,9 @@ class Columns(Sequence[Selected]):
         return values[0] if len(values) == 1 else values
 
     @overload
-    def __getitem__(self, index: int) -> Selected: ...
+    def __getitem__(self, index: int) -> SelectedColumn: ...
     @overload
-    def __getitem__(self, index: slice) -> Sequence[Selected]: ...
+    def __getitem__(self, index: slice) -> Sequence[SelectedColumn]: ...
     def __getitem__(self, index: int | slice) -> Any:
         return self._columns[index]
 
@@ -137,7 +149,7 @@ class Columns(Sequence[Selected]):
         return len(self._columns)
 
 
-class Elements(Iterator[tuple[Any, ...]]):
+class SourceElements(Iterator[tuple[Any, ...]]):
     """The combinations of the sources' elements: an iterator, by Python 2's name of it too."""
 
     def __init__(self, elements: Sequence[Sequence[Any]]) -> None:
@@ -154,7 +166,7 @@ def takes_results(call: Callable[..., Any]) -> bool:
     return "RESULTS" in inspect.signature(call).parameters
 
 
-class SpelledForms:
+class EvalAsMethods:
     """The three basic forms as methods, as the published interpreters have them.
 
     A subclass calls them with what its `evalAs(self, AS, PARAMS, SELECT, FROM_n, RESULTS)` is
@@ -163,13 +175,21 @@ class SpelledForms:
     """
 
     def evalAS_list(  # noqa: N802
-        self, _: Sequence[Any], select: Columns, names: Sequence[str], rows: Iterable[Sequence[Any]]
+        self,
+        _: Sequence[Any],
+        select: SelectedColumns,
+        names: Sequence[str],
+        rows: Iterable[Sequence[Any]],
     ) -> list[Any]:
         """`AS list`: the values row after row."""
         return [column.plain(row, names) for row in rows for column in select]
 
     def evalAS_dict(  # noqa: N802
-        self, _: Sequence[Any], select: Columns, names: Sequence[str], rows: Iterable[Sequence[Any]]
+        self,
+        _: Sequence[Any],
+        select: SelectedColumns,
+        names: Sequence[str],
+        rows: Iterable[Sequence[Any]],
     ) -> list[dict[Any, Any]]:
         """`AS dict`: a dict a row."""
         return [
@@ -178,7 +198,11 @@ class SpelledForms:
         ]
 
     def evalAS_value(  # noqa: N802
-        self, _: Sequence[Any], select: Columns, names: Sequence[str], rows: Iterable[Sequence[Any]]
+        self,
+        _: Sequence[Any],
+        select: SelectedColumns,
+        names: Sequence[str],
+        rows: Iterable[Sequence[Any]],
     ) -> Any:
         """`AS value`: the first value of the first row; `[]` if there is none."""
         for row in rows:
@@ -189,7 +213,7 @@ class SpelledForms:
 def _plain_name(node: Node) -> str:
     """What a column is called that `to` does not name."""
     match node:
-        case Call(name=name) | Bare(name=name) | Name(name=name) | Aged(name=name):
+        case Call(name=name) | UnresolvedName(name=name) | Name(name=name) | TimeIndex(name=name):
             return plain(name)
         case Index(indices=(*_, Literal(value=str() as key))):
             return key

@@ -22,19 +22,19 @@ from ssduck.errors import (
     warn,
 )
 from ssduck.formatting import shown
-from ssduck.interpreter.linter import Doubts
-from ssduck.interpreter.namespace import Names
+from ssduck.interpreter.linter import Linter
+from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.planner import Planner
-from ssduck.interpreter.temporal_functions import FORMS, OverTime
+from ssduck.interpreter.temporal_functions import FORMS, TemporalEvaluator
 from ssduck.language.clauses import formed
-from ssduck.language.deferred import Deferred
+from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.language.overrides import meant
 from ssduck.language.parser import parse
-from ssduck.language.tree import Call, Given, Node, Program, Query
+from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.language.value_history import seconds_of
-from ssduck.limits import Limits, Meter
+from ssduck.limits import Limits, Usage
 from ssduck.recording.replay.past import together as entities_together
 from ssduck.schema import MASSES
 from ssduck.sql.dialects import in_dialect
@@ -45,8 +45,8 @@ from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 
-class Execution(Names, ABC):
-    """Programs that run, with what their expressions see (`ssduck.language.evaluator.Scope`).
+class Execution(Namespace, ABC):
+    """Programs that run, with what their expressions see (`EvaluationScope`).
 
     Args:
         database: where queries run.
@@ -63,12 +63,12 @@ class Execution(Names, ABC):
     ) -> None:
         super().__init__(database)
         self.strict = strict
-        self._doubts = Doubts(
+        self._doubts = Linter(
             self._value_or_none, self.is_function, lambda: self.worlds, self._recorded_names
         )
         self._limits = limits
         self._planner = Planner(database, self, limits, row_by_row=row_by_row)
-        self._over_time = OverTime()
+        self._over_time = TemporalEvaluator()
         self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._texts: list[str] = []
         self._meant: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
@@ -82,7 +82,7 @@ class Execution(Names, ABC):
             outermost = not self._texts
             if outermost:
                 self._sweep()
-                self._database.connection.meter = Meter(self._limits)
+                self._database.connection.meter = Usage(self._limits)
             self._texts.append(program.text)
             try:
                 yield
@@ -241,7 +241,7 @@ class Execution(Names, ABC):
         """A relation outside a query: a query of one row, without sources."""
         query = self._relations.get(node)
         if query is None:
-            names = [Given(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
+            names = [Placeholder(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
             asked = Call(node.span, node.name, tuple(names), node.name_span)
             query = self._relations[node] = Query(node.span, (asked,), ())
         together = entities_together(values, frame.own_elements())
@@ -266,12 +266,12 @@ class Execution(Names, ABC):
     def query(self, node: Query, frame: Frame) -> Any:
         """The value of a query; `frame` knows the rows of the queries around it."""
 
-    def deferred(self, node: Node) -> Deferred:
+    def deferred(self, node: Node) -> LazyList:
         """A list of the running program for the query that uses it."""
-        return Deferred(node, self._texts[-1])
+        return LazyList(node, self._texts[-1])
 
     @property
-    def meter(self) -> Meter:
+    def meter(self) -> Usage:
         """How much of its limits the running program has used."""
         return self._database.connection.meter
 

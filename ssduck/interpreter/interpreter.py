@@ -17,26 +17,26 @@ from weakref import WeakKeyDictionary
 from ssduck import validation as checks
 from ssduck.adapters.registry import Adapter, find
 from ssduck.adapters.result import Result
-from ssduck.adapters.table_view import MOST_ROWS, Shown
+from ssduck.adapters.table_view import MOST_ROWS, TableView
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError
 from ssduck.formatting import shown
 from ssduck.geometry.queries import Statistics
 from ssduck.interpreter.eval_as import (
-    Columns,
     Condition,
-    Elements,
-    Part,
-    SpelledForms,
+    EvalAsMethods,
+    QueryPart,
+    SelectedColumns,
+    SourceElements,
     takes_results,
 )
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.namespace import check_name
-from ssduck.interpreter.output import Form, form_of
-from ssduck.interpreter.program import Compiled, tree_of
-from ssduck.interpreter.recording import RecordVerbs
+from ssduck.interpreter.output import AsClause, form_of
+from ssduck.interpreter.program import CompiledProgram, tree_of
+from ssduck.interpreter.recording import RecordingMethods
 from ssduck.interpreter.signatures import hints_of
-from ssduck.interpreter.triggers.registry import Triggers, TriggerVerbs
+from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
@@ -44,7 +44,7 @@ from ssduck.language.overrides import NAMED
 from ssduck.language.parser import parse
 from ssduck.language.tree import Query
 from ssduck.language.value_keys import plain
-from ssduck.limits import Limits, Meter
+from ssduck.limits import Limits, Usage
 from ssduck.recording.spec import Recording
 from ssduck.world.running import run
 from ssduck.world.world import World
@@ -53,7 +53,7 @@ from ssduck.world.world import World
 KEPT = 60.0
 
 
-class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
+class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -100,7 +100,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
         )
         self._own: list[World] = []
         self._selects: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
-        self._triggers = Triggers(self)
+        self._triggers = TriggerRegistry(self)
 
     def close(self) -> None:
         """End the triggers, close the database and the world that `load` made; yours stay open."""
@@ -117,17 +117,17 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
 
     # -- programs -------------------------------------------------------------------------
 
-    def compile(self, text: str) -> Compiled:
+    def compile(self, text: str) -> CompiledProgram:
         """Parse a program; running the result again parses nothing.
 
         Raises:
             ParseError: with the place of the first thing that is wrong.
         """
-        return Compiled(text, parse(text), self._sql_of)
+        return CompiledProgram(text, parse(text), self._sql_of)
 
     def eval(
         self,
-        program: str | Compiled | Part | Columns,
+        program: str | CompiledProgram | QueryPart | SelectedColumns,
         elements: Sequence[Any] = (),
         names: Sequence[str] = (),
     ) -> Any:
@@ -144,13 +144,13 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
         Raises:
             SelectScriptError: with the place; the variables are as they were before.
         """
-        if isinstance(program, Part | Columns):
+        if isinstance(program, QueryPart | SelectedColumns):
             return program.value(elements, names)
         compiled = tree_of(program)
         with self._running(compiled):
             return self._run(compiled)
 
-    def show(self, program: str | Compiled, rows: int = MOST_ROWS) -> Shown:
+    def show(self, program: str | CompiledProgram, rows: int = MOST_ROWS) -> TableView:
         """What a program gives, as a table to be looked at: in a terminal, in a notebook.
 
         Args:
@@ -161,9 +161,9 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
             SelectScriptError: as `eval` does.
         """
         rows = checks.whole(rows, "show: rows", least=0)
-        return Shown(self.eval(program), rows)
+        return TableView(self.eval(program), rows)
 
-    def explain(self, program: str | Compiled) -> str:
+    def explain(self, program: str | CompiledProgram) -> str:
         """The SQL of the queries in a program's last statement, and what is left to Python.
 
         The statements before it are run for their variables, which are then as before.
@@ -298,7 +298,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
         with self._lock:
             if not self._texts:
                 self._sweep()
-                self._database.connection.meter = Meter(self._limits)
+                self._database.connection.meter = Usage(self._limits)
             return Result(self._database.table(text, parameters))
 
     def statistics(self) -> dict[str, Statistics]:
@@ -319,7 +319,7 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
                 return self.evalAs(*self._spelled(node, frame))
         return self._formed(node, frame, form_of(node, frame))
 
-    def _formed(self, node: Query, frame: Frame, form: Form) -> Any:
+    def _formed(self, node: Query, frame: Frame, form: AsClause) -> Any:
         """What a form makes of what a query selects."""
         asked = self._asked(node, form.adapter)
         with self._reading(asked):  # the result is made of one tick, too
@@ -337,8 +337,8 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
     def _spelled(self, node: Query, frame: Frame) -> tuple[Any, ...]:
         """The arguments of `evalAs`."""
         resolved, values = self._planner.spelled(node, frame)
-        parts, names = Columns(node, resolved.columns, frame), aliases_of(node)
-        holds, elements = resolved.query.where, Elements(values)
+        parts, names = SelectedColumns(node, resolved.columns, frame), aliases_of(node)
+        holds, elements = resolved.query.where, SourceElements(values)
         where: Condition | list[Any] = [] if holds is None else Condition(holds, frame)
         if not takes_results(type(self).evalAs):
             return parts.form, parts, elements, names, where
@@ -349,8 +349,8 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
     def evalAs(  # noqa: N802  # the tutorial's name
         self,
         form: str,
-        select: Columns | list[Any],
-        elements: Elements | Columns,
+        select: SelectedColumns | list[Any],
+        elements: SourceElements | SelectedColumns,
         names: list[str],  # noqa: ARG002
         where: Condition | list[Any],  # noqa: ARG002
     ) -> Any:
@@ -371,10 +371,10 @@ class Interpreter(Execution, RecordVerbs, TriggerVerbs, SpelledForms):
             names: of the sources.
             where: a part, too; `[]` if there is none.
         """
-        parts = elements if isinstance(elements, Columns) else select
-        assert isinstance(parts, Columns)
+        parts = elements if isinstance(elements, SelectedColumns) else select
+        assert isinstance(parts, SelectedColumns)
         query, frame = parts.query, parts.frame
-        asked = form_of(query, frame) if form == parts.form else Form(form, find(form))
+        asked = form_of(query, frame) if form == parts.form else AsClause(form, find(form))
         return self._formed(query, frame, asked)
 
 

@@ -16,29 +16,29 @@ from weakref import WeakKeyDictionary
 from ssduck.errors import (
     ArgumentError,
     SelectScriptError,
-    Span,
+    SourceSpan,
     UnknownNameError,
     nearest,
 )
 from ssduck.formatting import shown
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
-    Aged,
     Assignment,
     Binary,
     Call,
-    Chain,
-    Dotted,
-    ListOf,
+    ListLiteral,
     Literal,
     Name,
     Node,
+    OperatorChain,
+    QualifiedName,
     Query,
     Source,
     This,
+    TimeIndex,
     Unary,
 )
-from ssduck.recording.replay.past import Past
+from ssduck.recording.replay.past import PastTicks
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -61,7 +61,7 @@ class NameSite:
 
 
 @dataclass
-class Facts:
+class StatementFacts:
     """What of a statement is to be looked up.
 
     Attributes:
@@ -75,12 +75,12 @@ class Facts:
     """
 
     names: list[NameSite] = field(default_factory=list)
-    given: list[tuple[str, Span]] = field(default_factory=list)
-    texts: list[tuple[str, Span]] = field(default_factory=list)
-    sources: list[tuple[str, Span]] = field(default_factory=list)
-    aliases: list[tuple[str, Span]] = field(default_factory=list)
-    bare: list[tuple[str, Span]] = field(default_factory=list)
-    columns: list[tuple[str, Span]] = field(default_factory=list)
+    given: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    texts: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    sources: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    aliases: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    bare: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
 
     @property
     def are_none(self) -> bool:
@@ -91,33 +91,33 @@ class Facts:
 _Around = Mapping[str, Source]
 
 
-def facts_of(statement: Node) -> Facts:
+def facts_of(statement: Node) -> StatementFacts:
     """What of a statement is to be looked up."""
-    facts = Facts()
+    facts = StatementFacts()
     _look(statement, {}, None, facts)
     return facts
 
 
-def _look(node: Node, around: _Around, only: Source | None, facts: Facts) -> None:
+def _look(node: Node, around: _Around, only: Source | None, facts: StatementFacts) -> None:
     match node:
         case Query():
             _look_in_query(node, around, facts)
             return
         case Assignment(name=name, span=span, is_bare=False):
             if len(name) > 1:  # the others are told of where they are looked up
-                facts.given.append((name, Span(span.start, span.start + len(name))))
+                facts.given.append((name, SourceSpan(span.start, span.start + len(name))))
         case Binary(operator="==" | "!=", left=left, right=right):
             for side, other in ((left, right), (right, left)):
                 _look_at_name(side, (other,), around, only, facts)
         case Binary(operator="IN", left=left, right=right):
-            values = right.items if isinstance(right, ListOf) else (right,)
+            values = right.items if isinstance(right, ListLiteral) else (right,)
             if not isinstance(right, Literal):  # a part of a text may be any
                 _look_at_name(left, values, around, only, facts)
     for child in node.children():
         _look(child, around, only, facts)
 
 
-def _look_in_query(query: Query, around: _Around, facts: Facts) -> None:
+def _look_in_query(query: Query, around: _Around, facts: StatementFacts) -> None:
     own = {source.alias: source for source in query.sources if source.alias is not None}
     only = query.sources[0] if len(query.sources) == 1 else None
     for source in query.sources:
@@ -156,7 +156,7 @@ def _look_in_query(query: Query, around: _Around, facts: Facts) -> None:
     facts.bare += [
         (name.name, name.span) for name in _conditions(conditions) if name.name not in own_states
     ]
-    given = {s.alias for s in query.sources if not isinstance(s.value, Name | Aged)} - {None}
+    given = {s.alias for s in query.sources if not isinstance(s.value, Name | TimeIndex)} - {None}
     given |= {
         s.alias for s in query.sources if isinstance(s.value, Name) and s.value.name != s.alias
     }
@@ -173,7 +173,7 @@ def _conditions(nodes: Iterable[Node]) -> Iterator[Name]:
                 yield node
             case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
                 yield from _conditions((left, right))
-            case Chain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
+            case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
                 yield from _conditions(operands)
             case Unary(operator="NOT", operand=operand):
                 yield from _conditions((operand,))
@@ -192,12 +192,12 @@ def _bare(nodes: Iterable[Node]) -> Iterator[Name]:
 
 
 def _look_at_name(
-    side: Node, values: Iterable[Node], around: _Around, only: Source | None, facts: Facts
+    side: Node, values: Iterable[Node], around: _Around, only: Source | None, facts: StatementFacts
 ) -> None:
     match side:
         case Call(name=name, arguments=(This(alias=alias),)) if name == _NAME:
             source, is_bare = only if alias is None else around.get(alias), False
-        case Dotted(alias=alias, key=name) if name == _NAME:
+        case QualifiedName(alias=alias, key=name) if name == _NAME:
             source, is_bare = around.get(alias), True
         case Name(name=name) if name == _NAME and only is not None:
             source, is_bare = only, True
@@ -208,7 +208,7 @@ def _look_at_name(
             facts.names.append(NameSite(source, value, is_bare))
 
 
-class Doubts:
+class Linter:
     """What is told of the programs of an interpreter, each thing once.
 
     Args:
@@ -229,7 +229,7 @@ class Doubts:
         self._is_function = is_function
         self._worlds = worlds
         self._recorded = recorded
-        self._facts: WeakKeyDictionary[Node, Facts] = WeakKeyDictionary()
+        self._facts: WeakKeyDictionary[Node, StatementFacts] = WeakKeyDictionary()
         self._borne: WeakKeyDictionary[World, set[str]] = WeakKeyDictionary()
         self._told: set[tuple[str | None, str]] = set()
 
@@ -262,7 +262,7 @@ class Doubts:
         self._told.add(told)
         return is_new
 
-    def _hidden(self, facts: Facts) -> Iterator[SelectScriptError]:
+    def _hidden(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
         for name, span in facts.given:
             if self._is_function(name):
                 yield ArgumentError(hides(name), span=span)
@@ -281,22 +281,26 @@ class Doubts:
                 message = f"{name} is the variable here; the element of the source is {name}.this"
                 yield ArgumentError(message, span=span)
 
-    def _quoted(self, facts: Facts, text: str) -> Iterator[SelectScriptError]:
+    def _quoted(self, facts: StatementFacts, text: str) -> Iterator[SelectScriptError]:
         for name, span in facts.texts:
             if text[span.start : span.start + 1] == '"' and self._is_function(name):
                 message = f'"{name}" is a text; the function is written without quotes: {name}'
                 yield ArgumentError(message, span=span)
         for name, span in facts.sources:
-            if isinstance(self._variable(name), World | Past | list):
+            if isinstance(self._variable(name), World | PastTicks | list):
                 message = f"{shown(name)} is a text, and the only element; the variable is {name}"
                 yield ArgumentError(message, span=span)
 
     # -- names of entities ------------------------------------------------------------------
 
-    def _unborne(self, facts: Facts, local: Mapping[str, Any]) -> Iterator[SelectScriptError]:
+    def _unborne(
+        self, facts: StatementFacts, local: Mapping[str, Any]
+    ) -> Iterator[SelectScriptError]:
         return islice(self._all_unborne(facts, local), MOST_UNBORNE)
 
-    def _all_unborne(self, facts: Facts, local: Mapping[str, Any]) -> Iterator[SelectScriptError]:
+    def _all_unborne(
+        self, facts: StatementFacts, local: Mapping[str, Any]
+    ) -> Iterator[SelectScriptError]:
         for site in facts.names:
             worlds = self._worlds_of(site)
             if not worlds:
@@ -316,11 +320,11 @@ class Doubts:
     def _worlds_of(self, site: NameSite) -> list[World]:
         """The worlds that the entity may be of; none where that is not known."""
         value = None if site.source is None else site.source.value
-        if isinstance(value, Name | Aged):
+        if isinstance(value, Name | TimeIndex):
             given = self._variable(value.name)
             if isinstance(given, World):
                 return [given]
-            if isinstance(given, Past):
+            if isinstance(given, PastTicks):
                 return [given.world]
             if not isinstance(given, list) or not any(isinstance(e, Entity) for e in given[:1]):
                 return []
@@ -334,7 +338,7 @@ class Doubts:
             borne.add(name)
         return name in borne
 
-    def _unknown(self, name: str, worlds: list[World], span: Span) -> SelectScriptError:
+    def _unknown(self, name: str, worlds: list[World], span: SourceSpan) -> SelectScriptError:
         known = {entity.name for world in worlds for entity in world}
         for world in worlds:
             known.update(self._recorded(world))

@@ -18,7 +18,7 @@ from ssduck.interpreter.sources import within
 from ssduck.interpreter.temporal_functions import FORMS
 from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import BUILTINS, Function
-from ssduck.language.deferred import Deferred
+from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked, plain
 from ssduck.language.parser import is_reserved
@@ -33,7 +33,7 @@ from ssduck.sql.translator import unknown_function
 from ssduck.world.world import World
 
 
-class Names:
+class Namespace:
     """The variables and functions of an interpreter, and the worlds that they are about.
 
     Args:
@@ -53,7 +53,7 @@ class Names:
             if name not in RELATIONS:
                 self._functions[name] = allen.function
 
-    # -- variables (ssduck.language.evaluator.Scope) -----------------------------------------------
+    # -- variables (ssduck.language.evaluator.EvaluationScope) -------------------------------
 
     def variable(self, name: str) -> Any:
         """The value of a variable, or an UnknownNameError with the nearest names."""
@@ -141,7 +141,7 @@ class Names:
             for name, history in temporal:
                 self._variables[name] = history.until(now).recent(now)
 
-    # -- functions ----------------------------------------------------------------------------
+    # -- functions ---------------------------------------------------------------------------
 
     def function(self, name: str) -> Function | None:
         """A function that is no relation; the language's own, where the name is not marked."""
@@ -287,7 +287,7 @@ class Names:
                 return None
             values = [self._variables.get(name) for name in variables_of(node)]
             for value in values:
-                if isinstance(value, Deferred):
+                if isinstance(value, LazyList):
                     inner = self._worlds_of([value.node])
                 else:
                     inner = within(value.values if isinstance(value, ValueHistory) else value)
@@ -301,7 +301,7 @@ class Names:
         found = tables_of(node) | tables_of_forms(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
-            if isinstance(value, Deferred):
+            if isinstance(value, LazyList):
                 found |= self._tables_of(value.node)
         return found
 

@@ -8,19 +8,26 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from ssduck.adapters.registry import Adapter, Selection, find, forms
-from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError, Span
+from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError, SourceSpan
 from ssduck.formatting import reason
-from ssduck.language.clauses import Column, Rows, Selected, check_columns, checked_count, formed
+from ssduck.language.clauses import (
+    Rows,
+    Selected,
+    SelectedValue,
+    check_columns,
+    checked_count,
+    formed,
+)
 from ssduck.language.evaluator import Frame
-from ssduck.language.tree import Aged, Literal, Name, Query
-from ssduck.recording.replay.past import Past
+from ssduck.language.tree import Literal, Name, Query, TimeIndex
+from ssduck.recording.replay.past import PastTicks
 from ssduck.world.world import World
 
-Run: TypeAlias = Callable[[Query, Frame, Callable[[Sequence[Column]], None]], Selected]
+Run: TypeAlias = Callable[[Query, Frame, Callable[[Sequence[SelectedValue]], None]], Selected]
 
 
 @dataclass(frozen=True)
-class Form:
+class AsClause:
     """An adapter as a query names it.
 
     Attributes:
@@ -35,7 +42,7 @@ class Form:
     adapter: Adapter
     arguments: tuple[Any, ...] = ()
     named: Mapping[str, Any] = field(default_factory=dict)
-    span: Span | None = None
+    span: SourceSpan | None = None
 
     def value(self, query: Query, frame: Frame, run: Run) -> Any:
         """What it makes of a query: of its rows, or of each group's or path's.
@@ -92,7 +99,7 @@ class Form:
             ) from error
 
 
-def form_of(query: Query, frame: Frame) -> Form:
+def form_of(query: Query, frame: Frame) -> AsClause:
     """The form that a query names, its arguments evaluated; `dict` if it names none.
 
     Raises:
@@ -101,7 +108,7 @@ def form_of(query: Query, frame: Frame) -> Form:
     """
     named = query.adapter
     if named is None:
-        return Form("dict", find("dict"))
+        return AsClause("dict", find("dict"))
     try:
         adapter = find(named.name)
     except SelectScriptError as error:
@@ -110,14 +117,14 @@ def form_of(query: Query, frame: Frame) -> Form:
     arguments = tuple(frame.value(argument) for argument in named.arguments)
     by_name = {argument.name: frame.value(argument.value) for argument in named.named}
     if adapter.is_plain and not arguments and not by_name:
-        return Form(named.name, adapter, span=named.span)
+        return AsClause(named.name, adapter, span=named.span)
     try:
         adapter.signature.bind(None, *arguments, **by_name)
     except TypeError as error:
         raise ArgumentError(
             f"AS {named.name}: {error}; it is {adapter.usage}", span=named.span
         ) from error
-    return Form(named.name, adapter, arguments, by_name, named.span)
+    return AsClause(named.name, adapter, arguments, by_name, named.span)
 
 
 def help_of_forms() -> str:
@@ -139,11 +146,11 @@ def _worlds(query: Query, frame: Frame) -> list[World]:
     for source in query.sources:
         if isinstance(source.value, Query):
             found.update(dict.fromkeys(_worlds(source.value, frame)))
-        elif isinstance(source.value, Name | Aged):
+        elif isinstance(source.value, Name | TimeIndex):
             value = frame.value(source.value)
             if isinstance(value, World):
                 found.setdefault(value)
-            elif isinstance(value, Past) and value.ticks:
+            elif isinstance(value, PastTicks) and value.ticks:
                 found.setdefault(value.at(value.ticks[-1]))
     return list(found)
 

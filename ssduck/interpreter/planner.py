@@ -9,8 +9,8 @@ from ssduck.database.database import Database
 from ssduck.database.values import tag_of
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.formatting import kind_of, shown
-from ssduck.interpreter.query_runner import Planned, RowByRow, SqlFailedError, is_small
-from ssduck.interpreter.signatures import Hints
+from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
+from ssduck.interpreter.signatures import TypeHints
 from ssduck.interpreter.sources import INLINE, all_elements, beside_past, shapes_of
 from ssduck.language.analysis import (
     aliases_of,
@@ -21,26 +21,26 @@ from ssduck.language.analysis import (
 )
 from ssduck.language.builtins import Function
 from ssduck.language.clauses import Selected
-from ssduck.language.deferred import Deferred
-from ssduck.language.evaluator import Frame, Scope
-from ssduck.language.tree import Aged, Call, Given, Name, Node, Query
+from ssduck.language.deferred import LazyList
+from ssduck.language.evaluator import EvaluationScope, Frame
+from ssduck.language.tree import Call, Name, Node, Placeholder, Query, TimeIndex
 from ssduck.limits import Limits
-from ssduck.recording.replay.past import Past
+from ssduck.recording.replay.past import PastTicks
 from ssduck.schema import MASSES
-from ssduck.sql.name_resolution import Resolved, resolve
-from ssduck.sql.plan import Plan, Shape
+from ssduck.sql.name_resolution import ResolvedQuery, resolve
+from ssduck.sql.plan import Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import NotSqlError
 from ssduck.sql.subqueries import is_inline
 from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import NotInlineError, translate
-from ssduck.sql.types import Signature, Tag
+from ssduck.sql.types import Signature, SqlType
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 # So many queries keep their plans; then all are forgotten and made anew as they are needed.
 MOST_PLANS = 500
-_UNKNOWN = Tag("any")
+_UNKNOWN = SqlType("any")
 
 
 class _SmallError(NotSqlError):
@@ -51,13 +51,13 @@ class _SmallError(NotSqlError):
         shapes: what they are.
     """
 
-    def __init__(self, values: list[Any], shapes: tuple[Shape, ...]) -> None:
+    def __init__(self, values: list[Any], shapes: tuple[SourceType, ...]) -> None:
         super().__init__()
         self.values = values
         self.shapes = shapes
 
 
-class Functions(Scope, Protocol):
+class FunctionScope(EvaluationScope, Protocol):
     """What a planner needs of the interpreter: a scope that tells of users' functions."""
 
     def function(self, name: str) -> Function | None:
@@ -75,14 +75,14 @@ class Planner:
     """
 
     def __init__(
-        self, database: Database, scope: Functions, limits: Limits, *, row_by_row: bool
+        self, database: Database, scope: FunctionScope, limits: Limits, *, row_by_row: bool
     ) -> None:
         self._database = database
         self._scope = scope
         self._limits = limits
         self._row_by_row = row_by_row
-        self._plans: dict[Query, list[Planned]] = {}
-        self._rows: dict[Query, list[tuple[tuple[Shape, ...], RowByRow]]] = {}
+        self._plans: dict[Query, list[PlannedQuery]] = {}
+        self._rows: dict[Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]] = {}
         # Nested queries in FROM that must be evaluated before, by the query around them.
         self._evaluated: dict[Query, set[str]] = {}
 
@@ -115,7 +115,7 @@ class Planner:
                     break
         return self._run_row_by_row(query, frame, check)
 
-    def spelled(self, query: Query, frame: Frame) -> tuple[Resolved, list[Sequence[Any]]]:
+    def spelled(self, query: Query, frame: Frame) -> tuple[ResolvedQuery, list[Sequence[Any]]]:
         """A query, bare names looked up, and the elements of its sources."""
         values = [frame.value(source.value) for source in query.sources]
         values = beside_past(values, frame.own_elements())
@@ -147,7 +147,9 @@ class Planner:
         if planned.plan.left:
             (call,) = query.items
             assert isinstance(call, Call)
-            given = [frame.given[part.name] for part in call.arguments if isinstance(part, Given)]
+            given = [
+                frame.given[part.name] for part in call.arguments if isinstance(part, Placeholder)
+            ]
             told = ", ".join(shown(v) if isinstance(v, float) else kind_of(v) for v in given)
             raise ArgumentError(
                 f"{call.name} does not take ({told}): {RELATIONS[call.name].usage}", span=query.span
@@ -167,18 +169,18 @@ class Planner:
         check(planned.columns)
         return planned.run(typed.frame(), values)
 
-    def _typed(self, frame: Frame) -> Typed:
-        return Typed(self._scope, frame, self._database)
+    def _typed(self, frame: Frame) -> InterpreterTypes:
+        return InterpreterTypes(self._scope, frame, self._database)
 
     def _found(
         self,
         query: Query,
         frame: Frame,
-        typed: Typed,
+        typed: InterpreterTypes,
         *,
         cautious: bool,
         quickest: bool = True,
-    ) -> tuple[Planned, list[Any]]:
+    ) -> tuple[PlannedQuery, list[Any]]:
         """The plan for sources and variables of these types, and the sources' values.
 
         Raises:
@@ -218,21 +220,26 @@ class Planner:
         ]
 
     def _kept(
-        self, query: Query, shapes: tuple[Shape, ...], typed: Typed, *, cautious: bool
-    ) -> Planned | None:
+        self,
+        query: Query,
+        shapes: tuple[SourceType, ...],
+        typed: InterpreterTypes,
+        *,
+        cautious: bool,
+    ) -> PlannedQuery | None:
         for planned in self._plans.get(query, ()):
             if planned.plan.cautious == cautious and typed.fit(planned.plan, shapes):
                 return planned
         return None
 
-    def _keep(self, query: Query, plan: Plan) -> Planned:
+    def _keep(self, query: Query, plan: Plan) -> PlannedQuery:
         if sum(map(len, self._plans.values())) >= MOST_PLANS:
             self.forget()
         for signature in plan.signatures:
             function = self._scope.function(signature.function)
             assert function is not None
             self._database.add_function(signature, function)
-        planned = Planned(plan, self._database, self._scope)
+        planned = PlannedQuery(plan, self._database, self._scope)
         self._plans.setdefault(query, []).append(planned)
         return planned
 
@@ -243,9 +250,9 @@ class Planner:
         """
         weighs = MASSES in tables_of(query)
         for value in values:
-            if weighs and isinstance(value, Past):
+            if weighs and isinstance(value, PastTicks):
                 value.record.warn_of_masses()
-            known = isinstance(value, Past) and value.world in self._database.worlds.values()
+            known = isinstance(value, PastTicks) and value.world in self._database.worlds.values()
             if known and self._database.record_of(value.world) is not value.record:
                 raise EvaluationError(
                     f"this past of {value.world.name!r} is of another interpreter's record"
@@ -267,15 +274,17 @@ class Planner:
     def _rows_of(
         self,
         query: Query,
-        shapes: tuple[Shape, ...],
+        shapes: tuple[SourceType, ...],
         frame: Frame,
         check: Callable[[Any], None],
-    ) -> RowByRow:
+    ) -> RowByRowQuery:
         rows = self._known_rows(query, shapes, frame)
         check(rows.columns)
         return rows
 
-    def _known_rows(self, query: Query, shapes: tuple[Shape, ...], frame: Frame) -> RowByRow:
+    def _known_rows(
+        self, query: Query, shapes: tuple[SourceType, ...], frame: Frame
+    ) -> RowByRowQuery:
         typed = self._typed(frame)
         for known, rows in self._rows.get(query, ()):
             if known == shapes and typed.knows(rows.resolved.bare) and typed.defers(rows.deferred):
@@ -286,7 +295,9 @@ class Planner:
         names = {part.name for part in query.walk() if isinstance(part, Name)}
         deferred = {name: typed.deferred(name) for name in names}
         of_past = any(shape.moments for shape in shapes)
-        rows = RowByRow(query, resolved, self._scope, self._limits.depth, deferred, of_past=of_past)
+        rows = RowByRowQuery(
+            query, resolved, self._scope, self._limits.depth, deferred, of_past=of_past
+        )
         self._rows.setdefault(query, []).append((shapes, rows))
         return rows
 
@@ -296,7 +307,7 @@ def _sees_rows(node: Node) -> bool:
     return isinstance(node, Query) and sees_outside(node)
 
 
-class Typed:
+class InterpreterTypes:
     """What the translator asks: names from the interpreter, types from the values.
 
     Args:
@@ -305,7 +316,7 @@ class Typed:
         database: knows the schemas of worlds.
     """
 
-    def __init__(self, scope: Functions, frame: Frame, database: Database) -> None:
+    def __init__(self, scope: FunctionScope, frame: Frame, database: Database) -> None:
         self.deepest = database.connection.meter.limits.depth
         self._scope = scope
         self._frame = frame
@@ -330,7 +341,7 @@ class Typed:
         """Whether a query around this one has a source of that name."""
         return alias in self._frame.elements
 
-    def tag(self, node: Node) -> Tag:
+    def tag(self, node: Node) -> SqlType:
         """The type of a constant part."""
         if node in self._failed:
             return _UNKNOWN
@@ -344,7 +355,7 @@ class Typed:
 
     def world(self, node: Node) -> str | None:
         """The schema of the world that a constant part is."""
-        if not isinstance(node, Name | Aged):
+        if not isinstance(node, Name | TimeIndex):
             return None
         self.tag(node)
         value = self._values.get(node)
@@ -355,12 +366,12 @@ class Typed:
         if name in self._frame.local or not self._scope.has_variable(name):
             return None
         value = self._scope.variable(name)
-        return value.node if isinstance(value, Deferred) else None
+        return value.node if isinstance(value, LazyList) else None
 
-    def signature(self, name: str, arguments: tuple[Tag, ...]) -> Signature | None:
+    def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
         """How SQL calls a user's function with such arguments."""
         function = self._scope.function(name)
-        if function is None or function.builtin or not isinstance(function.hints, Hints):
+        if function is None or function.builtin or not isinstance(function.hints, TypeHints):
             return None
         return function.hints.signature(name, arguments)
 
@@ -372,7 +383,7 @@ class Typed:
         """Whether these variables hold the lists that they held."""
         return all(self.deferred(name) is node for name, node in deferred.items())
 
-    def fit(self, plan: Plan, shapes: Sequence[Shape]) -> bool:
+    def fit(self, plan: Plan, shapes: Sequence[SourceType]) -> bool:
         """Whether a plan runs as it is for these sources and the present variables."""
         return (
             plan.shapes == shapes

@@ -12,7 +12,7 @@ from ssduck.language.tree import Program
 
 
 @dataclass(frozen=True, eq=False)
-class Compiled:
+class CompiledProgram:
     """A program that was parsed; running it again parses nothing.
 
     Attributes:
@@ -36,14 +36,14 @@ class Compiled:
         return self._sql_of(self.tree, dialect)
 
 
-def tree_of(program: str | Compiled) -> Program:
+def tree_of(program: str | CompiledProgram) -> Program:
     """What a program means that is given as text or was parsed before.
 
     Raises:
         ArgumentError: it is neither.
         ParseError: with the place of the first thing that is wrong.
     """
-    if isinstance(program, Compiled):
+    if isinstance(program, CompiledProgram):
         return program.tree
     if not isinstance(program, str):
         raise ArgumentError(f"a program is a text or what compile gave, not {shown(program)}")

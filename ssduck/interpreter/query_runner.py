@@ -28,25 +28,25 @@ from ssduck.language.analysis import (
 )
 from ssduck.language.clauses import (
     Clauses,
-    Column,
     Paths,
-    Rest,
+    PythonClauses,
     Rows,
     Selected,
+    SelectedValue,
     combinations,
     row_frames,
 )
-from ssduck.language.evaluator import Compiler, Frame, Scope, Thunk
+from ssduck.language.evaluator import EvaluationScope, ExpressionCompiler, Frame, Thunk
 from ssduck.language.graph_paths import Vertex, simple_paths
 from ssduck.language.hierarchy import Hierarchy
 from ssduck.language.memo import MEMOS
-from ssduck.language.tree import Call, Given, Literal, Name, Node, Query, This
+from ssduck.language.tree import Call, Literal, Name, Node, Placeholder, Query, This
 from ssduck.simulators.joints import JointError
-from ssduck.sql.name_resolution import Resolved
-from ssduck.sql.plan import Graph, Output, Plan, Shape
+from ssduck.sql.name_resolution import ResolvedQuery
+from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import written
-from ssduck.sql.types import Tag
+from ssduck.sql.types import SqlType
 
 # So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
 # tried again.
@@ -66,7 +66,7 @@ class SqlFailedError(Exception):
     """A statement came to something that only Python can decide."""
 
 
-class Planned:
+class PlannedQuery:
     """A query with its plan, ready to run.
 
     Args:
@@ -75,7 +75,7 @@ class Planned:
         scope: variables and functions.
     """
 
-    def __init__(self, plan: Plan, database: Database, scope: Scope) -> None:
+    def __init__(self, plan: Plan, database: Database, scope: EvaluationScope) -> None:
         self.plan = plan
         self._failures = 0
         self._database = database
@@ -89,7 +89,7 @@ class Planned:
         self._clauses: Clauses | None = None
         if plan.outputs is None:
             known = {node: self._column(output) for node, output in plan.known.items()}
-            compiler = Compiler(
+            compiler = ExpressionCompiler(
                 scope,
                 known,
                 frozenset(plan.once),
@@ -99,11 +99,11 @@ class Planned:
             self._clauses = Clauses(plan.rest, compiler)
 
     @property
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> tuple[SelectedValue, ...]:
         """What it selects."""
         return self.plan.rest.columns
 
-    def _column(self, output: Output) -> Thunk:
+    def _column(self, output: OutputColumn) -> Thunk:
         index, convert = output.index, self._converters[output.tag]
         if convert is None:
             return lambda frame: frame.columns[index]
@@ -249,7 +249,7 @@ class Planned:
             yield outer.row(elements, kept, columns)
 
     def _element(
-        self, shape: Shape, sources: Mapping[str, Any]
+        self, shape: SourceType, sources: Mapping[str, Any]
     ) -> Callable[[tuple[Any, ...]], Any]:
         """The current element of a source; where SQL has only its number, by that."""
         output = self.plan.elements[shape.alias]
@@ -290,7 +290,7 @@ def _size(value: Any) -> int:
 
 
 def _graph_paths(
-    graph: Graph,
+    graph: PathSearch,
     edges: list[tuple[Any, ...]],
     names: tuple[str, ...],
     count: Callable[[], None],
@@ -331,12 +331,12 @@ def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
         raise
 
 
-def _listed(elements: Sequence[Any], tag: Tag) -> list[Any]:
+def _listed(elements: Sequence[Any], tag: SqlType) -> list[Any]:
     """What stands for the elements of a source in SQL: of what SQL does not know, the count."""
     return [0] * len(elements) if tag.element is None else [to_sql(value) for value in elements]
 
 
-class RowByRow:
+class RowByRowQuery:
     """A query that runs row by row over all combinations of its sources.
 
     Args:
@@ -355,8 +355,8 @@ class RowByRow:
     def __init__(
         self,
         query: Query,
-        resolved: Resolved,
-        scope: Scope,
+        resolved: ResolvedQuery,
+        scope: EvaluationScope,
         deepest: int,
         deferred: Mapping[str, Node | None],
         *,
@@ -368,7 +368,7 @@ class RowByRow:
         self._query = query
         self._aliases = aliases_of(query)
         waiting = {name for name, node in deferred.items() if node}
-        compiler = Compiler(
+        compiler = ExpressionCompiler(
             scope,
             None,
             _constants(query, changing(query) | waiting, of_past=of_past),
@@ -380,7 +380,7 @@ class RowByRow:
         conditions = () if query.where is None or hierarchical else (query.where,)
         selected = [column.node for column in resolved.columns]
         check_one_group(query, selected)
-        rest = Rest(
+        rest = PythonClauses(
             resolved.columns,
             conditions,
             query.order,
@@ -398,7 +398,7 @@ class RowByRow:
         self._sources_change = any(mentions(s.value, states(query)) for s in query.sources)
 
     @property
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> tuple[SelectedValue, ...]:
         """What it selects."""
         return self.resolved.columns
 
@@ -454,7 +454,7 @@ def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set
         if of_past and not isinstance(node, Query) and calls_of(node):
             same = False
         if same:
-            if not isinstance(node, This | Name | Given | Literal):
+            if not isinstance(node, This | Name | Placeholder | Literal):
                 found.add(node)
             return
         if not isinstance(node, Query):
@@ -466,7 +466,7 @@ def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set
     return found
 
 
-def is_small(query: Query, shapes: Sequence[Shape], values: Sequence[Any]) -> bool:
+def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) -> bool:
     """Whether running it row by row is quicker than planning a statement.
 
     So it is for a search through short lists, and for a product of short lists: a statement

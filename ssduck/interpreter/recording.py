@@ -12,17 +12,17 @@ from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import shown
 from ssduck.interpreter.planner import Planner
-from ssduck.interpreter.program import Compiled
+from ssduck.interpreter.program import CompiledProgram
 from ssduck.language.value_history import seconds_of
 from ssduck.recording.paths import given_path
-from ssduck.recording.replay.past import Past, past_of
+from ssduck.recording.replay.past import PastTicks, past_of
 from ssduck.recording.spec import RECORDABLE, Recording
-from ssduck.recording.stores.parquet import FolderRecording
+from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 
-class RecordVerbs(ABC):
+class RecordingMethods(ABC):
     """What an interpreter lets its users do with what is kept of its worlds."""
 
     _database: Database
@@ -34,7 +34,7 @@ class RecordVerbs(ABC):
         """The value of a variable."""
 
     @abstractmethod
-    def eval(self, program: str | Compiled) -> Any:
+    def eval(self, program: str | CompiledProgram) -> Any:
         """Run a program."""
 
     def record(self, world: str | World, recording: Recording | None) -> None:
@@ -57,7 +57,7 @@ class RecordVerbs(ABC):
             self._database.record(self._world(world), recording)
             self._planner.forget()
 
-    def past(self, world: str | World, age: float | None = None) -> Past:
+    def past(self, world: str | World, age: float | None = None) -> PastTicks:
         """What `kitchen{age}` is: a source for queries.
 
         Args:
@@ -79,7 +79,7 @@ class RecordVerbs(ABC):
         path: str | Path,
         world: str | World | None = None,
         recording: Recording | None = None,
-    ) -> FolderRecording:
+    ) -> ParquetRecording:
         """Write the ticks of a world to a folder of Parquet files from now on, as a new episode.
 
         What is written is sealed in parts: whatever ends the recording, all but the last part is
@@ -113,7 +113,7 @@ class RecordVerbs(ABC):
         path: str | Path,
         world: str | World | None = None,
         *,
-        entities: Iterable[str | Entity] | str | Compiled | None = None,
+        entities: Iterable[str | Entity] | str | CompiledProgram | None = None,
         start: float | None = None,
         end: float | None = None,
     ) -> dict[str, Path]:
@@ -134,7 +134,7 @@ class RecordVerbs(ABC):
             RecordError: the folder has something else in it, or cannot be written.
             EvaluationError: nothing is kept of a world, or nothing of that time.
         """
-        chosen = self.eval(entities) if isinstance(entities, str | Compiled) else entities
+        chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
         names = None if chosen is None else _names(chosen)
         start, end = (None if time is None else seconds_of(time) for time in (start, end))
         with self._lock:

@@ -9,21 +9,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 from zlib import crc32
 
-from ssduck.sql.types import FLAG, INTEGER, REAL, TEXT, Signature, Tag
+from ssduck.sql.types import FLAG, INTEGER, REAL, TEXT, Signature, SqlType
 from ssduck.world.entities import Entity
 
-_TYPES: dict[object, Tag] = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT}
+_TYPES: dict[object, SqlType] = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT}
 
 
 @dataclass(frozen=True)
-class Hints:
+class TypeHints:
     """The types of a function's parameters, all of them positional, and of its result."""
 
-    parameters: tuple[Tag, ...]
+    parameters: tuple[SqlType, ...]
     required: int
-    result: Tag
+    result: SqlType
 
-    def signature(self, name: str, arguments: tuple[Tag, ...]) -> Signature | None:
+    def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
         """How SQL calls the function with such arguments; None if they do not fit."""
         if not self.required <= len(arguments) <= len(self.parameters):
             return None
@@ -39,7 +39,7 @@ class Hints:
         return Signature(name, f"{name} {told:08x}", parameters, self.result)
 
 
-def _taken(parameter: Tag, argument: Tag) -> Tag | None:
+def _taken(parameter: SqlType, argument: SqlType) -> SqlType | None:
     """An argument's type as the function takes it; None if it does not."""
     if parameter.type == "entity":
         return argument if argument.type == "entity" and argument.schema else None
@@ -54,7 +54,7 @@ def _taken(parameter: Tag, argument: Tag) -> Tag | None:
     return parameter if parameter.type == argument.type else None
 
 
-def hints_of(call: Callable[..., Any]) -> Hints | None:
+def hints_of(call: Callable[..., Any]) -> TypeHints | None:
     """The types that a function's hints tell of; None if some are missing or are not SQL's."""
     try:
         parameters = inspect.signature(call).parameters.values()
@@ -68,14 +68,14 @@ def hints_of(call: Callable[..., Any]) -> Hints | None:
     tags = tuple(tag for tag in taken if tag is not None)
     if result is None or result.type == "entity" or len(tags) < len(taken):
         return None
-    return Hints(tags, sum(p.default is p.empty for p in parameters), result)
+    return TypeHints(tags, sum(p.default is p.empty for p in parameters), result)
 
 
-def _tag(hint: object) -> Tag | None:
+def _tag(hint: object) -> SqlType | None:
     if hint is Entity:
-        return Tag("entity")
+        return SqlType("entity")
     if typing.get_origin(hint) is list:
         (inner,) = typing.get_args(hint)
         element = _tag(inner)
-        return None if element is None or element.type == "entity" else Tag("list", element)
+        return None if element is None or element.type == "entity" else SqlType("list", element)
     return _TYPES.get(hint) if isinstance(hint, type) else None

@@ -15,12 +15,12 @@ from ssduck.adapters.result import Result, values_of
 from ssduck.database.values import SchemaOf, tag_of_any, to_sql
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of
-from ssduck.language.clauses import Tied
+from ssduck.language.clauses import LockstepSource
 from ssduck.language.tree import Query
-from ssduck.recording.replay.past import Now, Past
+from ssduck.recording.replay.past import PastTicks, PresentTick
 from ssduck.recording.replay.record import Record
-from ssduck.sql.plan import Moments, Shape
-from ssduck.sql.types import ANY, INTEGER, Tag
+from ssduck.sql.plan import Moments, SourceType
+from ssduck.sql.types import ANY, INTEGER, SqlType
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -41,7 +41,7 @@ def elements_of(value: Any) -> Sequence[Any]:
     """
     if isinstance(value, list | tuple):
         return value
-    if isinstance(value, World | Past | Now):
+    if isinstance(value, World | PastTicks | PresentTick):
         return list(value)
     if isinstance(value, np.ndarray) and value.ndim and value.dtype.names is None:
         rows: list[Any] = value.tolist()
@@ -56,9 +56,9 @@ def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
     first: dict[World, int] = {}
     for place, value in enumerate(values):
         elements = elements_of(value)
-        if isinstance(value, Past) and value.is_window:
+        if isinstance(value, PastTicks) and value.is_window:
             to = first.setdefault(value.world, place)
-            elements = elements if to == place else Tied(elements, to)
+            elements = elements if to == place else LockstepSource(elements, to)
         found.append(elements)
     return found
 
@@ -120,7 +120,7 @@ def _of_polars(column: Any) -> list[Any]:
     return values_of(column.to_arrow())
 
 
-def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[Shape, ...]:
+def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[SourceType, ...]:
     """What the sources of a query are.
 
     Args:
@@ -144,23 +144,25 @@ class _Inline:
 INLINE = _Inline()
 
 
-def _shape(alias: str, value: Any, schema_of: SchemaOf) -> Shape:
+def _shape(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if value is INLINE:
-        return Shape(alias, given=False)
+        return SourceType(alias, given=False)
     if isinstance(value, World):
-        return Shape(alias, schema_of(value))
-    if isinstance(value, Past):
+        return SourceType(alias, schema_of(value))
+    if isinstance(value, PastTicks):
         moments: Moments = "window" if value.is_window else "instant"
-        return Shape(alias, schema_of(value.world), moments=moments, of_one=value.id is not None)
-    if isinstance(value, Now):
-        return Shape(alias, schema_of(value.world), moments="now")
+        return SourceType(
+            alias, schema_of(value.world), moments=moments, of_one=value.id is not None
+        )
+    if isinstance(value, PresentTick):
+        return SourceType(alias, schema_of(value.world), moments="now")
     elements = elements_of(value)
     tag = _common(elements, schema_of)
     dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
-    return Shape(alias, tag=tag, dicts=dicts, known=bool(elements))
+    return SourceType(alias, tag=tag, dicts=dicts, known=bool(elements))
 
 
-def _common(elements: Sequence[Any], schema_of: SchemaOf) -> Tag:
+def _common(elements: Sequence[Any], schema_of: SchemaOf) -> SqlType:
     tag = tag_of_any(elements, schema_of)
     if tag is None or tag.type == "nothing":
         return ANY
@@ -169,11 +171,11 @@ def _common(elements: Sequence[Any], schema_of: SchemaOf) -> Tag:
     return tag if (tag.comes_back and tag.element is not None) or _is_scalar(tag) else ANY
 
 
-def _is_scalar(tag: Tag) -> bool:
+def _is_scalar(tag: SqlType) -> bool:
     return tag.type in ("entity", "real", "integer", "text", "flag")
 
 
-def arrow_of(elements: Sequence[Any], tag: Tag) -> pa.Table:
+def arrow_of(elements: Sequence[Any], tag: SqlType) -> pa.Table:
     """Records as a table: `n` from 1, and a column a key."""
     columns: dict[str, Any] = {"n": pa.array(range(1, len(elements) + 1), pa.int64())}
     for index, (key, part) in enumerate(tag.fields):
@@ -183,7 +185,7 @@ def arrow_of(elements: Sequence[Any], tag: Tag) -> pa.Table:
     return pa.table(columns)
 
 
-def _arrow_type(tag: Tag) -> pa.DataType:
+def _arrow_type(tag: SqlType) -> pa.DataType:
     if tag.type == "list":
         return pa.list_(_arrow_type(tag.element or INTEGER))
     return _ARROW_TYPES[tag.type]
@@ -215,11 +217,11 @@ def beside_past(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
         if isinstance(value, Entity) and value.moment is not None
     }
     for value in values:
-        if isinstance(value, Past):
+        if isinstance(value, PastTicks):
             value.check()
             records[value.world] = value.record
     return [
-        Now(records[value], value.snapshot.number)
+        PresentTick(records[value], value.snapshot.number)
         if isinstance(value, World) and value in records
         else value
         for value in values
@@ -231,7 +233,7 @@ def within(value: Any) -> list[World] | None:
     match value:
         case World():
             return [value]
-        case Past() | Now():
+        case PastTicks() | PresentTick():
             return [value.world]
         case Entity():
             return [value.world]

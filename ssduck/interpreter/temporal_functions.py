@@ -19,19 +19,30 @@ from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import changes_of, intervals_of
 from ssduck.language.operators import truth
-from ssduck.language.tree import Aged, Bare, Call, Given, Index, Name, Node, Query, Source, This
-from ssduck.recording.replay.past import Past, past_of
+from ssduck.language.tree import (
+    Call,
+    Index,
+    Name,
+    Node,
+    Placeholder,
+    Query,
+    Source,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
+from ssduck.recording.replay.past import PastTicks, past_of
 from ssduck.recording.replay.record import Record
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 # So many ticks are looked at first to find since when something holds, then twice as many.
 FIRST_TICKS = 240
-_PLACES = (Name, This, Index, Aged, Given, Bare)
+_PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
 
 
 @dataclass(frozen=True)
-class Form:
+class TemporalFunction:
     """A function whose first argument is evaluated at each tick.
 
     Attributes:
@@ -42,7 +53,7 @@ class Form:
     """
 
     name: str
-    make: Callable[[Series, Any], Any]
+    make: Callable[[TickSeries, Any], Any]
     about: str
     usage: str
 
@@ -53,7 +64,7 @@ class Form:
         return Function(self.name, lambda *_: None, told, 1, 2, builtin=True)
 
 
-class Series:
+class TickSeries:
     """The values of an expression at the recorded ticks of a world.
 
     Args:
@@ -62,32 +73,34 @@ class Series:
         node: the expression.
     """
 
-    def __init__(self, record: Record, run: Callable[[Past], list[list[Any]]], node: Node) -> None:
+    def __init__(
+        self, record: Record, run: Callable[[PastTicks], list[list[Any]]], node: Node
+    ) -> None:
         self.record = record
         self.node = node
         self._run = run
 
-    def at(self, past: Past) -> tuple[list[float], list[Any]]:
+    def at(self, past: PastTicks) -> tuple[list[float], list[Any]]:
         """The times and values at some ticks; where an entity was not there it is None."""
         known = {row[0]: row[2] for row in self._run(past)}
         return past.times, [known.get(tick) for tick in past.ticks]
 
-    def holding(self, past: Past) -> tuple[list[float], list[bool]]:
+    def holding(self, past: PastTicks) -> tuple[list[float], list[bool]]:
         """The times, and whether it held."""
         times, values = self.at(past)
         return times, [value is not None and truth(value, self.node) for value in values]
 
-    def backwards(self) -> Iterator[Past]:
+    def backwards(self) -> Iterator[PastTicks]:
         """All ticks in pieces, the last ones first, each twice as long as the one before."""
         numbers, _ = self.record.until_now()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
             start = max(end - size, 0)
-            yield Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
+            yield PastTicks(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
             end, size = start, size * 2
 
 
-def _since(series: Series, age: Any) -> float | None:
+def _since(series: TickSeries, age: Any) -> float | None:
     if age is not None:
         raise ArgumentError("since takes one argument: since(condition)")
     begun: float | None = None
@@ -100,20 +113,20 @@ def _since(series: Series, age: Any) -> float | None:
     return begun
 
 
-def _held_for(series: Series, age: Any) -> float:
+def _held_for(series: TickSeries, age: Any) -> float:
     begun = _since(series, age)
     return 0.0 if begun is None else float(series.record.until_now()[1][-1]) - begun
 
 
-def _holds(series: Series, age: Any) -> list[list[float]]:
+def _holds(series: TickSeries, age: Any) -> list[list[float]]:
     return intervals_of(*series.holding(past_of(series.record, age)))
 
 
-def _changes(series: Series, age: Any) -> list[list[Any]]:
+def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
     return changes_of(*series.at(past_of(series.record, age)))
 
 
-def _least(series: Series, age: Any) -> list[Any] | None:
+def _least(series: TickSeries, age: Any) -> list[Any] | None:
     times, values = series.at(past_of(series.record, age))
     known = [(value, time) for time, value in zip(times, values, strict=True) if _is_number(value)]
     others = [v for v in values if v is not None and not isinstance(v, int | float)]
@@ -129,23 +142,23 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not math.isnan(value)
 
 
-FORMS: dict[str, Form] = {
+FORMS: dict[str, TemporalFunction] = {
     form.name: form
     for form in (
-        Form(
+        TemporalFunction(
             "since",
             _since,
             "Returns since when a condition has held at every recorded tick until now, in seconds "
             "of simulated time; nothing if it does not hold now.",
             "since(condition) -> float",
         ),
-        Form(
+        TemporalFunction(
             "heldFor",
             _held_for,
             "Returns for how many seconds a condition has held until now; 0 if it does not.",
             "heldFor(condition) -> float",
         ),
-        Form(
+        TemporalFunction(
             "holds",
             _holds,
             "Returns the maximal intervals [start, end] of simulated time during which a condition "
@@ -153,14 +166,14 @@ FORMS: dict[str, Form] = {
             "the last one.",
             "holds(condition[, age]) -> list",
         ),
-        Form(
+        TemporalFunction(
             "changes",
             _changes,
             "Returns [time, value] of an expression at the first recorded tick, and wherever its "
             "value is another one than at the tick before.",
             "changes(expression[, age]) -> list",
         ),
-        Form(
+        TemporalFunction(
             "least",
             _least,
             "Returns [time, value] of the least value of an expression over the recorded ticks, "
@@ -171,7 +184,7 @@ FORMS: dict[str, Form] = {
 }
 
 
-class OverTime:
+class TemporalEvaluator:
     """Makes queries of expressions, and keeps them: one is planned once."""
 
     def __init__(self) -> None:
@@ -183,7 +196,7 @@ class OverTime:
         frame: Frame,
         record_of: Callable[[World], Record],
         run: Callable[[Query, dict[str, Any]], list[list[Any]]],
-    ) -> Series:
+    ) -> TickSeries:
         """The values of the first argument of a call.
 
         Args:
@@ -211,14 +224,14 @@ class OverTime:
         record = record_of(worlds.pop())
         query = self._query(call, places, tuple(handles))
 
-        def rows(past: Past) -> list[list[Any]]:
+        def rows(past: PastTicks) -> list[list[Any]]:
             given = {
                 f"value_{number}": _of_entity(past, value) if is_one else value
                 for number, (value, is_one) in enumerate(zip(values, handles, strict=True))
             }
             return run(query, given)
 
-        return Series(record, rows, expression)
+        return TickSeries(record, rows, expression)
 
     def _query(self, call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
         known = self._queries.setdefault(call, {})
@@ -227,9 +240,9 @@ class OverTime:
         return known[handles]
 
 
-def _of_entity(past: Past, entity: Entity) -> Past:
+def _of_entity(past: PastTicks, entity: Entity) -> PastTicks:
     """One entity at some ticks."""
-    return Past(past.record, past.first, past.last, is_window=True, id=entity.id)
+    return PastTicks(past.record, past.first, past.last, is_window=True, id=entity.id)
 
 
 def _places(node: Node, call: Call) -> Iterator[Node]:
@@ -251,7 +264,7 @@ def _query_of(call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> 
     stands: dict[Node, Node] = {}
     sources = []
     for number, (place, is_one) in enumerate(zip(places, handles, strict=True)):
-        given = Given(place.span, f"value_{number}")
+        given = Placeholder(place.span, f"value_{number}")
         if not is_one:
             stands[place] = given
             continue

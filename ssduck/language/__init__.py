@@ -11,14 +11,14 @@ from ssduck.lazy import exports
 
 if TYPE_CHECKING:
     from ssduck.language.clauses import Clauses
-    from ssduck.language.evaluator import Compiler, compiled
+    from ssduck.language.evaluator import ExpressionCompiler, compiled
     from ssduck.language.intervals import intervals_of
     from ssduck.language.parser import parse
     from ssduck.language.value_history import ValueHistory
 
 __all__ = [
     "Clauses",
-    "Compiler",
+    "ExpressionCompiler",
     "ValueHistory",
     "compiled",
     "intervals_of",
@@ -29,7 +29,7 @@ __getattr__, __dir__ = exports(
     __name__,
     {
         "clauses": ("Clauses",),
-        "evaluator": ("Compiler", "compiled"),
+        "evaluator": ("ExpressionCompiler", "compiled"),
         "intervals": ("intervals_of",),
         "parser": ("parse",),
         "value_history": ("ValueHistory",),

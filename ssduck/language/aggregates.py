@@ -13,8 +13,18 @@ from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import kind_of
 from ssduck.language.analysis import aliases_of, free_aliases, known
 from ssduck.language.builtins import AGGREGATES
-from ssduck.language.evaluator import Compiler, Frame, Thunk
-from ssduck.language.tree import Binary, Call, Given, If, ListOf, Literal, Node, Query, Unary
+from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    If,
+    ListLiteral,
+    Literal,
+    Node,
+    Placeholder,
+    Query,
+    Unary,
+)
 
 # What the aggregates of no rows are; of the others it is nothing.
 _OF_NONE: dict[str, Callable[[], Any]] = {"count": int, "sum": int, "uniq": list}
@@ -30,7 +40,7 @@ def over_rows(node: Node) -> list[Call]:
         return []
     match node:
         case Call(name=name, arguments=(argument,)) if name in AGGREGATES:
-            if not isinstance(argument, Query | ListOf) and not _is_uniq(argument):
+            if not isinstance(argument, Query | ListLiteral) and not _is_uniq(argument):
                 return [node]
     return [call for child in node.children() for call in over_rows(child)]
 
@@ -82,7 +92,7 @@ def _is_of_rows(argument: Node) -> bool:
     return isinstance(argument, Literal) or bool(free_aliases(argument))
 
 
-class OfGroup:
+class GroupFunction:
     """A part of a query as a function of the rows of a group.
 
     An aggregate is over all rows of the group; everything else is that of its first row.
@@ -92,13 +102,13 @@ class OfGroup:
         compiler: makes functions of its parts.
     """
 
-    def __init__(self, node: Node, compiler: Compiler) -> None:
+    def __init__(self, node: Node, compiler: ExpressionCompiler) -> None:
         self._aggregates: list[tuple[str, Call, Thunk]] = []
         given: dict[Node, Node] = {}
         for call in over_rows(node):
             name = f"aggregate {len(self._aggregates)}"
             self._aggregates.append((name, call, compiler.thunk(call.arguments[0])))
-            given[call] = Given(call.span, name)
+            given[call] = Placeholder(call.span, name)
         self._value = compiler.thunk(node.replaced(given.get)) if given else compiler.thunk(node)
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
@@ -181,7 +191,7 @@ def _of_one_row(node: Node, own: set[str | None]) -> Iterator[Node]:
     """The parts outside of aggregates that depend on a row."""
     if not free_aliases(node) & own or node in over_rows(node):
         return
-    if isinstance(node, Binary | Unary | If | ListOf) or over_rows(node):
+    if isinstance(node, Binary | Unary | If | ListLiteral) or over_rows(node):
         for child in node.children():
             yield from _of_one_row(child, own)
     else:

@@ -9,19 +9,19 @@ from weakref import WeakKeyDictionary
 
 from ssduck.errors import ArgumentError
 from ssduck.language.tree import (
-    Adapter,
-    Aged,
+    AdapterClause,
     Assignment,
-    Bare,
     Call,
-    Chain,
-    Dotted,
     Name,
     Node,
+    OperatorChain,
+    QualifiedName,
     Query,
     Recursion,
     Source,
     This,
+    TimeIndex,
+    UnresolvedName,
 )
 
 T = TypeVar("T")
@@ -57,9 +57,9 @@ def free_aliases(node: Node) -> frozenset[str | None]:
     """The aliases whose `this` a part mentions, and that no query in it has as a source."""
     if isinstance(node, This):
         return frozenset((node.alias,))
-    if isinstance(node, Bare):
+    if isinstance(node, UnresolvedName):
         return frozenset((None,))
-    if isinstance(node, Dotted):
+    if isinstance(node, QualifiedName):
         return frozenset((node.alias,))
     found: set[str | None] = set()
     if not isinstance(node, Query):
@@ -101,15 +101,17 @@ def is_impure(node: Node) -> bool:
 def calls_of(node: Node) -> frozenset[str]:
     """The functions that a part calls."""
     own: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
-    own = (node.key,) if isinstance(node, Dotted) else own
-    own = node.operators if isinstance(node, Chain) else own  # users' functions may be among them
+    own = (node.key,) if isinstance(node, QualifiedName) else own
+    own = (
+        node.operators if isinstance(node, OperatorChain) else own
+    )  # users' functions may be among them
     return frozenset(own).union(*map(calls_of, node.children()))
 
 
 @known
 def forms_of(node: Node) -> frozenset[str]:
     """The result forms that a part names."""
-    own = (node.name,) if isinstance(node, Adapter) else ()
+    own = (node.name,) if isinstance(node, AdapterClause) else ()
     return frozenset(own).union(*map(forms_of, node.children()))
 
 
@@ -134,8 +136,8 @@ def mentions(node: Node, names: Collection[str]) -> bool:
 @known
 def variables_of(node: Node) -> frozenset[str]:
     """The variables that a part reads."""
-    own = (node.name,) if isinstance(node, Name | Aged) else ()
-    own = (node.alias,) if isinstance(node, Dotted) else own
+    own = (node.name,) if isinstance(node, Name | TimeIndex) else ()
+    own = (node.alias,) if isinstance(node, QualifiedName) else own
     return frozenset(own).union(*map(variables_of, node.children()))
 
 

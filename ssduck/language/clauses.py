@@ -15,10 +15,10 @@ from typing import Any, TypeAlias
 
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.formatting import shown, unusable
-from ssduck.language.aggregates import OfGroup, over_rows
-from ssduck.language.evaluator import Compiler, Frame
+from ssduck.language.aggregates import GroupFunction, over_rows
+from ssduck.language.evaluator import ExpressionCompiler, Frame
 from ssduck.language.operators import apply, truth
-from ssduck.language.tree import Key, Node
+from ssduck.language.tree import Node, OrderKey
 from ssduck.language.value_keys import hashable
 
 
@@ -64,7 +64,7 @@ def formed(selected: Selected, make: Callable[[Rows], Any]) -> Any:
 
 
 @dataclass(frozen=True)
-class Column:
+class SelectedValue:
     """A selected value and its name: a text, or a part to be evaluated for each row."""
 
     node: Node
@@ -72,7 +72,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Rest:
+class PythonClauses:
     """The clauses of a query that Python applies to its rows, in this order.
 
     Attributes:
@@ -87,9 +87,9 @@ class Rest:
         distinct: whether what is equal is selected once.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[SelectedValue, ...]
     conditions: tuple[Node, ...] = ()
-    order: tuple[Key, ...] = ()
+    order: tuple[OrderKey, ...] = ()
     group: tuple[Node, ...] = ()
     having: Node | None = None
     limit: Node | None = None
@@ -112,17 +112,17 @@ class Clauses:
         compiler: makes functions of their parts.
     """
 
-    def __init__(self, rest: Rest, compiler: Compiler) -> None:
+    def __init__(self, rest: PythonClauses, compiler: ExpressionCompiler) -> None:
         self._rest = rest
         self._conditions = [compiler.condition(node) for node in rest.conditions]
-        self.items = Items(rest.columns, compiler)
+        self.items = SelectedItems(rest.columns, compiler)
         of_rows = [k for k in rest.order if not rest.group or not over_rows(k.value)]
         self._order = [(compiler.thunk(key.value), key) for key in of_rows]
         self._group = [(compiler.thunk(node), node) for node in rest.group]
-        self._group_order: list[tuple[OfGroup, Key]] = []
+        self._group_order: list[tuple[GroupFunction, OrderKey]] = []
         if len(of_rows) < len(rest.order):
-            self._group_order = [(OfGroup(key.value, compiler), key) for key in rest.order]
-        self._having = None if rest.having is None else OfGroup(rest.having, compiler)
+            self._group_order = [(GroupFunction(key.value, compiler), key) for key in rest.order]
+        self._having = None if rest.having is None else GroupFunction(rest.having, compiler)
         self._aggregated = _Aggregated(rest.columns, compiler) if rest.is_aggregated else None
         self._limit = None if rest.limit is None else compiler.thunk(rest.limit)
 
@@ -226,10 +226,10 @@ class Clauses:
         return checked_count(self._limit(outer), "LIMIT", node)
 
 
-class Items:
+class SelectedItems:
     """The selected columns as functions of frames."""
 
-    def __init__(self, columns: Sequence[Column], compiler: Compiler) -> None:
+    def __init__(self, columns: Sequence[SelectedValue], compiler: ExpressionCompiler) -> None:
         self._items = [compiler.thunk(column.node) for column in columns]
         self._names = [
             column.name if isinstance(column.name, str) else compiler.thunk(column.name)
@@ -263,10 +263,10 @@ class Items:
 class _Aggregated:
     """The selected columns as functions of the rows of a group."""
 
-    def __init__(self, columns: Sequence[Column], compiler: Compiler) -> None:
-        self._items = [OfGroup(column.node, compiler) for column in columns]
+    def __init__(self, columns: Sequence[SelectedValue], compiler: ExpressionCompiler) -> None:
+        self._items = [GroupFunction(column.node, compiler) for column in columns]
         self._names = [
-            column.name if isinstance(column.name, str) else OfGroup(column.name, compiler)
+            column.name if isinstance(column.name, str) else GroupFunction(column.name, compiler)
             for column in columns
         ]
         self._fixed = tuple(name for name in self._names if isinstance(name, str))
@@ -283,7 +283,7 @@ class _Aggregated:
 
 
 def _sorted(
-    found: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, Key]]
+    found: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, OrderKey]]
 ) -> list[Any]:
     """By keys; what has equal keys stays in its order."""
     keyed = [(keys_of(entry), entry) for entry in found]
@@ -333,7 +333,7 @@ def _unsigned(value: Any) -> Any:
     return [_unsigned(part) for part in value] if type(value) is list else value
 
 
-class Tied(Sequence[Any]):
+class LockstepSource(Sequence[Any]):
     """Entities at recorded ticks, which go through their ticks together with another source.
 
     Args:
@@ -360,17 +360,21 @@ class Tied(Sequence[Any]):
 
 
 def _products(values: Sequence[Iterable[Any]]) -> Iterator[tuple[Any, ...]]:
-    if not any(isinstance(elements, Tied) for elements in values):
+    if not any(isinstance(elements, LockstepSource) for elements in values):
         yield from product(*values)
         return
-    listed = [elements if isinstance(elements, Tied) else list(elements) for elements in values]
+    listed = [
+        elements if isinstance(elements, LockstepSource) else list(elements) for elements in values
+    ]
 
     def following(row: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
         if len(row) == len(listed):
             yield row
             return
         elements = listed[len(row)]
-        chosen = elements.beside(row[elements.to]) if isinstance(elements, Tied) else elements
+        chosen = (
+            elements.beside(row[elements.to]) if isinstance(elements, LockstepSource) else elements
+        )
         for element in chosen:
             yield from following((*row, element))
 
@@ -403,7 +407,7 @@ def row_frames(
         yield outer.row(elements, kept)
 
 
-def check_columns(columns: Sequence[Column]) -> None:
+def check_columns(columns: Sequence[SelectedValue]) -> None:
     """Two columns of one name would leave one value out of a dict, unnoticed.
 
     Raises:

@@ -10,7 +10,7 @@ _QUOTES = ("'", '"')
 
 
 @dataclass(frozen=True)
-class Delimited:
+class DelimitedText:
     """A text or a comment: what opens it, where it is, and whether it is closed."""
 
     opening: str
@@ -19,7 +19,7 @@ class Delimited:
     is_closed: bool
 
 
-def delimited(text: str) -> Iterator[Delimited]:
+def delimited(text: str) -> Iterator[DelimitedText]:
     """The texts and comments of a program, in order."""
     index = 0
     while index < len(text):
@@ -35,7 +35,7 @@ def delimited(text: str) -> Iterator[Delimited]:
                 index += 2
         is_closed = end == "\n" or (index < len(text) and ends)
         index = min(len(text), index + (0 if end == "\n" else len(end)))
-        yield Delimited(opening, start, index, is_closed)
+        yield DelimitedText(opening, start, index, is_closed)
 
 
 def _is_comment(text: str, index: int) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ssduck.language.tree import Node
 
 
-class Deferred:
+class LazyList:
     """A list that mentions elements of sources that are not there yet.
 
     It is resolved in the query that uses it.

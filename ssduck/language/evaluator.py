@@ -1,7 +1,8 @@
 """Values of expressions in Python: of what stands outside a query, and of what SQL cannot do.
 
 A part of a tree is compiled once to a function of a `Frame`: of what the part sees where it is
-evaluated. Variables, functions and nested queries are looked up through the frame's `Scope`.
+evaluated. Variables, functions and nested queries are looked up through the frame's
+`EvaluationScope`.
 """
 
 from __future__ import annotations
@@ -20,34 +21,34 @@ from ssduck.errors import (
 from ssduck.formatting import shown, unusable
 from ssduck.language.aggregate_arguments import argument_check
 from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
-from ssduck.language.deferred import Deferred
+from ssduck.language.deferred import LazyList
 from ssduck.language.memo import MEMOS, Memo
 from ssduck.language.missing_names import is_a_key, no_element, no_name
 from ssduck.language.operator_frames import binary, chain, is_decided, unary
 from ssduck.language.operators import check_size, indexed, truth
 from ssduck.language.tree import (
-    Aged,
     Assignment,
-    Bare,
     Binary,
     Call,
-    Chain,
-    Dotted,
-    Endless,
-    Given,
     If,
     Index,
-    ListOf,
+    ListLiteral,
     Literal,
     Name,
     Node,
+    OperatorChain,
+    Placeholder,
+    QualifiedName,
     Query,
     This,
+    TimeIndex,
     Unary,
+    UnboundedHorizon,
+    UnresolvedName,
 )
 from ssduck.language.value_history import horizon_of
 from ssduck.language.value_keys import NUMPYS, written
-from ssduck.limits import Meter
+from ssduck.limits import Usage
 
 # A longer list is looked at for its size as it is made.
 FEW = 4
@@ -55,7 +56,7 @@ FEW = 4
 MOST_COMPILED = 5000
 
 
-class Scope(Protocol):
+class EvaluationScope(Protocol):
     """What an evaluator needs of the interpreter."""
 
     def variable(self, name: str) -> Any:
@@ -100,11 +101,11 @@ class Scope(Protocol):
     def names(self) -> list[str]:
         """The names of all variables and functions."""
 
-    def deferred(self, node: Node) -> Deferred:
+    def deferred(self, node: Node) -> LazyList:
         """A list of the running program for the query that uses it."""
 
     @property
-    def meter(self) -> Meter:
+    def meter(self) -> Usage:
         """How much of its limits the running program has used."""
 
 
@@ -116,7 +117,7 @@ class Frame:
         elements: the current element of each source, by alias; that of the only source also
             by None.
         local: the state variables of a path through a hierarchical query.
-        given: the values of `Given` parts.
+        given: the values of `Placeholder` parts.
         columns: what SQL has fetched for this row.
         kept: the values of parts that are the same for all rows, once they are known.
         state: the same of parts that are the same for all rows of a state.
@@ -137,7 +138,7 @@ class Frame:
 
     def __init__(
         self,
-        scope: Scope,
+        scope: EvaluationScope,
         elements: Mapping[str | None, Any] | None = None,
         local: dict[str, Any] | None = None,
         given: Mapping[str, Any] | None = None,
@@ -198,17 +199,17 @@ Thunk: TypeAlias = Callable[[Frame], Any]
 _COMPILED: dict[Node, Thunk] = {}
 
 
-def compiled(node: Node, scope: Scope) -> Thunk:
+def compiled(node: Node, scope: EvaluationScope) -> Thunk:
     """A part as a function of a frame; made once for a part, names checked each time."""
     thunk = _COMPILED.get(node)
     if thunk is None:
         if len(_COMPILED) >= MOST_COMPILED:
             _COMPILED.clear()
-        thunk = _COMPILED[node] = Compiler(scope).thunk(node)
+        thunk = _COMPILED[node] = ExpressionCompiler(scope).thunk(node)
     return thunk
 
 
-class Compiler:
+class ExpressionCompiler:
     """Makes functions of frames from parts of a tree.
 
     Args:
@@ -223,7 +224,7 @@ class Compiler:
 
     def __init__(
         self,
-        scope: Scope,
+        scope: EvaluationScope,
         known: Mapping[Node, Thunk] | None = None,
         constants: Collection[Node] = (),
         of_state: Collection[Node] = (),
@@ -274,24 +275,24 @@ class Compiler:
         return (
             isinstance(node, Name)
             and self._scope.has_variable(node.name)
-            and isinstance(self._scope.variable(node.name), Deferred)
+            and isinstance(self._scope.variable(node.name), LazyList)
         )
 
     def _thunk(self, node: Node) -> Thunk:
         match node:
             case Literal(value=value):
                 return lambda _: value
-            case ListOf(items=items):
+            case ListLiteral(items=items):
                 return self._list(node, items)
             case Name(name=name):
                 return self._name(node, name)
-            case Given(name=name):
+            case Placeholder(name=name):
                 return lambda frame: frame.given[name]
-            case Bare():
+            case UnresolvedName():
                 return self._bare(node)
             case This(alias=alias):
                 return self._element(node, alias)
-            case Dotted():
+            case QualifiedName():
                 return self._dotted(node)
             case Call():
                 return self._call(node)
@@ -301,13 +302,13 @@ class Compiler:
                 return unary(self, node)
             case Binary():
                 return binary(self, node)
-            case Chain():
+            case OperatorChain():
                 return chain(self, node)
             case If():
                 return self._choice(node)
             case Assignment():
                 return self._assignment(node)
-            case Aged():
+            case TimeIndex():
                 return self._aged(node)
             case Query():
                 for part in node.walk():
@@ -325,7 +326,7 @@ class Compiler:
 
         return value
 
-    def _aged(self, node: Aged) -> Thunk:
+    def _aged(self, node: TimeIndex) -> Thunk:
         name, age = node.name, None if node.age is None else self.thunk(node.age)
 
         def value(frame: Frame) -> Any:
@@ -337,7 +338,7 @@ class Compiler:
     def _list(self, node: Node, items: Sequence[Node]) -> Thunk:
         thunks = [self.thunk(item) for item in items]
         # What is made of few lists is not much larger than they are, and these were checked.
-        large = len(items) > FEW or any(isinstance(item, ListOf) for item in items)
+        large = len(items) > FEW or any(isinstance(item, ListLiteral) for item in items)
 
         def make(frame: Frame) -> list[Any]:
             values = [thunk(frame) for thunk in thunks]
@@ -356,7 +357,7 @@ class Compiler:
 
         return element
 
-    def _dotted(self, node: Dotted) -> Thunk:
+    def _dotted(self, node: QualifiedName) -> Thunk:
         alias, key = node.alias, node.key
         element, index = self._element(node.this, alias), self.thunk(node.index)
 
@@ -372,7 +373,7 @@ class Compiler:
 
         return _placed(node, value)
 
-    def _bare(self, node: Bare) -> Thunk:
+    def _bare(self, node: UnresolvedName) -> Thunk:
         name = node.name
         this = (This(node.span, None),)
 
@@ -473,7 +474,7 @@ class Compiler:
     def _assignment(self, node: Assignment) -> Thunk:
         name, value = node.name, self.thunk(node.value)
         horizon = None if node.horizon is None else self._horizon(node.horizon)
-        seen = free_aliases(node.value) if isinstance(node.value, ListOf) else frozenset()
+        seen = free_aliases(node.value) if isinstance(node.value, ListLiteral) else frozenset()
 
         def assign(frame: Frame) -> Any:
             if node.is_bare and name not in frame.local and not frame.scope.has_variable(name):
@@ -501,7 +502,7 @@ class Compiler:
 
     def _horizon(self, node: Node) -> Thunk:
         """How long an assignment keeps values, in seconds."""
-        if isinstance(node, Endless):
+        if isinstance(node, UnboundedHorizon):
             return lambda _: math.inf
         value = self.thunk(node)
         return _placed(node, lambda frame: horizon_of(value(frame)))
@@ -546,10 +547,10 @@ def _variable(frame: Frame, name: str) -> Any:
             raise is_a_key(name)
     value = frame.scope.variable(name)
     # Outside all queries it is passed on as it is.
-    return resolved(value, frame) if isinstance(value, Deferred) and frame.elements else value
+    return resolved(value, frame) if isinstance(value, LazyList) and frame.elements else value
 
 
-def resolved(deferred: Deferred, frame: Frame) -> Any:
+def resolved(deferred: LazyList, frame: Frame) -> Any:
     """The value of a deferred list in the query that uses it.
 
     Raises:

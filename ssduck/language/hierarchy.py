@@ -20,12 +20,12 @@ from typing import Any, TypeAlias
 from ssduck.errors import ArgumentError, LimitError
 from ssduck.language.analysis import is_impure, mentions, states
 from ssduck.language.clauses import Clauses, Paths, Rows, Selected, checked_count
-from ssduck.language.deferred import Deferred
-from ssduck.language.evaluator import Compiler, Frame, Thunk, resolved
+from ssduck.language.deferred import LazyList
+from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk, resolved
 from ssduck.language.graph_paths import Vertex, simple_paths
 from ssduck.language.operators import check_size, truth
-from ssduck.language.tree import Aged, Assignment, Name, Node, Query, Recursion
-from ssduck.language.value_keys import Keys
+from ssduck.language.tree import Assignment, Name, Node, Query, Recursion, TimeIndex
+from ssduck.language.value_keys import ValueKeys
 
 # So many states keep their rows, so that a state that is reached again costs nothing.
 MOST_STATES = 10_000
@@ -33,7 +33,7 @@ MOST_STATES = 10_000
 _SELECT = "SELECT"
 
 
-class Selection:
+class RowSelection:
     """What is selected of a row.
 
     Attributes:
@@ -50,7 +50,7 @@ class Selection:
         self.key: int | None = None
 
 
-class Step:
+class PathStep:
     """A row in a state at which a path does not end in vain.
 
     Attributes:
@@ -66,7 +66,7 @@ class Step:
     def __init__(
         self,
         frame: Frame,
-        selection: Selection | None,
+        selection: RowSelection | None,
         found: bool,  # there are many of these, and names take time
         stops: bool,
     ) -> None:
@@ -79,7 +79,7 @@ class Step:
 
 # The rows of a state, in order, each one made when it is first asked for: what `tee` gives,
 # left at the first row.
-Steps: TypeAlias = Iterator[Step]
+Steps: TypeAlias = Iterator[PathStep]
 RowsOf: TypeAlias = Callable[[dict[str, Any]], Iterable[Mapping[str | None, Any]]]
 Calls: TypeAlias = dict[str, Any]
 
@@ -102,11 +102,11 @@ class _States:
 
     def __init__(
         self,
-        made: Callable[[dict[str, Any], Iterator[Calls]], Iterator[Step]],
+        made: Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]],
         called_with: Collection[str] | None,
         most: int,
     ) -> None:
-        self.keys = Keys()
+        self.keys = ValueKeys()
         self._made = made
         self._called_with = called_with
         self._most = most
@@ -146,7 +146,7 @@ def _nothing(_: object) -> None:
     """What calls see of a state if they mention none of its variables."""
 
 
-def _again(steps: Steps) -> Iterator[Step]:
+def _again(steps: Steps) -> Iterator[PathStep]:
     """The rows of a state from the first one."""
     return tee(steps)[1]  # the other one is what it was given
 
@@ -161,7 +161,9 @@ class Hierarchy:
         deepest: how many rows a path may have.
     """
 
-    def __init__(self, query: Query, clauses: Clauses, compiler: Compiler, deepest: int) -> None:
+    def __init__(
+        self, query: Query, clauses: Clauses, compiler: ExpressionCompiler, deepest: int
+    ) -> None:
         assert query.recursion is not None
         self._query = query
         self._recursion: Recursion = query.recursion
@@ -198,20 +200,20 @@ class Hierarchy:
             frame = Frame(outer.scope, outer.elements, state, outer.given, (), outer.kept)
             made = value(frame)
             if name is not None:
-                state[name] = resolved(made, frame) if isinstance(made, Deferred) else made
+                state[name] = resolved(made, frame) if isinstance(made, LazyList) else made
         most_states = 0 if self._happens else MOST_STATES
         states = _States(self._steps_of(outer, rows, kept), self._called_with, most_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
         paths = search(outer, states, state)
         most = self._number(recursion.maximum, "MAXIMUM", outer)
         meter = outer.scope.meter
-        found: list[list[Step]] = []
+        found: list[list[PathStep]] = []
         for path in islice(paths, most):
             found.append(path)
             meter.check_rows(len(found))
         limit = self._clauses.count(outer)
 
-        def formed(paths: list[list[Step]]) -> Paths:
+        def formed(paths: list[list[PathStep]]) -> Paths:
             made = []
             for path in paths:
                 meter.step()
@@ -223,10 +225,10 @@ class Hierarchy:
     def _number(self, node: Node | None, what: str, outer: Frame) -> int | None:
         return None if node is None else checked_count(self._numbers[node](outer), what, node)
 
-    def _apart(self, path: list[Step]) -> Paths:
+    def _apart(self, path: list[PathStep]) -> Paths:
         return Paths([self._rows([step]) for step in path])
 
-    def _rows(self, path: Sequence[Step]) -> Rows:
+    def _rows(self, path: Sequence[PathStep]) -> Rows:
         selections = [self._selection(step) for step in path]
         return self._clauses.items.gathered(
             [selection.names for selection in selections],
@@ -237,7 +239,7 @@ class Hierarchy:
 
     def _steps_of(
         self, outer: Frame, rows: RowsOf, kept: dict[Node, Any]
-    ) -> Callable[[dict[str, Any], Iterator[Calls]], Iterator[Step]]:
+    ) -> Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]]:
         """What makes the rows of a state, but those at which a path ends in vain."""
         stop_at, (stop, where) = self._recursion.stop, (self._stop, self._where)
         found_at = stop_at if self._query.where is None else self._query.where
@@ -245,7 +247,7 @@ class Hierarchy:
         always_stops = where is None or self._recursion.unique
         scope, given, look = outer.scope, outer.given, outer.scope.meter.looks()
 
-        def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[Step]:
+        def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[PathStep]:
             of_state: dict[Node, Any] = {}
             frame = None
             for elements, known in zip(rows(state), calls, strict=False):
@@ -263,35 +265,35 @@ class Hierarchy:
                 if where is None:
                     found = stops
                 if found or not stops:
-                    yield Step(frame, selection, found, stops)
+                    yield PathStep(frame, selection, found, stops)
                     frame = None  # else nobody knows of it
 
         return steps
 
-    def _selection(self, step: Step) -> Selection:
+    def _selection(self, step: PathStep) -> RowSelection:
         """What is selected of a row, worked out when it is first asked for."""
         if step.selection is None:
             step.selection = self._selected_of(step.frame)
         return step.selection
 
-    def _selected_of(self, frame: Frame) -> Selection:
+    def _selected_of(self, frame: Frame) -> RowSelection:
         if self._shares_selected and _SELECT in frame.calls:
-            shared: Selection = frame.calls[_SELECT]
+            shared: RowSelection = frame.calls[_SELECT]
             return shared
         items = self._clauses.items
-        selection = Selection(items.values(frame), items.names(frame))
+        selection = RowSelection(items.values(frame), items.names(frame))
         if self._shares_selected:
             frame.calls[_SELECT] = selection
         return selection
 
-    def _key(self, step: Step, keys: Keys) -> int:
+    def _key(self, step: PathStep, keys: ValueKeys) -> int:
         """What rows are told apart by."""
         selection = step.selection or self._selection(step)
         if selection.key is None:
             selection.key = keys.of(selection.values, selection.names)
         return selection.key
 
-    def _after(self, step: Step, states: _States) -> Iterator[Step]:
+    def _after(self, step: PathStep, states: _States) -> Iterator[PathStep]:
         """The rows of the state after a row; all of CONNECT BY sees the state before it."""
         if step.after is None:
             state = dict(step.frame.local)
@@ -307,13 +309,13 @@ class Hierarchy:
 
     def _depth_first(
         self, outer: Frame, states: _States, state: dict[str, Any]
-    ) -> Iterator[list[Step]]:
+    ) -> Iterator[list[PathStep]]:
         """The paths in depth-first order of the sources."""
         unique = self._recursion.unique
         tells_apart = unique or self._recursion.no_cycle
         keys = states.keys
         visited: set[int | None] = set()
-        path: list[Step] = []
+        path: list[PathStep] = []
         open_rows = [_again(states(state))]
         look = outer.scope.meter.looks()
         while open_rows:
@@ -347,7 +349,7 @@ class Hierarchy:
 
     def _graph_paths(
         self, outer: Frame, states: _States, state: dict[str, Any]
-    ) -> Iterator[list[Step]]:
+    ) -> Iterator[list[PathStep]]:
         """The simple paths through the graph of distinct selected rows, shortest first."""
         levels = self._number(self._recursion.memorize, "MEMORIZE", outer)
         roots, vertices = self._graph(states, state, levels)
@@ -355,19 +357,19 @@ class Hierarchy:
 
     def _graph(
         self, states: _States, state: dict[str, Any], levels: int | None
-    ) -> tuple[list[Vertex[Step]], list[Vertex[Step]]]:
+    ) -> tuple[list[Vertex[PathStep]], list[Vertex[PathStep]]]:
         """The distinct rows that are reached, breadth first, and those of the first level.
 
         Without a number of levels there are as many as it takes to find a path.
         """
         keys = states.keys
         deepest = levels
-        known: dict[int, Vertex[Step]] = {}
-        waiting: deque[tuple[Vertex[Step], int]] = deque()
+        known: dict[int, Vertex[PathStep]] = {}
+        waiting: deque[tuple[Vertex[PathStep], int]] = deque()
 
-        def reached(steps: Iterator[Step], level: int) -> list[Vertex[Step]]:
+        def reached(steps: Iterator[PathStep], level: int) -> list[Vertex[PathStep]]:
             nonlocal deepest
-            found: dict[Vertex[Step], None] = {}  # in order, each one once
+            found: dict[Vertex[PathStep], None] = {}  # in order, each one once
             for step in steps:
                 key = self._key(step, keys)
                 vertex = known.get(key)
@@ -389,7 +391,9 @@ class Hierarchy:
         return roots, list(known.values())
 
 
-def _assignments(parts: Sequence[Node], compiler: Compiler) -> list[tuple[str | None, Thunk]]:
+def _assignments(
+    parts: Sequence[Node], compiler: ExpressionCompiler
+) -> list[tuple[str | None, Thunk]]:
     """The state variables and their values; without a name, what is evaluated beside them."""
     return [
         (part.name, compiler.thunk(part.value))
@@ -399,7 +403,7 @@ def _assignments(parts: Sequence[Node], compiler: Compiler) -> list[tuple[str | 
     ]
 
 
-def _called_with(query: Query, compiler: Compiler) -> frozenset[str] | None:
+def _called_with(query: Query, compiler: ExpressionCompiler) -> frozenset[str] | None:
     """The state variables that calls of users' functions mention.
 
     None where there is no such call, or where each state has rows of its own.
@@ -412,10 +416,10 @@ def _called_with(query: Query, compiler: Compiler) -> frozenset[str] | None:
 
 
 def _read(
-    nodes: Sequence[Node], names: frozenset[str], compiler: Compiler
+    nodes: Sequence[Node], names: frozenset[str], compiler: ExpressionCompiler
 ) -> frozenset[str] | None:
     """Those of some variables that parts read; None if nobody knows."""
-    read = [part for node in nodes for part in node.walk() if isinstance(part, Name | Aged)]
+    read = [part for node in nodes for part in node.walk() if isinstance(part, Name | TimeIndex)]
     if any(compiler.is_deferred(part) for part in read):
         return None
     return names & {part.name for part in read}

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ssduck.errors import ArgumentError, Span
-from ssduck.language.tree import Given
-from ssduck.language.value_keys import Keys, exactly
+from ssduck.errors import ArgumentError, SourceSpan
+from ssduck.language.tree import Placeholder
+from ssduck.language.value_keys import ValueKeys, exactly
 
 # A frame keeps the memos of a query under this part, which no program has.
-MEMOS = Given(Span(0, 0), "memos")
+MEMOS = Placeholder(SourceSpan(0, 0), "memos")
 # So many values are kept of a function; then all are forgotten.
 MOST_KEPT = 10_000
 # After so many calls a function that is hardly ever asked twice alike is not remembered.
@@ -33,7 +33,7 @@ class Memo:
     def __init__(self, call: Callable[[list[Any]], Any], *, keeps_same: bool = True) -> None:
         self._call = call
         self._keeps_same = keeps_same
-        self._keys = Keys()
+        self._keys = ValueKeys()
         self._same: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
         self._alike: dict[tuple[Any, ...], Any] = {}
         self._asked = self._found = 0
@@ -81,4 +81,4 @@ class Memo:
     def _clear(self) -> None:
         self._same.clear()
         self._alike.clear()
-        self._keys = Keys()
+        self._keys = ValueKeys()

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ssduck.errors import ArgumentError, SelectScriptError, Span, UnknownNameError, nearest
+from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownNameError, nearest
 from ssduck.formatting import bounded, shown
 
 
 def no_element(
-    alias: str | None, elements: Mapping[str | None, Any], span: Span
+    alias: str | None, elements: Mapping[str | None, Any], span: SourceSpan
 ) -> SelectScriptError:
     """The error for `this`, or `alias.this`, where there is no such source."""
     names = [name for name in elements if name is not None]

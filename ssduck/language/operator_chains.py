@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ssduck.errors import Span
-from ssduck.language.tree import Binary, Chain, Node
+from ssduck.errors import SourceSpan
+from ssduck.language.tree import Binary, Node, OperatorChain
 
 # So many operands are nested. It is less than what a statement of SQL may nest.
 MOST_NESTED = 32
@@ -17,7 +17,7 @@ MOST_NESTED = 32
 MOST_JOINED = 400
 
 
-class Row:
+class OperandRow:
     """Operands with operators of one level between them, as they are parsed.
 
     Args:
@@ -37,7 +37,7 @@ class Row:
         """The first operand, or else the last two with their operator."""
         if not self._operators:
             return self._operands[0]
-        span = Span(self._start, self._ends[-1])
+        span = SourceSpan(self._start, self._ends[-1])
         return Binary(span, self._operators[-1], *self._operands[-2:])
 
     def add(self, operator: str, operand: Node, end: int) -> None:
@@ -49,11 +49,13 @@ class Row:
     def node(self) -> Node:
         """What they are together."""
         if len(self._operands) > MOST_NESTED:
-            span = Span(self._start, self._ends[-1])
-            return Chain(span, tuple(self._operators), tuple(self._operands), tuple(self._ends))
+            span = SourceSpan(self._start, self._ends[-1])
+            return OperatorChain(
+                span, tuple(self._operators), tuple(self._operands), tuple(self._ends)
+            )
         node, *others = self._operands
         for operator, operand, end in zip(self._operators, others, self._ends[1:], strict=True):
-            node = Binary(Span(self._start, end), operator, node, operand)
+            node = Binary(SourceSpan(self._start, end), operator, node, operand)
         return node
 
 
@@ -63,7 +65,9 @@ def conjuncts(node: Node | None) -> Iterator[Node]:
         case Binary(operator="AND", left=left, right=right):
             yield from conjuncts(left)
             yield from conjuncts(right)
-        case Chain(operators=("AND", *_), operands=operands) if len(operands) <= MOST_JOINED:
+        case OperatorChain(operators=("AND", *_), operands=operands) if (
+            len(operands) <= MOST_JOINED
+        ):
             for operand in operands:
                 yield from conjuncts(operand)
         case Node():

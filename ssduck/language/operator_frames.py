@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
-from ssduck.errors import Span
+from ssduck.errors import SourceSpan
 from ssduck.language.operators import CHAINS, GROWING, OPERATORS, QUICK, apply, apply_unary, truth
 from ssduck.language.overrides import plain
-from ssduck.language.tree import Binary, Call, Chain, ListOf, Literal, Node, Unary
+from ssduck.language.tree import Binary, Call, ListLiteral, Literal, Node, OperatorChain, Unary
 
 # Frames are `ssduck.language.evaluator.Frame`.
 Frame: TypeAlias = Any
 Thunk: TypeAlias = Callable[[Frame], Any]
 
 
-class Compiler(Protocol):
+class OperandCompiler(Protocol):
     """What makes functions of frames from operands."""
 
     def thunk(self, node: Node) -> Thunk:
@@ -24,11 +24,11 @@ class Compiler(Protocol):
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """A part as a condition."""
 
-    def made(self, node: ListOf) -> Any:
+    def made(self, node: ListLiteral) -> Any:
         """A list that is written out, made once."""
 
 
-def unary(compiler: Compiler, node: Unary) -> Thunk:
+def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
     """`-x`, `+x`, `NOT x`, `x IS NULL`."""
     if node.operator == "NOT":
         holds = compiler.condition(node.operand)
@@ -39,7 +39,7 @@ def unary(compiler: Compiler, node: Unary) -> Thunk:
     return lambda frame: apply_unary(sign, inner(frame), node.span)
 
 
-def binary(compiler: Compiler, node: Binary) -> Thunk:
+def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
     """Two sides with an operator between them."""
     sign = node.operator
     if sign in CHAINS:
@@ -68,7 +68,7 @@ def binary(compiler: Compiler, node: Binary) -> Thunk:
     return operation
 
 
-def chain(compiler: Compiler, node: Chain) -> Thunk:
+def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
     """Many operands of one level, from the left."""
     if node.operators[0] in CHAINS:
         return _decided(compiler, node.operators[0], node.operands)
@@ -87,7 +87,7 @@ def chain(compiler: Compiler, node: Chain) -> Thunk:
     return operation
 
 
-def _step(sign: str, span: Span) -> Callable[[Frame, Any, Any], Any]:
+def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
     """One operator of a chain: one of the language, or a user's function in its place."""
     if sign in OPERATORS:
         return lambda _, left, right: apply(sign, left, right, span)
@@ -97,16 +97,16 @@ def _step(sign: str, span: Span) -> Callable[[Frame, Any, Any], Any]:
     )
 
 
-def _operand(compiler: Compiler, node: Node) -> Thunk:
+def _operand(compiler: OperandCompiler, node: Node) -> Thunk:
     """A side of an operator, which keeps nothing of it: a list is made once."""
-    if not isinstance(node, ListOf) or not _is_written_out(node):
+    if not isinstance(node, ListLiteral) or not _is_written_out(node):
         return compiler.thunk(node)
     fixed = compiler.made(node)
     return lambda _: fixed
 
 
 def _is_written_out(node: Node) -> bool:
-    if isinstance(node, ListOf):
+    if isinstance(node, ListLiteral):
         return all(map(_is_written_out, node.items))
     return isinstance(node, Literal)
 
@@ -114,12 +114,14 @@ def _is_written_out(node: Node) -> bool:
 def is_decided(node: Node) -> bool:
     """Whether a part is True or False because operands are asked one after another."""
     match node:
-        case Binary(operator=sign) | Chain(operators=(sign, *_)):
+        case Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
             return sign in CHAINS
     return False
 
 
-def _decided(compiler: Compiler, sign: str, operands: tuple[Node, ...]) -> Callable[[Frame], bool]:
+def _decided(
+    compiler: OperandCompiler, sign: str, operands: tuple[Node, ...]
+) -> Callable[[Frame], bool]:
     """AND, OR: what comes next counts if what was before does not decide."""
     decides = sign == "OR"
     parts = [(compiler.thunk(operand), operand) for operand in operands]

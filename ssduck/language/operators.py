@@ -9,7 +9,7 @@ from functools import lru_cache
 from itertools import islice
 from typing import Any
 
-from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, Span, nearest
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SourceSpan, nearest
 from ssduck.formatting import MOST_KEYS, kind_of, reason, shown, unusable
 from ssduck.language.tree import Node
 
@@ -66,7 +66,7 @@ QUICK = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[
 CHAINS = frozenset(("AND", "OR"))
 
 
-def apply(sign: str, left: Any, right: Any, span: Span | None = None) -> Any:
+def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> Any:
     """The value of a binary operator other than AND and OR.
 
     Raises:
@@ -109,7 +109,7 @@ def _is_endless(sign: str, left: Any, right: Any) -> bool:
     return False
 
 
-def check_size(value: Any, span: Span) -> None:
+def check_size(value: Any, span: SourceSpan) -> None:
     """Refuse a list of lists of lists that would take for ever to print or to compare.
 
     Raises:
@@ -135,7 +135,7 @@ def _leaves(values: list[Any], counted: dict[int, int]) -> int:
     return count
 
 
-def apply_unary(sign: str, value: Any, span: Span | None = None) -> Any:
+def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
     """The value of - or +.
 
     Raises:
@@ -165,7 +165,7 @@ def truth(value: Any, node: Node) -> bool:
         raise unusable(error, node.span) from error
 
 
-def indexed(value: Any, index: Any, span: Span) -> Any:
+def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
     """An element of a value.
 
     Raises:
@@ -191,7 +191,7 @@ def indexed(value: Any, index: Any, span: Span) -> Any:
         raise unusable(error, span) from error
 
 
-def _no_such(value: Any, index: Any, span: Span, error: Exception) -> EvaluationError:
+def _no_such(value: Any, index: Any, span: SourceSpan, error: Exception) -> EvaluationError:
     """Of an element that is not there, with what is there."""
     missing = f"no element {shown(index)}"
     if isinstance(value, dict):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
-from ssduck.language.tree import Binary, Call, Chain, Node, Program, Unary
+from ssduck.language.tree import Binary, Call, Node, OperatorChain, Program, Unary
 
 # What operators are called as functions: those of two values, and those of one.
 NAMES: dict[str, str] = {
@@ -68,7 +68,7 @@ def meant(program: Program, names: Collection[str]) -> Program:
                 # What contains comes first, as in Python's operator of that name.
                 sides = (right, left) if sign == "IN" else (left, right)
                 return _call(part, NAMES[sign], changed(sides))
-            case Chain(operators=operators, operands=operands):
+            case OperatorChain(operators=operators, operands=operands):
                 signs = tuple(_sign(sign, names) for sign in operators)
                 return replace(part, operators=signs, operands=changed(operands))
         return None

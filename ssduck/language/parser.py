@@ -16,32 +16,32 @@ from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
 from sqlglot.tokens import Tokenizer
 
-from ssduck.errors import ParseError, Span
+from ssduck.errors import ParseError, SourceSpan
 from ssduck.language.comments import last_opening, without_dashes
-from ssduck.language.operator_chains import Row
+from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
 from ssduck.language.sql_syntax import SqlForms
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
 from ssduck.language.tree import (
-    Adapter,
-    Aged,
+    AdapterClause,
     Assignment,
     Branch,
     Call,
-    Endless,
     If,
     Index,
-    Key,
-    ListOf,
+    ListLiteral,
     Literal,
     Name,
     Node,
+    OrderKey,
     Program,
     Query,
     Recursion,
     Source,
     This,
+    TimeIndex,
     Unary,
+    UnboundedHorizon,
 )
 
 
@@ -94,7 +94,7 @@ def _tokenize(text: str) -> list[Token]:
     except TokenError as error:
         # The only thing that this tokenizer refuses is a text or a comment without an end.
         message = "a text or a comment is opened here and never closed"
-        span = Span(last_opening(text), len(text))
+        span = SourceSpan(last_opening(text), len(text))
         raise ParseError(message, text=text, span=span) from error
 
 
@@ -148,7 +148,7 @@ class _Parser(SqlForms):
         opening = self.here()
         if self.take(TokenType.L_BRACE):
             endless = self.take(TokenType.R_BRACE)
-            horizon = Endless(self.since(opening)) if endless else self.expression()
+            horizon = UnboundedHorizon(self.since(opening)) if endless else self.expression()
             if not endless:
                 self.expect(TokenType.R_BRACE, "'}'")
         self.expect(TokenType.EQ, "'='")
@@ -243,17 +243,17 @@ class _Parser(SqlForms):
         self.is_listed = is_listed
         if alias is None:
             alias = self.alias_behind(is_listed=is_listed)
-        if alias is None and isinstance(value, Name | Aged):
+        if alias is None and isinstance(value, Name | TimeIndex):
             alias = value.name
         return Source(self.since(start), alias, value)
 
-    def key(self) -> Key:
+    def key(self) -> OrderKey:
         start = self.here()
         value = self.expression()
         descending = self.take_words("DESC") or self.take_words("DESCENDING")
         if not descending:
             _ = self.take_words("ASC") or self.take_words("ASCENDING")
-        return Key(self.since(start), value, descending)
+        return OrderKey(self.since(start), value, descending)
 
     def recursion(self) -> Recursion | None:
         start = self.here()
@@ -279,7 +279,7 @@ class _Parser(SqlForms):
             self.since(start), initial, no_cycle, unique, memorizes, memorize, maximum, step, stop
         )
 
-    def adapter(self) -> Adapter:
+    def adapter(self) -> AdapterClause:
         start = self.here()
         name = self.form_name()
         arguments: list[Node] = []
@@ -293,7 +293,7 @@ class _Parser(SqlForms):
                 if not self.take(TokenType.COMMA):
                     break
             self.expect(TokenType.R_PAREN, "')'")
-        return Adapter(self.since(start), name, tuple(arguments), tuple(named))
+        return AdapterClause(self.since(start), name, tuple(arguments), tuple(named))
 
     # -- expressions ----------------------------------------------------------------------
 
@@ -317,7 +317,7 @@ class _Parser(SqlForms):
             if self.condition_level() >= 0:
                 left = self.conditioned(start, left)
                 continue
-            row = Row(start.start, left, self.end())
+            row = OperandRow(start.start, left, self.end())
             while self.operator_level(row.last) == level and self.condition_level() < 0:
                 word = self.tokens[self.index].text.upper()
                 operator = {"<>": "!=", "=": "=="}.get(word, word)
@@ -394,7 +394,7 @@ class _Parser(SqlForms):
         if self.take(TokenType.L_BRACKET):
             items = () if self.at(TokenType.R_BRACKET) else self.parts()
             self.expect(TokenType.R_BRACKET, "']'")
-            return ListOf(self.since(start), items)
+            return ListLiteral(self.since(start), items)
         if self.take(TokenType.DOT) and (digits := self.take(TokenType.NUMBER)):
             return Literal(self.since(start), self.number(digits, "."))
         return self.word()
@@ -439,7 +439,7 @@ class _Parser(SqlForms):
         if self.take(TokenType.L_BRACE):
             age = None if self.at(TokenType.R_BRACE) else self.expression()
             self.expect(TokenType.R_BRACE, "'}'")
-            return Aged(self.since(start), name.text, age)
+            return TimeIndex(self.since(start), name.text, age)
         return Name(start, name.text)
 
     def parts(self) -> tuple[Node, ...]:
@@ -469,7 +469,7 @@ class _Parser(SqlForms):
         first, *further = branches
         return If(self.since(start), first.condition, first.then, otherwise, tuple(further))
 
-    def branch(self, start: Span) -> Branch:
+    def branch(self, start: SourceSpan) -> Branch:
         """`condition; then, …`; without a then it is True, as in the published grammar."""
         condition = self.statement()
         self.note_condition(condition)

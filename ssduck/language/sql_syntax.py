@@ -9,7 +9,7 @@ from abc import abstractmethod
 
 from sqlglot.tokenizer_core import TokenType
 
-from ssduck.errors import Span
+from ssduck.errors import SourceSpan
 from ssduck.language.sql_suggestions import HABITS
 from ssduck.language.token_cursor import (
     CLAUSES,
@@ -21,22 +21,22 @@ from ssduck.language.token_cursor import (
     span_of,
 )
 from ssduck.language.tree import (
-    Aged,
     Assignment,
     Binary,
     Branch,
     Call,
-    Chain,
-    Dotted,
-    Doubt,
     If,
     Index,
-    ListOf,
+    ListLiteral,
     Literal,
     Name,
     Node,
+    OperatorChain,
+    QualifiedName,
     Query,
     Source,
+    Suspicion,
+    TimeIndex,
     Unary,
 )
 
@@ -52,7 +52,7 @@ _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 
 def _is_written_out(value: Node) -> bool:
     """Whether a value depends on nothing."""
-    kinds = (Literal, ListOf, Unary, Binary, Chain, Assignment)
+    kinds = (Literal, ListLiteral, Unary, Binary, OperatorChain, Assignment)
     return all(isinstance(part, kinds) for part in value.walk())
 
 
@@ -90,7 +90,7 @@ class SqlForms(Cursor):
         is_next = self.at_word(*_CONDITIONS) or (self.at_word("NOT") and negated)
         return LEVEL_OF["IN"] if is_next else -1
 
-    def conditioned(self, start: Span, left: Node) -> Node:
+    def conditioned(self, start: SourceSpan, left: Node) -> Node:
         """What `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
         is_not = self.take_words("NOT")
         if self.take_words("IS"):
@@ -122,21 +122,21 @@ class SqlForms(Cursor):
             is_empty = self.at(TokenType.R_PAREN)
             items = () if is_empty else self.separated(self.statement)
             self.expect(TokenType.R_PAREN, "')'")
-            return ListOf(self.since(start), items)
+            return ListLiteral(self.since(start), items)
         else:
             right = self.operation(LEVEL_OF["IN"] + 1)
             if isinstance(right, Literal):
                 return self._only_member(start, right)
             if isinstance(right, Unary) and isinstance(right.operand, Literal):
-                return ListOf(self.since(start), (right,))
+                return ListLiteral(self.since(start), (right,))
         if isinstance(right, Query) and right.adapter is None and right.items:
             message = "what is behind IN gives dicts; for their values write AS list"
             self.doubt(right.span, message)
         return right
 
-    def _only_member(self, start: Span, right: Literal) -> Node:
+    def _only_member(self, start: SourceSpan, right: Literal) -> Node:
         if not isinstance(right.value, str):
-            return ListOf(self.since(start), (right,))
+            return ListLiteral(self.since(start), (right,))
         self.doubt(right.span, "IN looks for a part of this text; a list of it is in [ ]")
         return right
 
@@ -157,7 +157,7 @@ class SqlForms(Cursor):
             offset += 1
         return False
 
-    def note_chain(self, operator: str, sides: tuple[Node, Span, Node, Span]) -> None:
+    def note_chain(self, operator: str, sides: tuple[Node, SourceSpan, Node, SourceSpan]) -> None:
         """Doubt `0 < z < 1`, which compares True or False with 1.
 
         Args:
@@ -293,7 +293,7 @@ class SqlForms(Cursor):
     def dotted(self, query: Query) -> Query:
         """A query with `a.id` told from an element of a variable, where `a` is an alias in it."""
         aliases = {s.alias for s in query.sources if s.alias is not None}
-        aliases -= {s.value.name for s in query.sources if isinstance(s.value, Name | Aged)}
+        aliases -= {s.value.name for s in query.sources if isinstance(s.value, Name | TimeIndex)}
 
         def change(node: Node) -> Node | None:
             if isinstance(node, Source):
@@ -301,7 +301,7 @@ class SqlForms(Cursor):
             match node:
                 case Index(base=Name(name=name), indices=(Literal(value=str() as key) as index,)):
                     if name in aliases and self.text[index.span.start] not in "'\"":
-                        return Dotted(node.span, name, key, node)
+                        return QualifiedName(node.span, name, key, node)
             return None
 
         changed = query.replaced(change) if aliases else query
@@ -310,15 +310,16 @@ class SqlForms(Cursor):
 
     # -- doubts ---------------------------------------------------------------------------
 
-    def doubt(self, span: Span, message: str) -> None:
+    def doubt(self, span: SourceSpan, message: str) -> None:
         """Note what is probably a mistake."""
-        self.doubts.append(Doubt(span, message))
+        self.doubts.append(Suspicion(span, message))
 
     def note_condition(self, node: Node | None) -> None:
         """Doubt a condition that assigns a constant, and so is the same for all rows."""
         match node:
             case (
-                Binary(operator="AND" | "OR" | "XOR") | Chain(operators=("AND" | "OR" | "XOR", *_))
+                Binary(operator="AND" | "OR" | "XOR")
+                | OperatorChain(operators=("AND" | "OR" | "XOR", *_))
             ):
                 for side in node.children():
                     self.note_condition(side)

@@ -7,9 +7,9 @@ from typing import NoReturn, TypeVar
 
 from sqlglot.tokenizer_core import Token, TokenType
 
-from ssduck.errors import ParseError, Span, nearest
+from ssduck.errors import ParseError, SourceSpan, nearest
 from ssduck.language.sql_suggestions import STATEMENTS, instead_of
-from ssduck.language.tree import Doubt
+from ssduck.language.tree import Suspicion
 
 T = TypeVar("T")
 
@@ -68,7 +68,7 @@ class Cursor:
         self.tokens = tokens
         self.index = 0
         self.depth = 0
-        self.doubts: list[Doubt] = []
+        self.doubts: list[Suspicion] = []
 
     @property
     def token(self) -> Token | None:
@@ -138,15 +138,15 @@ class Cursor:
             self.fail(f"expected {what} (True, False and this are words of the language)")
         return self.expect_name(what)
 
-    def here(self) -> Span:
+    def here(self) -> SourceSpan:
         """The place of the current token; behind the text once that is used up."""
         if self.token is None:
-            return Span(len(self.text.rstrip()), len(self.text.rstrip()) + 1)
+            return SourceSpan(len(self.text.rstrip()), len(self.text.rstrip()) + 1)
         return span_of(self.token)
 
-    def since(self, start: Span) -> Span:
+    def since(self, start: SourceSpan) -> SourceSpan:
         """The place from there to the token before the current one."""
-        return Span(start.start, self.end())
+        return SourceSpan(start.start, self.end())
 
     def end(self) -> int:
         """Where the text of the token before the current one ends."""
@@ -227,6 +227,6 @@ def slice_of(token: Token) -> slice:
     return slice(token.start, token.end + 1)
 
 
-def span_of(token: Token) -> Span:
+def span_of(token: Token) -> SourceSpan:
     """The place of a token."""
-    return Span(token.start, token.end + 1)
+    return SourceSpan(token.start, token.end + 1)

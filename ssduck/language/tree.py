@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
-from ssduck.errors import Span
+from ssduck.errors import SourceSpan
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Node:
     Nodes are compared by identity, so that they are quick to look up.
     """
 
-    span: Span
+    span: SourceSpan
 
     def children(self) -> Iterator[Node]:
         """The nodes directly below this one, in text order."""
@@ -71,7 +71,7 @@ class Literal(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class ListOf(Node):
+class ListLiteral(Node):
     """`[a, b, …]`."""
 
     items: tuple[Node, ...]
@@ -85,7 +85,7 @@ class Name(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class Bare(Node):
+class UnresolvedName(Node):
     """A name in SELECT, GROUP BY or ORDER BY whose meaning differs from row to row.
 
     A key of the current element where that is a dict that has it, else a variable, else a
@@ -96,14 +96,14 @@ class Bare(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class Given(Node):
+class Placeholder(Node):
     """A value that is given from outside; no text has it."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
-class Aged(Node):
+class TimeIndex(Node):
     """`v{5.0}`: of a variable's history; `v{}`, all of it, has no age."""
 
     name: str
@@ -118,7 +118,7 @@ class This(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class Dotted(Node):
+class QualifiedName(Node):
     """`a.id`, where `a` is an alias: of the current element the key, or the function.
 
     Where there is a variable of the alias's name, it is what `index` is: an element of that.
@@ -152,7 +152,7 @@ class Call(Node):
 
     name: str
     arguments: tuple[Node, ...]
-    name_span: Span
+    name_span: SourceSpan
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +181,7 @@ class Binary(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class Chain(Node):
+class OperatorChain(Node):
     """`a + b - c …`: so many operators of one level in a row that they are kept flat.
 
     Attributes:
@@ -194,9 +194,9 @@ class Chain(Node):
     operands: tuple[Node, ...]
     ends: tuple[int, ...]
 
-    def until(self, index: int) -> Span:
+    def until(self, index: int) -> SourceSpan:
         """The place of the operands up to this one."""
-        return Span(self.span.start, self.ends[index])
+        return SourceSpan(self.span.start, self.ends[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ class If(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class Endless(Node):
+class UnboundedHorizon(Node):
     """`{}` in `name{} = value`: a horizon without end."""
 
 
@@ -260,7 +260,7 @@ class Source(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class Key(Node):
+class OrderKey(Node):
     """One entry of ORDER BY."""
 
     value: Node
@@ -285,7 +285,7 @@ class Recursion(Node):
 
 
 @dataclass(frozen=True, eq=False)
-class Adapter(Node):
+class AdapterClause(Node):
     """`AS name(arguments)`."""
 
     name: str
@@ -303,14 +303,14 @@ class Query(Node):
     recursion: Recursion | None = None
     group: tuple[Node, ...] = ()
     having: Node | None = None
-    order: tuple[Key, ...] = ()
+    order: tuple[OrderKey, ...] = ()
     limit: Node | None = None
-    adapter: Adapter | None = None
+    adapter: AdapterClause | None = None
     distinct: bool = False
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Suspicion:
     """What is probably a mistake, though it has a meaning.
 
     Attributes:
@@ -318,7 +318,7 @@ class Doubt:
         message: why, and what to write instead.
     """
 
-    span: Span
+    span: SourceSpan
     message: str
 
 
@@ -329,4 +329,4 @@ class Program:
     text: str
     statements: tuple[Node, ...]
     explain: bool = False
-    doubts: tuple[Doubt, ...] = ()
+    doubts: tuple[Suspicion, ...] = ()

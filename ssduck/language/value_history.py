@@ -15,7 +15,7 @@ from typing import Any, Self
 from ssduck import validation as checks
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import shown
-from ssduck.language.deferred import Deferred
+from ssduck.language.deferred import LazyList
 from ssduck.language.value_keys import plain
 
 # Simulated times are products of a step and rounded: so near to each other, in seconds, two are
@@ -24,7 +24,7 @@ SAME_TIME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Log:
+class ValueLog:
     """Times and values, oldest first; histories that grew from one another share one.
 
     It is only ever appended to.
@@ -33,9 +33,9 @@ class Log:
     times: list[float]
     values: list[Any]
 
-    def part(self, first: int, end: int) -> Log:
+    def part(self, first: int, end: int) -> ValueLog:
         """A log of its own of some of it."""
-        return Log(self.times[first:end], self.values[first:end])
+        return ValueLog(self.times[first:end], self.values[first:end])
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +58,14 @@ class ValueHistory:
 
     last: Any
     horizon: float
-    log: Log = field(repr=False)
+    log: ValueLog = field(repr=False)
     first: int
     end: int
 
     @classmethod
     def begun(cls, value: Any, horizon: float, now: float) -> Self:
         """The history of a variable that had none."""
-        return cls(value, horizon, Log([now], [value]), 0, 1)
+        return cls(value, horizon, ValueLog([now], [value]), 0, 1)
 
     def added(self, value: Any, horizon: float, now: float) -> ValueHistory:
         """With one more value, and its horizon from now on."""
@@ -150,7 +150,7 @@ def kept(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
     Raises:
         ArgumentError: such values have no history.
     """
-    if isinstance(value, Deferred):
+    if isinstance(value, LazyList):
         raise ArgumentError(
             "a list for the query that uses it has no history; assign it without {…}"
         )

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ssduck.errors import ArgumentError, Span
+from ssduck.errors import ArgumentError, SourceSpan
 from ssduck.formatting import kind_of
 from ssduck.language.tree import Node, Query
 
@@ -19,7 +19,7 @@ def written(node: Node) -> str:
     if isinstance(node, Query):
         return f"Query({id(node)})"
     values = (getattr(node, field.name) for field in fields(node))
-    parts = ", ".join(_written(value) for value in values if not isinstance(value, Span))
+    parts = ", ".join(_written(value) for value in values if not isinstance(value, SourceSpan))
     return f"{type(node).__name__}({parts})"
 
 
@@ -110,7 +110,7 @@ def _told_apart(value: Any) -> str:
         raise ArgumentError(f"{kind_of(value)} cannot be told apart from others") from error
 
 
-class Keys:
+class ValueKeys:
     """What stands for values, so that it is quick to look up; for one search.
 
     Lists that were seen before are known by what they are, without being looked into; they

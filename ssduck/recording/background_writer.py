@@ -14,7 +14,7 @@ Cut: TypeAlias = AbstractContextManager[None]
 WHENEVER: Cut = nullcontext()
 
 
-class Kept:
+class BufferedRows:
     """The rows of a table, in parts.
 
     Attributes:
@@ -34,7 +34,7 @@ class Kept:
         return pa.concat_tables([self.empty, *self.parts])
 
 
-class Storing:
+class BackgroundWriter:
     """Gives batches of rows to a store, the oldest first; in a thread, if that is wanted.
 
     A batch can be read here until it can be read in the store: the thread holds `lock` from the
@@ -57,7 +57,7 @@ class Storing:
         self._add = add
         # Who waits for the thread lets go of it, even under a query of its own.
         self.lock = threading.Condition(threading.RLock())
-        self.batches = {table: Kept(columns) for table, columns in tables.items()}
+        self.batches = {table: BufferedRows(columns) for table, columns in tables.items()}
         self._count = 0
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None

@@ -1,7 +1,7 @@
 """Rows of ticks that wait to be stored: numpy buffers that an Arrow table looks into.
 
 Whoever holds that table sees the rows at once. What is the same in each tick is laid into a
-`Ring` beforehand; `STORED` says what is not.
+`RowBuffer` beforehand; `STORED` says what is not.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LEAST_ROWS = 1024
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredTable:
     """The columns of a table that differ from tick to tick; what does not is stored once.
 
     Attributes:
@@ -43,21 +43,21 @@ class Stored:
         return tuple(names[names.index(self.reals[0]) : names.index(self.reals[1]) + 1])
 
 
-STORED: dict[str, Stored] = {
-    "entities": Stored(("tick", "id"), ("time", "zmax"), ("enabled", "visible")),
-    "links": Stored(("tick", "entity", "link"), ("time", "zmax")),
-    "joints": Stored(("tick", "entity", "link"), ("time", "effort")),
-    "shapes": Stored(("tick", "entity", "shape"), ("time", "zmax")),
-    "contacts": Stored(("tick", "a", "link_a", "b", "link_b"), ("time", "fz")),
-    "sensings": Stored(("tick", "sensor", "entity", "hits", "rays"), ("time", "measured")),
-    "ticks": Stored(("tick",), ("time", "wall_time")),
+STORED: dict[str, StoredTable] = {
+    "entities": StoredTable(("tick", "id"), ("time", "zmax"), ("enabled", "visible")),
+    "links": StoredTable(("tick", "entity", "link"), ("time", "zmax")),
+    "joints": StoredTable(("tick", "entity", "link"), ("time", "effort")),
+    "shapes": StoredTable(("tick", "entity", "shape"), ("time", "zmax")),
+    "contacts": StoredTable(("tick", "a", "link_a", "b", "link_b"), ("time", "fz")),
+    "sensings": StoredTable(("tick", "sensor", "entity", "hits", "rays"), ("time", "measured")),
+    "ticks": StoredTable(("tick",), ("time", "wall_time")),
 }
 # Where the links of bodies of several links are, if the table of links is not recorded.
 FRAMES = "frames"
 FRAME_REALS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-class Ring:
+class RowBuffer:
     """Rows of one table that wait to be stored.
 
     Attributes:
@@ -198,15 +198,15 @@ def in_parts(table: str) -> pa.Schema:
     return ring_of(table).arrow.schema
 
 
-def ring_of(table: str) -> Ring:
+def ring_of(table: str) -> RowBuffer:
     """An empty ring for a table's rows, or for the frames of links."""
     if table == FRAMES:
-        return Ring(("tick", "entity", "link"), FRAME_REALS)
+        return RowBuffer(("tick", "entity", "link"), FRAME_REALS)
     stored = STORED[table]
-    return Ring(stored.integers, stored.names_of_reals(table), stored.flags)
+    return RowBuffer(stored.integers, stored.names_of_reals(table), stored.flags)
 
 
-class Ticks:
+class TickBuffer:
     """The numbers and times of the ticks that are kept, ascending."""
 
     def __init__(self) -> None:
@@ -218,7 +218,7 @@ class Ticks:
         return self._end - self._first
 
     @classmethod
-    def of(cls, numbers: npt.ArrayLike, times: npt.ArrayLike) -> Ticks:
+    def of(cls, numbers: npt.ArrayLike, times: npt.ArrayLike) -> TickBuffer:
         """Such ticks, ascending; times in seconds."""
         ticks = cls()
         ticks._numbers = np.array(numbers, dtype=np.int64)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ssduck.recording.buffers import Ticks
+from ssduck.recording.buffers import TickBuffer
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Episode:
         tables: Iterable[str],
         every: int,
         entities: tuple[str, ...] | None,
-        ticks: Ticks,
+        ticks: TickBuffer,
     ) -> Episode:
         """An episode of these ticks; its tables in order."""
         told = started, tuple(sorted(tables)), every, entities, len(ticks)

@@ -11,7 +11,7 @@ from ssduck.errors import EvaluationError
 from ssduck.recording.buffers import FRAMES
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, chosen_members
-from ssduck.recording.stores.parquet import Folder
+from ssduck.recording.stores.parquet import ParquetWriter
 
 # So many rows of entities make a part, about: ten megabytes.
 PART_ROWS = 1 << 18
@@ -52,7 +52,7 @@ def exported(
     check_names(Recording(entities=names), members)
     kept = members if names is None else chosen_members(members, names)
     ids = None if names is None else pa.array([member.id for member in kept])
-    folder = Folder(path, world, chosen)
+    folder = ParquetWriter(path, world, chosen)
     try:
         folder.add_members(kept, record.world.snapshot)
         for first, last in _parts(numbers, max(len(kept), 1)):

@@ -10,10 +10,10 @@ from ssduck.formatting import listed
 from ssduck.schema import MASSES
 
 if TYPE_CHECKING:
-    from ssduck.world.ticking import Ticked
+    from ssduck.world.ticking import SteppedSimulation
 
 
-class Reweighed:
+class MassChanges:
     """The bodies of a record whose masses are known to have changed since they were recorded."""
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class Reweighed:
         """Take note of one, by its id."""
         self._names[id] = name
 
-    def warn(self, world: Ticked) -> None:
+    def warn(self, world: SteppedSimulation) -> None:
         """Read the masses of a world that is recorded, and warn of those that changed, once."""
         with suppress(SimulatorError):  # which may be gone
             world.ask((MASSES,))

@@ -17,13 +17,13 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import SelectScriptError
-from ssduck.recording.background_writer import WHENEVER, Cut, Kept, Storing
-from ssduck.recording.buffers import FRAMES, Ring, Ticks, ring_of
-from ssduck.recording.mass_changes import Reweighed
-from ssduck.recording.row_selection import KeptRows
+from ssduck.recording.background_writer import WHENEVER, BackgroundWriter, BufferedRows, Cut
+from ssduck.recording.buffers import FRAMES, RowBuffer, TickBuffer, ring_of
+from ssduck.recording.mass_changes import MassChanges
+from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import QUARTERS, Recording
-from ssduck.recording.static_tables import Numbers
-from ssduck.world.layout import Member
+from ssduck.recording.static_tables import ShapeNumbers
+from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
 
 # So many ticks wait at most to be stored, in a file or in memory.
@@ -31,7 +31,7 @@ RING_TICKS = 240
 MEMORY_TICKS = 960
 
 
-class Store(Protocol):
+class RowStore(Protocol):
     """What keeps the rows of ticks.
 
     Attributes:
@@ -40,7 +40,7 @@ class Store(Protocol):
 
     keeps: bool
 
-    def add_members(self, members: Collection[Member], numbers: Numbers) -> None:
+    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
         """Keep what entities are, all or none of it."""
 
     def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
@@ -71,24 +71,24 @@ class Recorder:
         reweighed: the bodies whose masses are known to have changed since.
     """
 
-    def __init__(self, recording: Recording, store: Store, waits: int = RING_TICKS) -> None:
+    def __init__(self, recording: Recording, store: RowStore, waits: int = RING_TICKS) -> None:
         self.recording = recording
         self._waits = waits
         self._store = store
         frames = () if "links" in recording.tables else (FRAMES,)
         self.rings = {table: ring_of(table) for table in ("ticks", *recording.tables, *frames)}
         columns = {table: ring.arrow.schema for table, ring in self.rings.items()}
-        self._storing = Storing(store.add, columns)
+        self._storing = BackgroundWriter(store.add, columns)
         self._lock = threading.RLock()
-        self.ticks = Ticks()
-        self.members: dict[int, Member] = {}
-        self.reweighed = Reweighed()
+        self.ticks = TickBuffer()
+        self.members: dict[int, EntityInfo] = {}
+        self.reweighed = MassChanges()
         self._told = 0
         self._is_looked_after = True
-        self._rows: KeptRows | None = None
+        self._rows: RecordedRows | None = None
         # Entities of which the store has not been told, and what numbers them.
-        self._new: list[Member] = []
-        self._numbers: Numbers | None = None
+        self._new: list[EntityInfo] = []
+        self._numbers: ShapeNumbers | None = None
 
     @property
     def tables(self) -> Collection[str]:
@@ -96,7 +96,7 @@ class Recorder:
         return self.recording.tables
 
     @property
-    def shown(self) -> tuple[Mapping[str, Ring | Kept], ...]:
+    def shown(self) -> tuple[Mapping[str, RowBuffer | BufferedRows], ...]:
         """What is not stored, by table; to be read with what is, and under `reading`."""
         return (self.rings,) if self._store.keeps else (self._storing.batches, self.rings)
 
@@ -133,7 +133,7 @@ class Recorder:
             if member is not None and masses != member.masses:
                 self.reweighed.note(id, member.name)
 
-    def _keep(self, snapshot: Snapshot, rows: KeptRows) -> None:
+    def _keep(self, snapshot: Snapshot, rows: RecordedRows) -> None:
         counts = {table: rows.count(snapshot, table) for table in self.rings}
         failed = self._tried(self._tell_new)
         is_due = self._is_due(snapshot.time) or not all(
@@ -267,9 +267,9 @@ class Recorder:
             first = max(first, int(np.searchsorted(times, times[-1] - recording.seconds)))
         return int(numbers[first])
 
-    def _rows_of(self, snapshot: Snapshot) -> KeptRows:
+    def _rows_of(self, snapshot: Snapshot) -> RecordedRows:
         if self._rows is None or not self._rows.fit(snapshot):
-            self._rows = KeptRows(snapshot, self.recording.entities)
+            self._rows = RecordedRows(snapshot, self.recording.entities)
             masses = snapshot.masses
             new = [
                 member.weighed(masses.get(member.id, member.masses))

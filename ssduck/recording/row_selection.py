@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.shapes import Indices
-from ssduck.recording.buffers import FRAMES, STORED, Ring
+from ssduck.recording.buffers import FRAMES, STORED, RowBuffer
 from ssduck.recording.spec import chosen_members
-from ssduck.world.layout import Layout
+from ssduck.world.layout import TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.snapshot import Snapshot
 
 
-class KeptRows:
+class RecordedRows:
     """Which rows of a world's tables are kept, while its entities are the same.
 
     Args:
@@ -82,7 +82,7 @@ class KeptRows:
         live = snapshot.tables[table]
         return np.flatnonzero(np.logical_and(*(np.isin(live[side], self._ids) for side in sides)))
 
-    def copy(self, snapshot: Snapshot, table: str, ring: Ring, count: int) -> None:
+    def copy(self, snapshot: Snapshot, table: str, ring: RowBuffer, count: int) -> None:
         """Copy the rows of a table, of which there are so many, into a ring."""
         if table in self._picked or table == FRAMES:
             ring.lay(self, count, lambda: self._fixed(snapshot, table))
@@ -111,7 +111,7 @@ class KeptRows:
         own = {n: live[n] if picked is None else live[n][picked] for n in stored.integers[1:]}
         return own | {name: self._flags[name] for name in stored.flags}
 
-    def _copy_frames(self, snapshot: Snapshot, ring: Ring, run: slice) -> None:
+    def _copy_frames(self, snapshot: Snapshot, ring: RowBuffer, run: slice) -> None:
         ring.reals[0, run] = snapshot.time
         first = run.start
         for own, (_, frames) in zip(self._frames, snapshot.parts, strict=True):
@@ -132,7 +132,7 @@ class _Frames:
     links: Indices
 
 
-def _frames_of(part: Any, layout: Layout, kept: Collection[int]) -> _Frames:
+def _frames_of(part: Any, layout: TableLayout, kept: Collection[int]) -> _Frames:
     ids = {body: id for id, body in layout.bodies}
     runs = [
         (ids[body], run)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ssduck import validation as checks
 from ssduck.errors import ArgumentError, NumberError, nearest
 from ssduck.formatting import shown
-from ssduck.world.layout import Member
+from ssduck.world.layout import EntityInfo
 
 # What may be chosen; `ticks` are kept always, and geometries once.
 RECORDABLE = ("entities", "links", "joints", "shapes", "contacts", "sensings")
@@ -85,13 +85,13 @@ class Recording:
         return self.seconds is not None or self.ticks is not None
 
 
-def chosen_members(members: Collection[Member], names: Collection[str]) -> list[Member]:
+def chosen_members(members: Collection[EntityInfo], names: Collection[str]) -> list[EntityInfo]:
     """The entities of these names, and the bodies that sensors among them sit on."""
     hosts = {member.mount[0] for member in members if member.sensor and member.name in names}
     return [member for member in members if member.name in names or member.id in hosts]
 
 
-def check_names(recording: Recording, members: Collection[Member]) -> None:
+def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
     """Complain of names that no entity has.
 
     Raises:

@@ -14,7 +14,7 @@ from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Link
 from ssduck.simulators.scenes import SensorSpec
-from ssduck.world.layout import Member
+from ssduck.world.layout import EntityInfo
 
 # What an entity is, by the table whose rows tell of it: columns that are the same at each tick.
 MODELS: dict[str, dict[str, str]] = {
@@ -115,7 +115,7 @@ _ARROW = {
 }
 
 
-class Numbers(Protocol):
+class ShapeNumbers(Protocol):
     """What numbers entities' run and their geometries: a snapshot of their world."""
 
     @property
@@ -127,7 +127,7 @@ class Numbers(Protocol):
 
 
 def models_of(
-    members: Collection[Member], numbers: Numbers, known: Collection[int]
+    members: Collection[EntityInfo], numbers: ShapeNumbers, known: Collection[int]
 ) -> dict[str, pa.Table]:
     """What entities are, as rows.
 
@@ -164,7 +164,7 @@ def models_of(
     return {table: _table(table, own) for table, own in rows.items()}
 
 
-def _member_row(member: Member) -> tuple[Any, ...]:
+def _member_row(member: EntityInfo) -> tuple[Any, ...]:
     body, sensor = member.body, member.sensor
     told = (member.id, member.name, member.kind, member.parent, member.mass)
     if body is not None:
@@ -185,7 +185,7 @@ def _table(table: str, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
 # -- and back ---------------------------------------------------------------------------------
 
 
-def members_of(models: Mapping[str, pa.Table]) -> dict[int, Member]:
+def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
     """The entities that rows tell of, by id."""
     geometries = {row["id"]: _geometry(row) for row in models["geometries"].to_pylist()}
     links = _by_entity(models["links"], "link")
@@ -206,7 +206,7 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, Member]:
             joints=tuple(map(_joint, joints.get(id, ()))),
             shapes=tuple(_shape(shape, geometries) for shape in shapes.get(id, ())),
         )
-        found[id] = Member(id, row["name"], row["kind"], row["parent"], body=body)
+        found[id] = EntityInfo(id, row["name"], row["kind"], row["parent"], body=body)
     return found
 
 
@@ -252,11 +252,11 @@ def _by_entity(table: pa.Table, key: str) -> dict[int, list[dict[str, Any]]]:
     return found
 
 
-def _sensor(row: Mapping[str, Any]) -> Member:
+def _sensor(row: Mapping[str, Any]) -> EntityInfo:
     told = json.loads(row["sensor"])
     told |= {name: tuple(told[name]) for name in ("position", "orientation")}
     mount = (row["host"], row["host_link"])
-    return Member(
+    return EntityInfo(
         row["id"], row["name"], "sensor", row["parent"], sensor=SensorSpec(**told), mount=mount
     )
 

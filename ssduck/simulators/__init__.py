@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from ssduck.simulators.backends import backend
     from ssduck.simulators.interface import (
         Body,
+        CameraView,
         Contact,
-        Frames,
-        Hits,
         Joint,
         Link,
-        Motor,
+        LinkPoses,
+        MotorTarget,
+        RayHits,
         Simulator,
-        View,
     )
     from ssduck.simulators.scenes import Scene, find_scene
     from ssduck.simulators.sensor_types import SENSOR_TYPES
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 __all__ = [
     "SENSOR_TYPES",
     "Body",
+    "CameraView",
     "Contact",
-    "Frames",
-    "Hits",
     "Joint",
     "Link",
-    "Motor",
+    "LinkPoses",
+    "MotorTarget",
+    "RayHits",
     "Scene",
     "Simulator",
-    "View",
     "backend",
     "find_scene",
 ]
@@ -48,13 +48,13 @@ __getattr__, __dir__ = exports(
         "interface": (
             "Body",
             "Contact",
-            "Frames",
-            "Hits",
+            "LinkPoses",
+            "RayHits",
             "Joint",
             "Link",
-            "Motor",
+            "MotorTarget",
             "Simulator",
-            "View",
+            "CameraView",
         ),
         "scenes": ("Scene", "find_scene"),
         "sensor_types": ("SENSOR_TYPES",),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
 
 from ssduck.geometry.shapes import Array
-from ssduck.simulators.interface import Body, Frames, Kind, Simulator
+from ssduck.simulators.interface import Body, Kind, LinkPoses, Simulator
 from ssduck.simulators.scenes import Scene
 
 BACKENDS = {"pybullet": "ssduck.simulators.pybullet.backend"}
@@ -24,7 +24,7 @@ ShapesByBody: TypeAlias = Mapping[int | tuple[int, int] | tuple[int, int, int], 
 
 
 @dataclass(frozen=True, eq=False)
-class Original:
+class BodyToCopy:
     """A body that is to be copied, as a tick tells of it.
 
     Attributes:
@@ -36,12 +36,12 @@ class Original:
 
     name: str
     body: Body
-    frames: Frames
+    frames: LinkPoses
     joints: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Tick:
+class TickToCopy:
     """What else a tick tells.
 
     Attributes:
@@ -75,7 +75,7 @@ class Backend(Protocol):
         """A user's own simulation; see `World.attach`."""
 
     def excerpt(
-        self, source: Simulator | None, originals: Sequence[Original], tick: Tick
+        self, source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
     ) -> Simulator:
         """A new simulation of some bodies as they are at a tick.
 
@@ -92,7 +92,7 @@ class Backend(Protocol):
         """
 
     def scene_of(
-        self, simulator: Simulator, originals: Sequence[Original], tick: Tick, folder: Path
+        self, simulator: Simulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
     ) -> Scene:
         """The scene that a simulation of this backend is, without its sensors.
 

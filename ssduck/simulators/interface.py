@@ -94,7 +94,7 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class LinkPoses:
     """Where n link frames are and how their links move, in the world.
 
     Attributes:
@@ -138,7 +138,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Motor:
+class MotorTarget:
     """What the motor of a joint is to do from the next step on.
 
     Attributes:
@@ -155,7 +155,7 @@ class Motor:
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class RayHits:
     """What n rays end on.
 
     Attributes:
@@ -168,7 +168,7 @@ class Hits:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CameraView:
     """What a camera on a body looks at: along its own +x, +z up.
 
     Attributes:
@@ -219,7 +219,7 @@ class Simulator(Protocol):
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         """Bodies that came and bodies that went since the last call; None if none did."""
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:
+    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:
         """All frames of these bodies, body after body, as they are now.
 
         Args:
@@ -240,7 +240,7 @@ class Simulator(Protocol):
     def read_contacts(self) -> Iterable[Contact]:
         """The contacts of the last step."""
 
-    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> Hits:
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """The nearest body that each ray meets, as everything is now; none that it begins in.
 
         Args:
@@ -249,7 +249,7 @@ class Simulator(Protocol):
             through: (n,), the handle of the body that each passes through.
         """
 
-    def photograph(self, view: View) -> npt.NDArray[np.uint8]:
+    def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
         """A colour picture without shadows, (height, width, 3)."""
 
     def step(self, count: int) -> None:
@@ -261,7 +261,7 @@ class Simulator(Protocol):
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
         """Set joints of a body, at rest: radians or metres by the number of the joint's link."""
 
-    def drive(self, body: Body, motors: Mapping[int, Motor]) -> None:
+    def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
         """Set motors of a body's joints, by the number of the joint's link, for the next steps."""
 
     def are_tied(self, body: Body, other: Body) -> bool:

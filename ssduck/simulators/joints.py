@@ -25,7 +25,7 @@ class JointError(UnknownNameError):
     """An entity has no joint of a name, or not one with what is asked of it."""
 
 
-class Limited(Protocol):
+class HasLimits(Protocol):
     """What moves between limits, rad or m: a joint of a model, or one at a tick."""
 
     @property
@@ -41,7 +41,7 @@ class Limited(Protocol):
         """The upper limit."""
 
 
-def openness(joint: Limited, position: float) -> float | None:
+def openness(joint: HasLimits, position: float) -> float | None:
     """How far a joint is open, as a share of its range; None if it has no two limits.
 
     Args:
@@ -58,7 +58,7 @@ def openness(joint: Limited, position: float) -> float | None:
 
 
 @dataclass(frozen=True)
-class Joints:
+class EntityJoints:
     """The joints of an entity at a tick.
 
     Attributes:

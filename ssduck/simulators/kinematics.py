@@ -26,7 +26,7 @@ from ssduck.geometry.shapes import (
     rotate,
     rotation_matrices,
 )
-from ssduck.simulators.interface import SETTABLE, Body, Frames, Joint, Motor
+from ssduck.simulators.interface import SETTABLE, Body, Joint, LinkPoses, MotorTarget
 
 Pose: TypeAlias = tuple[Array, Array]
 JointValues: TypeAlias = Mapping[str, float] | Sequence[float]
@@ -113,7 +113,7 @@ def motors_of(
     efforts: Mapping[str, float] | None,
     body: Body,
     name: str,
-) -> dict[int, Motor]:
+) -> dict[int, MotorTarget]:
     """What motors are to do, by the numbers of the links that they move; see `Entity.drive`."""
     for values, what in ((velocities, "velocities"), (efforts, "efforts")):
         if not isinstance(values, Mapping | None):
@@ -138,7 +138,7 @@ def motors_of(
             f"{name}: joint {by_link[link].name!r} has an effort, but no position or velocity"
         )
     return {
-        link: Motor(
+        link: MotorTarget(
             position=places.get(link),
             velocity=speeds.get(link, 0.0),
             effort=limits.get(link, by_link[link].max_effort or 0.0),
@@ -217,7 +217,9 @@ def _position(value: float, joint: Joint, name: str) -> float:
 # -- where the links are then -------------------------------------------------------------------
 
 
-def moved(body: Body, frames: Frames, base: Pose | None, joints: Mapping[int, float]) -> Frames:
+def moved(
+    body: Body, frames: LinkPoses, base: Pose | None, joints: Mapping[int, float]
+) -> LinkPoses:
     """A body's frames if its base is put elsewhere, and some joints have moved, all at rest.
 
     Joints that are not named keep position and velocity.
@@ -241,7 +243,7 @@ def moved(body: Body, frames: Frames, base: Pose | None, joints: Mapping[int, fl
             _drive(within[link - 1 : link], body.joints[link - 1], further)
         for links in _generations(parents):
             new[links] = _outside(new[parents[links]], within[links - 1])
-    return Frames(new[:, :3].copy(), rotation_matrices(new[:, 3:7]), new)
+    return LinkPoses(new[:, :3].copy(), rotation_matrices(new[:, 3:7]), new)
 
 
 def _within(parents: Array, links: Array) -> Array:

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from ssduck.errors import SceneError, UnknownNameError, nearest
-from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorType, Setting
-from ssduck.simulators.toml_reader import REQUIRED, Table
+from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting, SensorType
+from ssduck.simulators.toml_reader import REQUIRED, TomlTable
 
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
@@ -222,10 +222,10 @@ def read_scene(path: Path) -> Scene:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"{path}: {reason}") from error
-    return _scene(Table(path, "", table), path)
+    return _scene(TomlTable(path, "", table), path)
 
 
-def _scene(table: Table, path: Path) -> Scene:
+def _scene(table: TomlTable, path: Path) -> Scene:
     bodies = tuple(_body(entry, path) for entry in table.tables("body"))
     _check_unique(path, "body", [body.name for body in bodies])
     sensors = tuple(
@@ -270,7 +270,7 @@ def _scene(table: Table, path: Path) -> Scene:
     return scene
 
 
-def _body(table: Table, path: Path) -> BodySpec:
+def _body(table: TomlTable, path: Path) -> BodySpec:
     kind = table.text("kind", "") or None
     if kind not in (None, "robot", "kinbody"):
         table.fail(
@@ -306,7 +306,7 @@ def _body(table: Table, path: Path) -> BodySpec:
     return spec
 
 
-def _constraint(table: Table, bodies: Collection[str]) -> ConstraintSpec:
+def _constraint(table: TomlTable, bodies: Collection[str]) -> ConstraintSpec:
     type = table.text("type")
     if type not in CONSTRAINT_TYPES:
         table.fail("type", f"no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
@@ -341,10 +341,10 @@ def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpe
     Raises:
         SceneError: key and reason.
     """
-    return _sensor(Table(None, "", dict(values)), bodies)
+    return _sensor(TomlTable(None, "", dict(values)), bodies)
 
 
-def _sensor(table: Table, bodies: Collection[str]) -> SensorSpec:
+def _sensor(table: TomlTable, bodies: Collection[str]) -> SensorSpec:
     name = table.text("type")
     if name not in SENSOR_TYPES:
         table.fail("type", f"there is no sensor type {name!r}", nearest(name, SENSOR_TYPES))
@@ -368,7 +368,7 @@ def _sensor(table: Table, bodies: Collection[str]) -> SensorSpec:
     return spec
 
 
-def _settings(table: Table, kind: SensorType) -> dict[str, float]:
+def _settings(table: TomlTable, kind: SensorType) -> dict[str, float]:
     """What a sensor of that type is set by."""
     settings = {setting.name: _setting(table, setting) for setting in kind.settings}
     fault = kind.fault(settings)
@@ -377,7 +377,7 @@ def _settings(table: Table, kind: SensorType) -> dict[str, float]:
     return settings
 
 
-def _setting(table: Table, setting: Setting) -> float:
+def _setting(table: TomlTable, setting: SensorSetting) -> float:
     value = table.number(
         setting.name,
         REQUIRED if setting.default is None else setting.default,
@@ -391,7 +391,7 @@ def _setting(table: Table, setting: Setting) -> float:
     return value
 
 
-def _unit(table: Table, key: str) -> Quaternion:
+def _unit(table: TomlTable, key: str) -> Quaternion:
     """A rotation w, x, y, z, made exactly of unit length; far from it is a mistake."""
     w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
     length = math.sqrt(w * w + x * x + y * y + z * z)

@@ -30,7 +30,7 @@ _SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Setting:
+class SensorSetting:
     """A number that a sensor is set by.
 
     Attributes:
@@ -74,7 +74,7 @@ class SensorType:
 
     name: str
     about: str
-    settings: tuple[Setting, ...] = ()
+    settings: tuple[SensorSetting, ...] = ()
     rays: Callable[[float, Settings], Array] | None = None
     shape: Callable[[Settings], tuple[int, ...]] = lambda _: (1,)
     has_picture: bool = False
@@ -196,12 +196,14 @@ def _in_sweep(points: Array, reach: float, settings: Settings, off: float) -> Fl
 # -- the registry ---------------------------------------------------------------------------------
 
 
-def _angle(name: str, about: str, default: float | None = None, most: float = 360.0) -> Setting:
-    return Setting(name, "degrees", about, default, at_least=-most, at_most=most)
+def _angle(
+    name: str, about: str, default: float | None = None, most: float = 360.0
+) -> SensorSetting:
+    return SensorSetting(name, "degrees", about, default, at_least=-most, at_most=most)
 
 
-def _count(name: str, unit: str, about: str, default: float | None = None) -> Setting:
-    return Setting(name, unit, about, default, above=0.0, whole=True)
+def _count(name: str, unit: str, about: str, default: float | None = None) -> SensorSetting:
+    return SensorSetting(name, unit, about, default, above=0.0, whole=True)
 
 
 _LISTED = (
@@ -211,7 +213,7 @@ _LISTED = (
         (
             _count("width", "pixels", "of the image"),
             _count("height", "pixels", "of the image"),
-            Setting("fov", "degrees", "the vertical angle of view", above=0.0, below=180.0),
+            SensorSetting("fov", "degrees", "the vertical angle of view", above=0.0, below=180.0),
         ),
         rays=_pixels,
         shape=_image,
@@ -224,7 +226,7 @@ _LISTED = (
         (
             _angle("min_angle", "of the first ray, to the left of +x"),
             _angle("max_angle", "that the last ray does not pass"),
-            Setting("resolution", "degrees", "between two neighbouring rays", above=0.0),
+            SensorSetting("resolution", "degrees", "between two neighbouring rays", above=0.0),
         ),
         rays=_plane,
         shape=lambda settings: (_steps(settings),),
@@ -236,7 +238,7 @@ _LISTED = (
         (
             _angle("min_angle", "of the first ray of a layer, to the left of +x", -180.0),
             _angle("max_angle", "that the last ray of a layer does not pass", 180.0),
-            Setting("resolution", "degrees", "between two rays of a layer", 1.0, above=0.0),
+            SensorSetting("resolution", "degrees", "between two rays of a layer", 1.0, above=0.0),
             _angle("min_elevation", "of the lowest layer, up from the xy plane", -15.0, 90.0),
             _angle("max_elevation", "of the highest layer", 15.0, 90.0),
             _count("layers", "", "how many fans", 16.0),

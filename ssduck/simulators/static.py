@@ -11,11 +11,11 @@ import numpy as np
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.shapes import Array
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import Body, Contact, Frames
+from ssduck.simulators.interface import Body, Contact, LinkPoses
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class StaticSimulator:
     """What is known of the bodies, behind the interface of a simulator.
 
     Attributes:
@@ -29,7 +29,7 @@ class Posed:
     """
 
     time: float
-    frames: Mapping[tuple[Body, ...], Frames]
+    frames: Mapping[tuple[Body, ...], LinkPoses]
     joints: Mapping[Body, Array]
     disabled: frozenset[Body]
     hidden: frozenset[Body]
@@ -45,7 +45,7 @@ class Posed:
     def describe(self) -> None:
         """None comes, none goes."""
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:  # noqa: ARG002
+    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:  # noqa: ARG002
         """All frames of these bodies; the velocities of links are known in any case."""
         return self.frames[bodies]
 

@@ -13,7 +13,7 @@ from ssduck.errors import SceneError, nearest
 REQUIRED: Any = object()
 
 
-class Table:
+class TomlTable:
     """A TOML table that is read key by key, so that what is left over is a mistake."""
 
     def __init__(self, path: Path | None, where: str, values: dict[str, Any]) -> None:
@@ -93,19 +93,19 @@ class Table:
             self.fail(key, f"{value:g} is no whole number")
         return int(value)
 
-    def table(self, key: str) -> Table:
+    def table(self, key: str) -> TomlTable:
         """A table in this one."""
         values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
-        return Table(self.path, f"{self.where}.{key}" if self.where else key, values)
+        return TomlTable(self.path, f"{self.where}.{key}" if self.where else key, values)
 
-    def tables(self, key: str) -> Iterator[Table]:
+    def tables(self, key: str) -> Iterator[TomlTable]:
         """The tables of a list of such."""
 
         def fits(value: object) -> bool:
             return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
 
         for index, values in enumerate(self._get(key, [], fits, f"tables, written [[{key}]]")):
-            yield Table(self.path, f"{key}[{index}]", values)
+            yield TomlTable(self.path, f"{key}[{index}]", values)
 
     def _get(self, key: str, default: Any, fits: Callable[[Any], bool], what: str) -> Any:
         self.asked.add(key)

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from ssduck.sql.relations.registry import RELATIONS
     from ssduck.sql.relations.relation import Relation
     from ssduck.sql.translator import translate
-    from ssduck.sql.types import Tag
+    from ssduck.sql.types import SqlType
 
 __all__ = [
     "RELATIONS",
     "Plan",
     "Relation",
-    "Tag",
+    "SqlType",
     "translate",
 ]
 
@@ -31,6 +31,6 @@ __getattr__, __dir__ = exports(
         "relations.registry": ("RELATIONS",),
         "relations.relation": ("Relation",),
         "translator": ("translate",),
-        "types": ("Tag",),
+        "types": ("SqlType",),
     },
 )

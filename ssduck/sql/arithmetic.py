@@ -6,14 +6,24 @@ from sqlglot import exp
 
 from ssduck.language import tree
 from ssduck.language.tree import Binary
-from ssduck.sql.sql_values import Context, Extent, NotSqlError, SqlValue, copied, failure, wrapped
-from ssduck.sql.types import EXACT, INTEGER, REAL, Tag
+from ssduck.sql.sql_values import (
+    FloatDomain,
+    NotSqlError,
+    SqlValue,
+    StatementContext,
+    copied,
+    failure,
+    wrapped,
+)
+from ssduck.sql.types import EXACT, INTEGER, REAL, SqlType
 
 _SUMS = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
 MOST_EXPONENT = 64
 
 
-def arithmetic(context: Context, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
+def arithmetic(
+    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue
+) -> SqlValue:
     """The value of + - * / % ^ of two numbers.
 
     Raises:
@@ -24,7 +34,7 @@ def arithmetic(context: Context, node: Binary, left: SqlValue, right: SqlValue) 
         if not value.tag.is_number or value.tag.nullable:
             raise NotSqlError
     kinds = {left.tag.type, right.tag.type}
-    tag = Tag("number") if "number" in kinds and "real" not in kinds else REAL
+    tag = SqlType("number") if "number" in kinds and "real" not in kinds else REAL
     if kinds == {"integer"}:
         tag = INTEGER
     elif left.wide or right.wide:
@@ -43,17 +53,17 @@ def arithmetic(context: Context, node: Binary, left: SqlValue, right: SqlValue) 
 
 
 def _sum(
-    context: Context, kind: type[exp.Binary], left: SqlValue, right: SqlValue, tag: Tag
+    context: StatementContext, kind: type[exp.Binary], left: SqlValue, right: SqlValue, tag: SqlType
 ) -> SqlValue:
     if tag == INTEGER:
         context.risk()  # Python's integers have no end
     sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
-    extent = Extent.FINITE if tag == INTEGER else _extent(kind, left, right)
+    extent = FloatDomain.FINITE if tag == INTEGER else _extent(kind, left, right)
     # Copied at each term, a long sum would take time that grows with the square of its length.
     return SqlValue(exp.paren(sql, copy=False), tag, wide=tag == INTEGER, extent=extent)
 
 
-def _quotient(context: Context, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
+def _quotient(context: StatementContext, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
     divided = exp.Div(
         this=wrapped(left.sql), expression=wrapped(right.sql), typed=False, safe=False
     )
@@ -62,7 +72,7 @@ def _quotient(context: Context, node: Binary, left: SqlValue, right: SqlValue) -
 
 
 def _remainder(
-    context: Context, node: Binary, left: SqlValue, right: SqlValue, tag: Tag
+    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue, tag: SqlType
 ) -> SqlValue:
     """Python's: it has the sign of the divisor."""
     a, b = wrapped(left.sql), wrapped(right.sql)
@@ -74,7 +84,7 @@ def _remainder(
             return SqlValue(rest, tag, wide=left.wide, natural=True)
         negative = exp.LT(this=rest, expression=zero)
         case = exp.case().when(negative, exp.Add(this=rest.copy(), expression=b.copy()))
-        return SqlValue(case.else_(rest.copy()), tag, wide=left.wide, extent=Extent.FINITE)
+        return SqlValue(case.else_(rest.copy()), tag, wide=left.wide, extent=FloatDomain.FINITE)
     apart = exp.NEQ(
         this=exp.paren(exp.LT(this=rest, expression=zero)),
         expression=exp.paren(exp.LT(this=b.copy(), expression=zero.copy())),
@@ -86,13 +96,13 @@ def _remainder(
         none = exp.Mul(this=b.copy(), expression=zero.copy())
         case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
     case = case.else_(rest.copy())
-    extent = Extent.NAN if left.extent or right.extent else Extent.FINITE
+    extent = FloatDomain.NAN if left.extent or right.extent else FloatDomain.FINITE
     sql = _unless_zero(context, node, right, case, tag)
     return SqlValue(sql, tag, wide=left.wide, extent=extent)
 
 
 def _unless_zero(
-    context: Context, node: Binary, right: SqlValue, sql: exp.Expr, tag: Tag
+    context: StatementContext, node: Binary, right: SqlValue, sql: exp.Expr, tag: SqlType
 ) -> exp.Expr:
     """Fail where the divisor is 0; SQL would yield nothing there."""
     if isinstance(node.right, tree.Literal) and node.right.value:
@@ -102,7 +112,7 @@ def _unless_zero(
     return exp.case().when(is_zero, failure(tag)).else_(sql)
 
 
-def _power(context: Context, node: Binary, left: SqlValue, tag: Tag) -> SqlValue:
+def _power(context: StatementContext, node: Binary, left: SqlValue, tag: SqlType) -> SqlValue:
     """With a small whole exponent; of other powers SQL has other ideas."""
     match node.right:
         case tree.Literal(value=exponent) if (
@@ -119,16 +129,16 @@ def _power(context: Context, node: Binary, left: SqlValue, tag: Tag) -> SqlValue
     raise NotSqlError
 
 
-def _extent(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> Extent:
+def _extent(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
     """Which reals a sum, a product or a quotient may be: finite ones add up to infinite ones."""
     extents = (left.extent, right.extent)
-    if max(extents) == Extent.NAN or extents == (Extent.INFINITE, Extent.INFINITE):
-        return Extent.NAN
-    if kind is exp.Mul and max(extents) == Extent.INFINITE:  # infinity times 0
-        finite = left if left.extent == Extent.FINITE else right
+    if max(extents) == FloatDomain.NAN or extents == (FloatDomain.INFINITE, FloatDomain.INFINITE):
+        return FloatDomain.NAN
+    if kind is exp.Mul and max(extents) == FloatDomain.INFINITE:  # infinity times 0
+        finite = left if left.extent == FloatDomain.FINITE else right
         is_factor = isinstance(finite.sql, exp.Literal) and float(finite.sql.this) != 0
-        return Extent.INFINITE if is_factor else Extent.NAN
-    return Extent.INFINITE
+        return FloatDomain.INFINITE if is_factor else FloatDomain.NAN
+    return FloatDomain.INFINITE
 
 
 def double_of(value: SqlValue) -> exp.Expr:

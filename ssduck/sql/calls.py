@@ -18,15 +18,15 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Parameter, Relation
 from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (
-    Context,
-    Extent,
+    FloatDomain,
     NotSqlError,
     SqlValue,
+    StatementContext,
     copied,
     failure,
     or_failure,
 )
-from ssduck.sql.types import INTEGER, REAL, TEXT, Tag
+from ssduck.sql.types import INTEGER, REAL, TEXT, SqlType
 
 # Functions of reals that C has, so that SQL and Python agree to the last digit.
 _OF_REALS = ("sin", "cos", "tan", "atan")
@@ -93,15 +93,15 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     if relation.tables:
         formula = looked_up(relation, formula, values)
     found = expanded(formula, values)
-    extent = Extent.INFINITE if relation.is_unbounded else Extent.FINITE
+    extent = FloatDomain.INFINITE if relation.is_unbounded else FloatDomain.FINITE
     if isinstance(found, exp.Array):
         elements = tuple(SqlValue(part, REAL, extent=extent) for part in found.expressions)
         length = 3 if len(elements) == 3 else None
-        return SqlValue(found, Tag("list", REAL, length), elements=elements, extent=extent)
-    tag = Tag(relation.yields(count))
+        return SqlValue(found, SqlType("list", REAL, length), elements=elements, extent=extent)
+    tag = SqlType(relation.yields(count))
     if tag.type == "list":
-        element = Tag(relation.element)
-        tag = Tag("list", Tag("list", REAL) if relation.element == "list" else element)
+        element = SqlType(relation.element)
+        tag = SqlType("list", SqlType("list", REAL) if relation.element == "list" else element)
     return SqlValue(found, tag, natural=relation.name == "tick", extent=extent)
 
 
@@ -140,43 +140,43 @@ def _wrong(
     return ArgumentError(message, span=node.span)
 
 
-def _builtin(context: Context, name: str, values: list[SqlValue]) -> SqlValue | None:
+def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> SqlValue | None:
     """A function of the language that SQL has too."""
     match name, values:
-        case "count", [SqlValue(tag=Tag(type="list")) as value]:
+        case "count", [SqlValue(tag=SqlType(type="list")) as value]:
             return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
-        case "abs", [SqlValue(tag=Tag(type="real" | "integer")) as value] if not value.wide:
+        case "abs", [SqlValue(tag=SqlType(type="real" | "integer")) as value] if not value.wide:
             return SqlValue(exp.func("abs", value.sql.copy()), value.tag, extent=value.extent)
         case name, [value] if name in _OF_REALS and value.tag.is_number and not value.wide:
             return _of_real(context, name, value)
-        case "floor" | "ceil", [SqlValue(tag=Tag(type="real")) as value]:
+        case "floor" | "ceil", [SqlValue(tag=SqlType(type="real")) as value]:
             context.risk()
             whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
             return SqlValue(exp.cast(whole, "BIGINT"), INTEGER, wide=True)
-        case "str", [SqlValue(tag=Tag(type="text")) as value]:
+        case "str", [SqlValue(tag=SqlType(type="text")) as value]:
             return value
-        case "str", [SqlValue(tag=Tag(type="integer")) as value]:
+        case "str", [SqlValue(tag=SqlType(type="integer")) as value]:
             return SqlValue(exp.cast(value.sql.copy(), "VARCHAR"), TEXT)
-        case "sum", [SqlValue(tag=Tag(type="list", element=Tag(type="integer"))) as value]:
+        case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="integer"))) as value]:
             context.risk()
             total = exp.cast(_of_list("sum", value), "BIGINT")
             nothing = exp.Literal.number(0)
             return SqlValue(exp.Coalesce(this=total, expressions=[nothing]), INTEGER, wide=True)
-        case "sum", [SqlValue(tag=Tag(type="list", element=Tag(type="real"))) as value]:
+        case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="real"))) as value]:
             zero = exp.cast(exp.Literal.number(0), "DOUBLE")
             found = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
             # The sum of nothing is an integer.
-            extent = Extent.NAN if value.extent else Extent.INFINITE
-            return SqlValue(found, Tag("number"), extent=extent)
-        case "min" | "max", [SqlValue(tag=Tag(type="list", element=Tag() as element)) as v] if (
-            element.type in ("real", "integer", "text")
-        ):
+            extent = FloatDomain.NAN if value.extent else FloatDomain.INFINITE
+            return SqlValue(found, SqlType("number"), extent=extent)
+        case "min" | "max", [
+            SqlValue(tag=SqlType(type="list", element=SqlType() as element)) as v
+        ] if element.type in ("real", "integer", "text"):
             context.risk()
             return SqlValue(or_failure(_of_list(name, v), element), element, extent=v.extent)
     return None
 
 
-def _of_real(context: Context, name: str, value: SqlValue) -> SqlValue:
+def _of_real(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
     """Where it is infinite, Python has no value and SQL has one that is no number."""
     context.risk()
     sql: exp.Expr = exp.Anonymous(this=name, expressions=[double_of(value)])

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from sqlglot import exp
 
-from ssduck.sql.sql_values import Context, NotSqlError, SqlValue, wrapped
-from ssduck.sql.types import FLAG, Tag, merged
+from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext, wrapped
+from ssduck.sql.types import FLAG, SqlType, merged
 
 COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 # Of these values none is equal to one of another kind.
 _APART = ("text", "list", "number")
 
 
-def comparison(context: Context, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
+def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
     """One of the six comparisons."""
     if left.tag.nullable or right.tag.nullable:
         raise NotSqlError  # NULL is equal to nothing, not even to NULL
@@ -34,7 +34,7 @@ def comparison(context: Context, sign: str, left: SqlValue, right: SqlValue) -> 
     return SqlValue(kind(this=next(sides), expression=next(sides)), FLAG)
 
 
-def _may_be_equal(left: Tag, right: Tag) -> bool:
+def _may_be_equal(left: SqlType, right: SqlType) -> bool:
     if left.type == right.type == "entity" and left.schema == right.schema:
         return True
     both = merged((left, right))
@@ -43,7 +43,7 @@ def _may_be_equal(left: Tag, right: Tag) -> bool:
     return both is not None and both.type in ("entity", "flag", "list") and both.is_sql
 
 
-def membership(context: Context, left: SqlValue, right: SqlValue) -> SqlValue:
+def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> SqlValue:
     """Whether a value is among the elements of a list, or a text is part of another."""
     if left.tag.nullable or right.tag.nullable:
         raise NotSqlError

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 from ssduck.formatting import listed
-from ssduck.language.tree import Bare, Call, Dotted, Name, Node, Query
+from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, UnresolvedName
 from ssduck.sql.plan import Plan
 from ssduck.sql.relations.registry import RELATIONS
 
@@ -74,7 +74,9 @@ def _narrow(query: Query) -> list[str]:
 def _named(node: Node) -> str:
     """The function that a part may call; empty if it calls none."""
     match node:
-        case Call(name=name) | Bare(name=name) | Name(name=name) | Dotted(key=name):
+        case (
+            Call(name=name) | UnresolvedName(name=name) | Name(name=name) | QualifiedName(key=name)
+        ):
             return name
     return ""
 

@@ -20,14 +20,14 @@ from ssduck.language.operator_chains import MOST_JOINED, MOST_NESTED
 from ssduck.language.tree import (
     Binary,
     Call,
-    Chain,
-    Dotted,
-    Given,
     If,
     Index,
-    ListOf,
+    ListLiteral,
     Name,
     Node,
+    OperatorChain,
+    Placeholder,
+    QualifiedName,
     Query,
     This,
     Unary,
@@ -37,7 +37,7 @@ from ssduck.sql.arithmetic import arithmetic
 from ssduck.sql.calls import call
 from ssduck.sql.comparisons import COMPARISONS, comparison, likeness, membership, missing, truth
 from ssduck.sql.lists import concatenation, indexed, list_of
-from ssduck.sql.plan import Binding
+from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (
     NotSqlError,
@@ -76,9 +76,9 @@ class Expressions(ExpressionScope):
                 return self._this(node)
             case tree.Literal():
                 return self._literal(node)
-            case Dotted() if self._is_variable(node):
+            case QualifiedName() if self._is_variable(node):
                 return self.value(node.index)
-            case Dotted() if self.element(node.alias) is not None:
+            case QualifiedName() if self.element(node.alias) is not None:
                 is_record = self._this(node.this).tag.type == "record"
                 return self._index(self._key_of(node)) if is_record else self._function_of(node)
             case Name(name=name) if name in self.locals:
@@ -87,7 +87,7 @@ class Expressions(ExpressionScope):
                 return self.value(deferred)
             case Query():
                 return self._query(node)
-            case ListOf(items=items) if _is_short(items):
+            case ListLiteral(items=items) if _is_short(items):
                 return list_of(self.context, [self.value(item) for item in items])
         if self.is_constant(node):
             return self._constant(node)
@@ -105,20 +105,20 @@ class Expressions(ExpressionScope):
                 return replace(inner, given=exp.Neg(this=wrapped(inner.sql)), elements=None)
             case Binary():
                 return self._binary(node)
-            case Chain():
+            case OperatorChain():
                 return self._chain(node)
             case Index():
                 return self._index(node)
-            case ListOf(items=items):
+            case ListLiteral(items=items):
                 return list_of(self.context, [self.value(item) for item in items])
             case If(otherwise=(otherwise,)) if len(node.further) < MOST_NESTED:
                 return self._choice(node, otherwise)
         raise NotSqlError
 
-    def _function_of(self, node: Dotted) -> SqlValue:
+    def _function_of(self, node: QualifiedName) -> SqlValue:
         return call(self, node.call(self.names.meant(node.key)))
 
-    def _key_of(self, node: Dotted) -> Index:
+    def _key_of(self, node: QualifiedName) -> Index:
         return Index(node.span, node.this, node.index.indices)
 
     def _query(self, node: Query) -> SqlValue:
@@ -155,15 +155,15 @@ class Expressions(ExpressionScope):
         tag = self.context.constants.setdefault(node, self.names.tag(node))
         if not tag.is_sql or tag.type == "record":
             raise NotSqlError
-        stem = node.name if isinstance(node, Name | Given) else "value"
+        stem = node.name if isinstance(node, Name | Placeholder) else "value"
         if tag.type != "entity":
-            parameter = self.context.parameter(stem, Binding("", node, tag=tag))
+            parameter = self.context.parameter(stem, ParameterBinding("", node, tag=tag))
             if tag.type == "list":
                 parameter = exp.cast(parameter, tag.sql_type, dialect="duckdb")
             return SqlValue(parameter, tag)
 
         def column(name: str) -> exp.Expr:
-            wanted = Binding("", node, name, tag=column_tag(name))
+            wanted = ParameterBinding("", node, name, tag=column_tag(name))
             return self.context.parameter(f"{stem}_{name}", wanted)
 
         return SqlValue(None, tag, column)  # its columns become parameters as they are asked for
@@ -197,7 +197,7 @@ class Expressions(ExpressionScope):
             return concatenation(left_value, right_value)
         return arithmetic(self.context, node, left_value, right_value)
 
-    def _chain(self, node: Chain) -> SqlValue:
+    def _chain(self, node: OperatorChain) -> SqlValue:
         """AND, OR, XOR in any order of brackets; all else would be nested too deeply for SQL."""
         sign = node.operators[0]
         if sign not in LOGIC or len(node.operands) > MOST_JOINED:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from sqlglot import exp
 
 from ssduck.schema import MOST_IDS
-from ssduck.sql.relations.relation import Candidates
+from ssduck.sql.relations.relation import CandidatePairs
 from ssduck.sql.sql_values import NotSqlError, SqlValue
-from ssduck.sql.types import ANY, FLAG, IDS, Tag
+from ssduck.sql.types import ANY, FLAG, IDS, SqlType
 
 
 @dataclass(frozen=True)
-class Element:
+class FromItem:
     """A source in SQL.
 
     Attributes:
@@ -28,7 +28,7 @@ class Element:
     position: tuple[exp.Ordered, ...]
 
 
-def product_of(elements: Sequence[Element]) -> exp.Select:
+def product_of(elements: Sequence[FromItem]) -> exp.Select:
     """A SELECT of all combinations of sources, without columns yet."""
     select = exp.Select()
     for index, element in enumerate(elements):
@@ -40,10 +40,10 @@ def product_of(elements: Sequence[Element]) -> exp.Select:
     return select
 
 
-def world_table(schema: str, name: str) -> Element:
+def world_table(schema: str, name: str) -> FromItem:
     """The entities of a world."""
     table = exp.table_("entities", db=schema, alias=exp.to_identifier(name))
-    return Element(
+    return FromItem(
         entity_value(schema, name),
         table,
         (
@@ -57,7 +57,7 @@ def world_table(schema: str, name: str) -> Element:
 
 def past_table(
     schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
-) -> Element:
+) -> FromItem:
     """The entities of a world at recorded ticks, or one of them."""
     rows = exp.Select(expressions=[exp.Star()])
     rows.from_(exp.table_("entities_history", db=schema), copy=False)
@@ -67,31 +67,31 @@ def past_table(
     return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
 
 
-def present_table(schema: str, name: str) -> Element:
+def present_table(schema: str, name: str) -> FromItem:
     """The entities of a world at its present tick, beside its past."""
     table = exp.table_("entities", db=schema, alias=exp.to_identifier(name, quoted=True))
     return replace(_past(schema, name), table=table)
 
 
-def _past(schema: str, name: str) -> Element:
+def _past(schema: str, name: str) -> FromItem:
     live = world_table(schema, name)
     position = (ascending(column_of(name, "tick")), *live.position)
-    return Element(past_value(schema, name), live.table, position)
+    return FromItem(past_value(schema, name), live.table, position)
 
 
 def past_value(schema: str, name: str) -> SqlValue:
     """The current row of a table of entities at recorded ticks."""
-    tag = Tag("entity", schema=schema, past=True)
+    tag = SqlType("entity", schema=schema, past=True)
     return SqlValue(None, tag, lambda column: column_of(name, column))
 
 
 def entity_value(schema: str | None, name: str) -> SqlValue:
     """The current row of a table of entities."""
-    tag = Tag("entity", schema=schema)
+    tag = SqlType("entity", schema=schema)
     return SqlValue(column_of(name, "id"), tag, lambda column: column_of(name, column))
 
 
-def unnested(name: str, values: SqlValue) -> Element:
+def unnested(name: str, values: SqlValue) -> FromItem:
     """The elements of a list; of any other value itself."""
     rows, tag = values.sql, values.tag.element
     if values.tag.type != "list":
@@ -107,39 +107,39 @@ def unnested(name: str, values: SqlValue) -> Element:
     alias = exp.to_identifier(name)
     if tag.type != "entity":
         value = SqlValue(column_of(name, "value"), tag, extent=values.extent)
-        return Element(value, table.subquery(alias), position)
+        return FromItem(value, table.subquery(alias), position)
     if tag.past:
         return _unnested_past(table, tag, name, position)
     entities = exp.table_("entities", db=tag.schema, alias="e")
     joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
-    return Element(entity_value(tag.schema, name), joined.subquery(alias), position)
+    return FromItem(entity_value(tag.schema, name), joined.subquery(alias), position)
 
 
 @dataclass(frozen=True)
-class Follower:
+class JoinedEntity:
     """An entity at the tick of another row: its row, and how that is joined."""
 
     value: SqlValue
     join: exp.Join
 
 
-def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> Follower:
+def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
     """An entity at the tick of a row; unknown where it was not there."""
     table = exp.table_("entities_history", db=schema, alias=exp.to_identifier(name, quoted=True))
     same_tick = exp.EQ(this=column_of(name, "tick"), expression=tick.copy())
     same_id = exp.EQ(this=column_of(name, "id"), expression=id.copy())
     join = exp.Join(this=table, side="LEFT", on=exp.and_(same_tick, same_id))
-    return Follower(past_value(schema, name), join)
+    return JoinedEntity(past_value(schema, name), join)
 
 
 def pairs_then(
-    candidates: Candidates,
+    candidates: CandidatePairs,
     apart: exp.Expr,
-    row: Span,
+    row: TickRange,
     ids: tuple[exp.Expr, exp.Expr],
     columns: tuple[exp.Expr, exp.Expr],
     name: str,
-) -> Follower:
+) -> JoinedEntity:
     """Whether a relation holds of two entities at the tick of a row: all ticks asked at once.
 
     Args:
@@ -172,10 +172,10 @@ def pairs_then(
     none = exp.Is(this=column_of(name, "tick"), expression=exp.Null())
     known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
     holds = exp.case().when(none, exp.false()).when(known, exp.true())
-    return Follower(SqlValue(holds, FLAG), join)
+    return JoinedEntity(SqlValue(holds, FLAG), join)
 
 
-def needed(followers: Iterable[Follower], select: exp.Select) -> list[exp.Join]:
+def needed(followers: Iterable[JoinedEntity], select: exp.Select) -> list[exp.Join]:
     """The joins of those followers that a SELECT, or one behind them, reads a column of.
 
     None of them makes rows more or fewer.
@@ -190,7 +190,7 @@ def needed(followers: Iterable[Follower], select: exp.Select) -> list[exp.Join]:
 
 
 @dataclass(frozen=True)
-class Span:
+class TickRange:
     """The ticks that rows of the past are of, the tick of the current one, the only id."""
 
     schema: str
@@ -201,8 +201,8 @@ class Span:
 
 
 def _unnested_past(
-    keys: exp.Select, tag: Tag, name: str, position: tuple[exp.Ordered, ...]
-) -> Element:
+    keys: exp.Select, tag: SqlType, name: str, position: tuple[exp.Ordered, ...]
+) -> FromItem:
     """Entities at recorded ticks, by their keys."""
     assert tag.schema is not None
     entities = exp.table_("entities_history", db=tag.schema, alias="e")
@@ -216,11 +216,11 @@ def _unnested_past(
         exp.select("e.*", "i.n").from_(parts.subquery("i")).join(entities, using=["tick", "id"])
     )
     table = joined.subquery(exp.to_identifier(name, quoted=True))
-    return Element(past_value(tag.schema, name), table, position)
+    return FromItem(past_value(tag.schema, name), table, position)
 
 
 @dataclass(frozen=True)
-class Pairs:
+class PairTable:
     """A table of pairs of ids, each pair both ways.
 
     Attributes:
@@ -234,7 +234,7 @@ class Pairs:
     position: exp.Ordered
 
 
-def pairs_of(candidates: Candidates, apart: exp.Expr, schema: str, name: str) -> Pairs:
+def pairs_of(candidates: CandidatePairs, apart: exp.Expr, schema: str, name: str) -> PairTable:
     """All pairs of entities of a world of which a relation may hold."""
     called = exp.to_identifier(f"narrow all_{candidates.of}", quoted=True)
     arguments: list[exp.Expr] = [exp.Literal.string(schema)]
@@ -252,18 +252,18 @@ def pairs_of(candidates: Candidates, apart: exp.Expr, schema: str, name: str) ->
         .subquery(exp.to_identifier(name))
     )
     a, b, position = (column_of(name, column) for column in ("a", "b", "n"))
-    return Pairs(table, (a, b), ascending(position))
+    return PairTable(table, (a, b), ascending(position))
 
 
-def counted_rows(name: str, parameter: exp.Expr) -> Element:
+def counted_rows(name: str, parameter: exp.Expr) -> FromItem:
     """As many rows as there are values that SQL does not know."""
     numbers = exp.func("generate_subscripts", parameter, exp.Literal.number(1))
     table = exp.select(exp.alias_(numbers, "n")).subquery(exp.to_identifier(name))
     value = SqlValue(column_of(name, "n"), ANY)
-    return Element(value, table, (ascending(column_of(name, "n")),))
+    return FromItem(value, table, (ascending(column_of(name, "n")),))
 
 
-def record_table(name: str, table: str, tag: Tag) -> Element:
+def record_table(name: str, table: str, tag: SqlType) -> FromItem:
     """Records as a table: `n`, and a column a key."""
     fields = {
         key: SqlValue(column_of(name, f"f{index}"), part)
@@ -272,7 +272,7 @@ def record_table(name: str, table: str, tag: Tag) -> Element:
     }
     value = SqlValue(column_of(name, "n"), tag, fields=fields)
     source = exp.table_(table, quoted=True, alias=exp.to_identifier(name))
-    return Element(value, source, (ascending(column_of(name, "n")),))
+    return FromItem(value, source, (ascending(column_of(name, "n")),))
 
 
 def column_of(table: str, name: str) -> exp.Expr:

@@ -11,35 +11,37 @@ from ssduck.language import tree
 from ssduck.language.tree import Node
 from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (
-    Context,
-    Extent,
+    FloatDomain,
     NotSqlError,
     SqlValue,
+    StatementContext,
     copied,
     or_failure,
     wrapped,
 )
-from ssduck.sql.types import ANY, EXACT, Tag, merged
+from ssduck.sql.types import ANY, EXACT, SqlType, merged
 
 
-def list_of(context: Context, values: Sequence[SqlValue]) -> SqlValue:
+def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
     """A list that is written out."""
     tag = merged(value.tag for value in values)
     if any(value.tag.nullable or value.wide for value in values):
         raise NotSqlError
     elements = tuple(map(context.certain, values))
-    extent = max((value.extent for value in elements), default=Extent.FINITE)
+    extent = max((value.extent for value in elements), default=FloatDomain.FINITE)
     if tag is None:
-        return SqlValue(exp.cast(exp.Array(expressions=[]), "INTEGER[]"), Tag("list"), elements=())
+        return SqlValue(
+            exp.cast(exp.Array(expressions=[]), "INTEGER[]"), SqlType("list"), elements=()
+        )
     length = 3 if len(values) == 3 else None
     if not tag.is_sql or tag.type == "record":
         if all(value.tag.is_sql for value in values):  # its elements can be reached
-            return SqlValue(None, Tag("list", ANY, length), elements=elements, extent=extent)
+            return SqlValue(None, SqlType("list", ANY, length), elements=elements, extent=extent)
         raise NotSqlError
     sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in elements])
     if tag.type == "list":
         sql = exp.cast(sql, f"{tag.sql_type}[]", dialect="duckdb")
-    return SqlValue(sql, Tag("list", tag, length), elements=elements, extent=extent)
+    return SqlValue(sql, SqlType("list", tag, length), elements=elements, extent=extent)
 
 
 def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:

@@ -7,27 +7,27 @@ from dataclasses import dataclass, field, replace
 
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.language.analysis import states
-from ssduck.language.clauses import Column
+from ssduck.language.clauses import SelectedValue
 from ssduck.language.overrides import plain
 from ssduck.language.tree import (
-    Aged,
     Assignment,
-    Bare,
     Call,
-    Dotted,
     Index,
-    Key,
     Literal,
     Name,
     Node,
+    OrderKey,
+    QualifiedName,
     Query,
     This,
+    TimeIndex,
+    UnresolvedName,
 )
-from ssduck.sql.plan import Names, Shape
+from ssduck.sql.plan import SourceType, TypeEnvironment
 
 
 @dataclass
-class Resolved:
+class ResolvedQuery:
     """A query whose bare names have been looked up.
 
     Attributes:
@@ -37,13 +37,13 @@ class Resolved:
     """
 
     query: Query
-    columns: tuple[Column, ...] = ()
+    columns: tuple[SelectedValue, ...] = ()
     bare: dict[str, bool] = field(default_factory=dict)
 
 
 def resolve(
-    query: Query, shapes: Sequence[Shape], names: Names, around: Collection[str] = ()
-) -> Resolved:
+    query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, around: Collection[str] = ()
+) -> ResolvedQuery:
     """Look up the bare names in SELECT, GROUP BY, HAVING and ORDER BY, and in WHERE functions.
 
     Such a name is a key of the current element if that is a dict, else a variable, else the
@@ -63,7 +63,11 @@ def resolve(
 
 class _Resolver:
     def __init__(
-        self, query: Query, shapes: Sequence[Shape], names: Names, around: Collection[str]
+        self,
+        query: Query,
+        shapes: Sequence[SourceType],
+        names: TypeEnvironment,
+        around: Collection[str],
     ) -> None:
         self._query = query
         self._shapes = shapes
@@ -72,41 +76,41 @@ class _Resolver:
         self._bare: dict[str, bool] = {}
         self._named = dict(_named(query))
 
-    def resolved(self) -> Resolved:
+    def resolved(self) -> ResolvedQuery:
         query = self._query
         changed = replace(
             query,
             where=None if query.where is None else query.where.replaced(self._in_where),
             group=tuple(map(self._key, query.group)),
             having=None if query.having is None else self._key(query.having),
-            order=tuple(Key(k.span, self._key(k.value), k.descending) for k in query.order),
+            order=tuple(OrderKey(k.span, self._key(k.value), k.descending) for k in query.order),
         )
-        return Resolved(changed, tuple(self._columns()), self._bare)
+        return ResolvedQuery(changed, tuple(self._columns()), self._bare)
 
-    def _columns(self) -> Iterator[Column]:
+    def _columns(self) -> Iterator[SelectedValue]:
         if not self._query.items:
             for shape in self._shapes:
-                yield Column(This(self._query.span, shape.alias), shape.alias)
+                yield SelectedValue(This(self._query.span, shape.alias), shape.alias)
         for node in self._query.items:
             match node:
                 case Call(name="to", arguments=(value, Literal(value=str() as name))):
-                    yield Column(self._meant(value), name)
+                    yield SelectedValue(self._meant(value), name)
                 case Call(name="to", arguments=(value, name_node)):
-                    yield Column(self._meant(value), self._meant(name_node))
+                    yield SelectedValue(self._meant(value), self._meant(name_node))
                 case Call(name="to"):
                     raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
-                case Call(name=name) | Name(name=name) | Aged(name=name):
-                    yield Column(self._meant(node), plain(name))
+                case Call(name=name) | Name(name=name) | TimeIndex(name=name):
+                    yield SelectedValue(self._meant(node), plain(name))
                 case Assignment(name=name, is_bare=True):
-                    yield Column(self._meant(node), name)
-                case Dotted(key=key):
-                    yield Column(node, key)
+                    yield SelectedValue(self._meant(node), name)
+                case QualifiedName(key=key):
+                    yield SelectedValue(node, key)
                 case This(alias=alias):
-                    yield Column(node, alias or "this")
+                    yield SelectedValue(node, alias or "this")
                 case Index(indices=(*_, Literal(value=str() as key))):
-                    yield Column(self._meant(node), key)
+                    yield SelectedValue(self._meant(node), key)
                 case _:
-                    yield Column(self._meant(node), "value")
+                    yield SelectedValue(self._meant(node), "value")
 
     def _meant(self, node: Node) -> Node:
         return node.replaced(self._looked_up)
@@ -137,7 +141,7 @@ class _Resolver:
 
     def _in_where(self, part: Node) -> Node | None:
         """A bare name in WHERE: a function of the only element, where there is no variable."""
-        if isinstance(part, Query | Dotted):
+        if isinstance(part, Query | QualifiedName):
             return part
         if not isinstance(part, Name) or part.name in self._states:
             return None
@@ -155,7 +159,7 @@ class _Resolver:
         return call
 
     def _looked_up(self, part: Node) -> Node | None:
-        if isinstance(part, Query | Dotted):
+        if isinstance(part, Query | QualifiedName):
             return part
         if not isinstance(part, Name) or part.name in self._states:
             return part if isinstance(part, Name) else None
@@ -165,7 +169,7 @@ class _Resolver:
                 key = Literal(part.span, part.name)
                 return Index(part.span, This(part.span, None), (key,))
         elif only is not None and (only.dicts or not only.known):
-            return Bare(part.span, part.name)
+            return UnresolvedName(part.span, part.name)
         known = self._bare[part.name] = self._names.has_variable(part.name)
         if known:
             return part

@@ -24,7 +24,7 @@ _LESS, _MORE = ("<", "<="), (">", ">=")
 
 
 @dataclass(frozen=True)
-class Joined:
+class PairJoin:
     """A condition on two sources of one world.
 
     Attributes:
@@ -47,7 +47,7 @@ def sides_of(node: Node) -> tuple[This, This] | None:
     return None
 
 
-def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) -> Joined | None:
+def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) -> PairJoin | None:
     """`near(a.this, b.this, 0.1)`: all its pairs at once; None if SQL does not know how near.
 
     Args:
@@ -73,7 +73,7 @@ def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) 
         for side, column in zip(sides, pairs.columns, strict=True)
     ]
     exact = () if relation.candidates.are_exact else (holds,)
-    return Joined(pairs.table, exp.and_(*found, *exact), pairs.position)
+    return PairJoin(pairs.table, exp.and_(*found, *exact), pairs.position)
 
 
 def implied(sql: Expressions, node: Node) -> exp.Expr | None:

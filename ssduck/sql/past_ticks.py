@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from sqlglot import exp
 
-from ssduck.sql.from_clause import Follower, Span, follower, pairs_then
+from ssduck.sql.from_clause import JoinedEntity, TickRange, follower, pairs_then
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.relation import Relation
-from ssduck.sql.sql_values import Context, NotSqlError, SqlValue
+from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
 
 
-class Ticks:
+class QueryTicks:
     """The ticks of the sources of one query, and of what is asked of entities beside them.
 
     Args:
@@ -28,14 +28,14 @@ class Ticks:
     """
 
     def __init__(
-        self, context: Context, rows: Mapping[str, SqlValue], around: Ticks | None
+        self, context: StatementContext, rows: Mapping[str, SqlValue], around: QueryTicks | None
     ) -> None:
         self._context = context
         self._rows = rows
         self._around = around
-        self.followers: dict[tuple[str, ...], Follower] = {}
+        self.followers: dict[tuple[str, ...], JoinedEntity] = {}
         self._parameters: dict[str, exp.Expr] = {}
-        self.spans: dict[str, Span] = {}
+        self.spans: dict[str, TickRange] = {}
         self.present: set[str] = set()
 
     def follow(self, values: dict[str, SqlValue]) -> None:
@@ -165,7 +165,7 @@ class Ticks:
         }
         return self._around is None and tick.sql() in own
 
-    def _follower(self, schema: str, tick: exp.Expr, id: exp.Expr) -> Follower:
+    def _follower(self, schema: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
         key = tick.sql(), id.sql()
         if key not in self.followers:
             name = self._context.alias("handle then")

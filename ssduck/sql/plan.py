@@ -8,15 +8,15 @@ from typing import Literal, Protocol, TypeAlias
 
 from sqlglot import exp
 
-from ssduck.language.clauses import Column, Rest
+from ssduck.language.clauses import PythonClauses, SelectedValue
 from ssduck.language.tree import Call, Node, Query
-from ssduck.sql.types import Signature, Tag
+from ssduck.sql.types import Signature, SqlType
 
 Moments: TypeAlias = Literal["", "instant", "window", "now"]
 
 
 @dataclass(frozen=True)
-class Shape:
+class SourceType:
     """What a source is, and what it is called.
 
     Attributes:
@@ -33,7 +33,7 @@ class Shape:
 
     alias: str
     schema: str | None = None
-    tag: Tag | None = None
+    tag: SqlType | None = None
     given: bool = True
     dicts: bool = False
     known: bool = True
@@ -41,7 +41,7 @@ class Shape:
     of_one: bool = False
 
 
-class Names(Protocol):
+class TypeEnvironment(Protocol):
     """What the translator needs to know of the interpreter's names."""
 
     @property
@@ -54,7 +54,7 @@ class Names(Protocol):
     def has_source(self, alias: str) -> bool:
         """Whether a query around this one has a source of that name."""
 
-    def tag(self, node: Node) -> Tag:
+    def tag(self, node: Node) -> SqlType:
         """The type of the value of an expression that depends on no row of this query."""
 
     def world(self, node: Node) -> str | None:
@@ -69,12 +69,12 @@ class Names(Protocol):
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
 
-    def signature(self, name: str, arguments: tuple[Tag, ...]) -> Signature | None:
+    def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
         """How SQL calls a user's function with such arguments, None if it cannot."""
 
 
 @dataclass(frozen=True)
-class Binding:
+class ParameterBinding:
     """A parameter of the SQL.
 
     Attributes:
@@ -91,19 +91,19 @@ class Binding:
     column: str | None = None
     source: str | None = None
     end: Literal["", "first", "last", "id"] = ""
-    tag: Tag = field(default_factory=lambda: Tag("list"))
+    tag: SqlType = field(default_factory=lambda: SqlType("list"))
 
 
 @dataclass(frozen=True)
-class Output:
+class OutputColumn:
     """A column of the SQL: its place, and the type of its values."""
 
     index: int
-    tag: Tag
+    tag: SqlType
 
 
 @dataclass(frozen=True)
-class Graph:
+class PathSearch:
     """What is made of the edges that a statement yields: how long its paths, how many."""
 
     longest: int
@@ -137,21 +137,21 @@ class Plan:
     """
 
     query: Query
-    shapes: tuple[Shape, ...]
+    shapes: tuple[SourceType, ...]
     select: exp.Select = field(default_factory=exp.Select)
-    bindings: list[Binding] = field(default_factory=list)
+    bindings: list[ParameterBinding] = field(default_factory=list)
     tables: dict[str, str] = field(default_factory=dict)
-    constants: dict[Node, Tag] = field(default_factory=dict)
+    constants: dict[Node, SqlType] = field(default_factory=dict)
     worlds: dict[Node, str | None] = field(default_factory=dict)
     signatures: set[Signature] = field(default_factory=set)
-    known: dict[Node, Output] = field(default_factory=dict)
-    elements: dict[str, Output] = field(default_factory=dict)
+    known: dict[Node, OutputColumn] = field(default_factory=dict)
+    elements: dict[str, OutputColumn] = field(default_factory=dict)
     once: list[Node] = field(default_factory=list)
-    rest: Rest = field(default_factory=lambda: Rest(()))
-    outputs: list[Output] | None = None
+    rest: PythonClauses = field(default_factory=lambda: PythonClauses(()))
+    outputs: list[OutputColumn] | None = None
     names: tuple[str, ...] = ()
     paths: bool = False
-    graph: Graph | None = None
+    graph: PathSearch | None = None
     bare: dict[str, bool] = field(default_factory=dict)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     cautious: bool = False
@@ -191,4 +191,12 @@ class Plan:
         return node not in self.known and node not in self.once
 
 
-__all__ = ["Binding", "Column", "Names", "Output", "Plan", "Shape", "Signature"]
+__all__ = [
+    "OutputColumn",
+    "ParameterBinding",
+    "Plan",
+    "SelectedValue",
+    "Signature",
+    "SourceType",
+    "TypeEnvironment",
+]

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from sqlglot import exp
 
 from ssduck.language import tree
-from ssduck.language.clauses import Column
+from ssduck.language.clauses import SelectedValue
 from ssduck.language.tree import Assignment, Query, Recursion
 from ssduck.sql.expressions import Expressions
-from ssduck.sql.from_clause import Element, world_table
-from ssduck.sql.plan import Graph
-from ssduck.sql.sql_values import Extent, NotSqlError, SqlValue, failure
-from ssduck.sql.types import FLAG, INTEGER, Tag, merged
+from ssduck.sql.from_clause import FromItem, world_table
+from ssduck.sql.plan import PathSearch
+from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, failure
+from ssduck.sql.types import FLAG, INTEGER, SqlType, merged
 
 # Breadth first, a search that has more open paths than this takes too much memory; depth first
 # in Python it takes little.
@@ -31,7 +31,7 @@ _STEPS = "steps"
 
 
 @dataclass(frozen=True)
-class Searched:
+class RecursiveSearch:
     """A search in SQL.
 
     Attributes:
@@ -42,13 +42,13 @@ class Searched:
     """
 
     select: exp.Select
-    tags: tuple[Tag, ...]
-    graph: Graph | None = None
+    tags: tuple[SqlType, ...]
+    graph: PathSearch | None = None
 
 
 def searched(
-    sql: Expressions, query: Query, columns: Sequence[Column], elements: Sequence[Element]
-) -> Searched:
+    sql: Expressions, query: Query, columns: Sequence[SelectedValue], elements: Sequence[FromItem]
+) -> RecursiveSearch:
     """A hierarchical query as SQL.
 
     Raises:
@@ -65,12 +65,12 @@ def searched(
     search = _Search(sql, query, recursion, columns, elements)
     items = tuple(item.tag for item in search.items)
     if not recursion.memorizes:
-        return Searched(search.select(), tuple(Tag("list", tag) for tag in items))
+        return RecursiveSearch(search.select(), tuple(SqlType("list", tag) for tag in items))
     assert recursion.memorize is not None
     levels = _number(recursion.memorize)
-    place = Tag("list", INTEGER)
-    return Searched(
-        search.edges(levels), (place, place, FLAG, *items), Graph(levels, search.most())
+    place = SqlType("list", INTEGER)
+    return RecursiveSearch(
+        search.edges(levels), (place, place, FLAG, *items), PathSearch(levels, search.most())
     )
 
 
@@ -80,14 +80,14 @@ class _Search:
         sql: Expressions,
         query: Query,
         recursion: Recursion,
-        columns: Sequence[Column],
-        elements: Sequence[Element],
+        columns: Sequence[SelectedValue],
+        elements: Sequence[FromItem],
     ) -> None:
         self.sql = sql
         self.query = query
         self.recursion = recursion
         self.elements = elements
-        self.entities: dict[str, Element] = {}
+        self.entities: dict[str, FromItem] = {}
         self.steps = _assigned(recursion.step)
         self.start = {
             name: self._started(value) for name, value in _assigned(recursion.start).items()
@@ -129,10 +129,10 @@ class _Search:
             self.tags = tags
         raise NotSqlError
 
-    def _state(self, name: str, tag: Tag) -> SqlValue:
+    def _state(self, name: str, tag: SqlType) -> SqlValue:
         """A state variable; an entity is looked up by its id."""
         if tag.type != "entity":
-            return SqlValue(self._state_column(name), tag, extent=Extent.INFINITE)
+            return SqlValue(self._state_column(name), tag, extent=FloatDomain.INFINITE)
         if name not in self.entities:
             if tag.schema is None or tag.nullable or tag.past:
                 raise NotSqlError
@@ -163,7 +163,7 @@ class _Search:
     def _first(self) -> exp.Select:
         return exp.select(
             *self._as_states(self.start),
-            exp.alias_(_empty(Tag("integer")), "place"),
+            exp.alias_(_empty(SqlType("integer")), "place"),
             *(
                 exp.alias_(_empty(item.tag), f"item {index}", quoted=True)
                 for index, item in enumerate(self.items)
@@ -394,9 +394,9 @@ def _column(table: str, name: str) -> exp.Expr:
     return exp.column(exp.to_identifier(name, quoted=True), table=exp.to_identifier(table))
 
 
-def _cast(value: exp.Expr, tag: Tag) -> exp.Expr:
+def _cast(value: exp.Expr, tag: SqlType) -> exp.Expr:
     return exp.cast(value.copy(), tag.sql_type, dialect="duckdb")
 
 
-def _empty(element: Tag) -> exp.Expr:
+def _empty(element: SqlType) -> exp.Expr:
     return exp.cast(exp.Array(expressions=[]), f"{element.sql_type}[]", dialect="duckdb")

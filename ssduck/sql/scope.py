@@ -11,11 +11,21 @@ from sqlglot import exp
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.formatting import shown
 from ssduck.language.analysis import IMPURE, OVER_TIME, free_aliases, is_impure
-from ssduck.language.tree import Aged, Assignment, Bare, Call, Dotted, Name, Node, Query, This
+from ssduck.language.tree import (
+    Assignment,
+    Call,
+    Name,
+    Node,
+    QualifiedName,
+    Query,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
 from ssduck.sql.comparisons import truth
-from ssduck.sql.past_ticks import Ticks
+from ssduck.sql.past_ticks import QueryTicks
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.sql_values import Context, NotSqlError, SqlValue
+from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
 
 
 class ExpressionScope(ABC):
@@ -32,7 +42,7 @@ class ExpressionScope(ABC):
         ticks: at which ticks its entities are.
     """
 
-    def __init__(self, context: Context, around: ExpressionScope | None = None) -> None:
+    def __init__(self, context: StatementContext, around: ExpressionScope | None = None) -> None:
         self.context = context
         self.names = context.names
         self.around = around
@@ -40,7 +50,7 @@ class ExpressionScope(ABC):
         self.only: str | None = None
         self.locals: Mapping[str, SqlValue] = around.locals if around else {}
         self._are_constant: dict[Node, bool] = {}
-        self.ticks: Ticks = Ticks(context, self.rows, around.ticks if around else None)
+        self.ticks: QueryTicks = QueryTicks(context, self.rows, around.ticks if around else None)
 
     def inside(self) -> Self:
         """The expressions of a query nested in this one."""
@@ -66,16 +76,16 @@ class ExpressionScope(ABC):
         match node:
             case This():
                 return self._is_outside(node)
-            case Bare() | Assignment():
+            case UnresolvedName() | Assignment():
                 return False
-            case Dotted():
+            case QualifiedName():
                 return not self._is_variable(node) and self._is_outside(node.this)
             case Name(name=name):
                 deferred = self.context.list_in(name)
                 if deferred is not None:
                     return self.is_constant(deferred)
                 return name not in self.context.changing
-            case Aged(name=name) if name in self.context.changing:
+            case TimeIndex(name=name) if name in self.context.changing:
                 return False
             case Query():
                 return (
@@ -87,7 +97,7 @@ class ExpressionScope(ABC):
                 return False
         return all(self.is_constant(child) for child in node.children())
 
-    def _is_variable(self, node: Dotted) -> bool:
+    def _is_variable(self, node: QualifiedName) -> bool:
         known = self.context.bare[node.alias] = self.names.has_variable(node.alias)
         return known
 
@@ -107,7 +117,7 @@ class ExpressionScope(ABC):
         return alias is not None and self.element(alias) is None
 
     def _is_changing(self, node: Node) -> bool:
-        if not isinstance(node, Name | Aged):
+        if not isinstance(node, Name | TimeIndex):
             return False
         return node.name in self.context.changing or self.context.list_in(node.name) is not None
 

@@ -13,9 +13,9 @@ from sqlglot import exp
 
 from ssduck.language.tree import Node
 from ssduck.schema import TABLES
-from ssduck.sql.plan import Binding, Names
+from ssduck.sql.plan import ParameterBinding, TypeEnvironment
 from ssduck.sql.relations.relation import ValueType
-from ssduck.sql.types import IDS, Signature, Tag
+from ssduck.sql.types import IDS, Signature, SqlType
 
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type
@@ -33,7 +33,7 @@ class NotSqlError(Exception):
     """A part that is left to Python."""
 
 
-class Extent(IntEnum):
+class FloatDomain(IntEnum):
     """Which reals a value may be: finite ones, infinities as well, what is no number as well.
 
     DuckDB takes what is no number (NaN) for equal to itself and for greater than all numbers,
@@ -63,13 +63,13 @@ class SqlValue:
     """
 
     given: exp.Expr | None
-    tag: Tag
+    tag: SqlType
     column: Callable[[str], exp.Expr] | None = None
     elements: tuple[SqlValue, ...] | None = None
     fields: Mapping[str, SqlValue] = field(default_factory=dict)
     wide: bool = False
     natural: bool = False
-    extent: Extent = Extent.FINITE
+    extent: FloatDomain = FloatDomain.FINITE
     risky: bool = False
 
     @property
@@ -93,7 +93,7 @@ class SqlValue:
 
 
 @dataclass
-class Context:
+class StatementContext:
     """What the expressions of one statement share.
 
     Attributes:
@@ -110,11 +110,11 @@ class Context:
         risks: how many parts of it could fail in SQL.
     """
 
-    names: Names
+    names: TypeEnvironment
     cautious: bool = False
     changing: frozenset[str] = frozenset()
-    bindings: list[Binding] = field(default_factory=list)
-    constants: dict[Node, Tag] = field(default_factory=dict)
+    bindings: list[ParameterBinding] = field(default_factory=list)
+    constants: dict[Node, SqlType] = field(default_factory=dict)
     worlds: dict[Node, str | None] = field(default_factory=dict)
     signatures: set[Signature] = field(default_factory=set)
     deferred: dict[str, Node | None] = field(default_factory=dict)
@@ -130,12 +130,12 @@ class Context:
 
     def certain(self, value: SqlValue) -> SqlValue:
         """A value that is a number where it is used; what is none is left to Python."""
-        if value.extent < Extent.NAN:
+        if value.extent < FloatDomain.NAN:
             return value
         self.risk()
         is_none = exp.func("isnan", copied(value.sql))
         case = exp.case().when(is_none, failure(value.tag)).else_(value.sql)
-        return replace(value, given=case, extent=Extent.INFINITE)
+        return replace(value, given=case, extent=FloatDomain.INFINITE)
 
     def alias(self, name: str) -> str:
         """What a source is called in SQL, which does not tell upper from lower case."""
@@ -144,7 +144,7 @@ class Context:
         self.aliases.add(alias.casefold())
         return alias
 
-    def parameter(self, stem: str, wanted: Binding) -> exp.Expr:
+    def parameter(self, stem: str, wanted: ParameterBinding) -> exp.Expr:
         """A parameter for that binding: the same one for the same."""
         for binding in self.bindings:
             if replace(binding, name="") == wanted:
@@ -198,18 +198,18 @@ def written(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
     return put_in
 
 
-def column_tag(name: str) -> Tag:
+def column_tag(name: str) -> SqlType:
     """The type of a column of an entity."""
-    return Tag(_COLUMN_TYPES[name])
+    return SqlType(_COLUMN_TYPES[name])
 
 
-def failure(tag: Tag) -> exp.Expr:
+def failure(tag: SqlType) -> exp.Expr:
     """What makes the statement fail where it is evaluated."""
     failing = exp.Anonymous(this="error", expressions=[exp.Literal.string("left to Python")])
     return exp.cast(failing, tag.sql_type, dialect="duckdb")
 
 
-def or_failure(sql: exp.Expr, tag: Tag) -> exp.Expr:
+def or_failure(sql: exp.Expr, tag: SqlType) -> exp.Expr:
     """A value that is there; a statement that finds none fails."""
     return exp.Coalesce(this=sql, expressions=[failure(tag)])
 

@@ -16,29 +16,29 @@ from sqlglot import exp
 from ssduck.language import tree
 from ssduck.language.aggregates import is_grouped
 from ssduck.language.analysis import aliases_of, is_impure
-from ssduck.language.tree import Binary, ListOf, Name, Node, Query
+from ssduck.language.tree import Binary, ListLiteral, Name, Node, Query
 from ssduck.sql.comparisons import comparison
 from ssduck.sql.from_clause import (
-    Element,
+    FromItem,
     column_of,
     entity_value,
     product_of,
     unnested,
     world_table,
 )
-from ssduck.sql.name_resolution import Resolved, resolve
-from ssduck.sql.plan import Binding, Shape
+from ssduck.sql.name_resolution import ResolvedQuery, resolve
+from ssduck.sql.plan import ParameterBinding, SourceType
 from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (
     ENTITY_COLUMNS,
-    Extent,
+    FloatDomain,
     NotSqlError,
     SqlValue,
     column_tag,
     or_failure,
     wrapped,
 )
-from ssduck.sql.types import INTEGER, Tag, merged
+from ssduck.sql.types import INTEGER, SqlType, merged
 
 # More rows than this are not unrolled.
 MOST_UNROLLED = 300
@@ -57,7 +57,7 @@ class Subquery:
         is_risky: whether a part of it could fail, so that all rows are to be looked at.
     """
 
-    elements: tuple[Element, ...]
+    elements: tuple[FromItem, ...]
     conditions: tuple[exp.Expr, ...]
     items: tuple[SqlValue, ...]
     names: tuple[str, ...]
@@ -73,14 +73,14 @@ class Subquery:
 
 
 @dataclass(frozen=True)
-class Unrolled:
+class UnrolledRows:
     """The rows of a nested query one by one: whether each is there, and what it selects."""
 
     rows: tuple[tuple[exp.Expr, tuple[SqlValue, ...]], ...]
     is_risky: bool
 
 
-Rows: TypeAlias = Subquery | Unrolled
+Rows: TypeAlias = Subquery | UnrolledRows
 
 
 # -- what a nested query is worth -----------------------------------------------------------
@@ -95,10 +95,10 @@ def value(around: ExpressionScope, query: Query) -> SqlValue:
     form = _form(query)
     rows = _rows(around, query)
     if form in _LISTS:
-        return _unrolled_list(rows) if isinstance(rows, Unrolled) else _list(rows)
+        return _unrolled_list(rows) if isinstance(rows, UnrolledRows) else _list(rows)
     if form in _VALUES:
         around.context.risk()  # there may be no row
-        return _unrolled_value(rows) if isinstance(rows, Unrolled) else _value(rows)
+        return _unrolled_value(rows) if isinstance(rows, UnrolledRows) else _value(rows)
     raise NotSqlError
 
 
@@ -111,7 +111,7 @@ def counted(around: ExpressionScope, query: Query) -> SqlValue:
         return _counted_list(value(around, query))
     many = len(query.items) or len(query.sources)
     each = many if _form(query) in _LISTS else 1
-    if isinstance(rows, Unrolled):
+    if isinstance(rows, UnrolledRows):
         one, none = exp.Literal.number(each), exp.Literal.number(0)
         cases = [exp.case().when(there, one.copy()).else_(none.copy()) for there, _ in rows.rows]
         total: exp.Expr = cases[0] if cases else none
@@ -135,7 +135,7 @@ def _counted_list(found: SqlValue) -> SqlValue:
 def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
     """`[] == SELECT …` as a question of existence; None if it is none."""
     match node.left, node.right:
-        case (ListOf(items=()), Query() as query) | (Query() as query, ListOf(items=())):
+        case (ListLiteral(items=()), Query() as query) | (Query() as query, ListLiteral(items=())):
             pass
         case _:
             return None
@@ -157,7 +157,9 @@ def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
 
 def _never_empty(rows: Rows) -> bool:
     """Whether no selected value is an empty list itself."""
-    firsts = [items[0] for _, items in rows.rows] if isinstance(rows, Unrolled) else rows.items[:1]
+    firsts = (
+        [items[0] for _, items in rows.rows] if isinstance(rows, UnrolledRows) else rows.items[:1]
+    )
     return all(item.tag.type not in ("list", "any") for item in firsts)
 
 
@@ -168,7 +170,7 @@ def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
     if len(queries) != 1 or is_impure(queries[0]) or around.is_constant(queries[0]):
         return None
     found = _rows(around, queries[0])
-    if isinstance(found, Unrolled) or found.items[0].tag.type in ("list", "any"):
+    if isinstance(found, UnrolledRows) or found.items[0].tag.type in ("list", "any"):
         return None
     values = [
         _value(found, missing=True) if side is queries[0] else around.value(side) for side in sides
@@ -190,7 +192,7 @@ def membership(around: ExpressionScope, left: Node, query: Query) -> exp.Expr | 
     wanted = around.value(left)
     if wanted.risky:
         return None
-    if isinstance(rows, Unrolled):
+    if isinstance(rows, UnrolledRows):
         found = [
             exp.and_(there.copy(), _any_equal(around, wanted, items)) for there, items in rows.rows
         ]
@@ -207,7 +209,7 @@ def _any_equal(around: ExpressionScope, wanted: SqlValue, items: Sequence[SqlVal
 
 
 def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
-    if isinstance(rows, Unrolled):
+    if isinstance(rows, UnrolledRows):
         return exp.paren(exp.or_(*(there for there, _ in rows.rows))) if rows.rows else exp.false()
     return exp.Exists(this=rows.select(exp.Literal.number(1), where=where))
 
@@ -225,7 +227,7 @@ def _list(rows: Subquery) -> SqlValue:
         end = exp.Literal.number(rows.limit * len(rows.items))
         found = exp.func("list_slice", found, exp.Literal.number(1), end)
     subquery = exp.paren(rows.select(found))
-    whole = Tag("list", tag)
+    whole = SqlType("list", tag)
     empty = exp.cast(exp.Array(expressions=[]), whole.sql_type, dialect="duckdb")
     return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole, extent=extent)
 
@@ -236,7 +238,7 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
     if rows.limit == 0 or item.tag.nullable:
         raise NotSqlError
 
-    def first(what: exp.Expr, tag: Tag) -> exp.Expr:
+    def first(what: exp.Expr, tag: SqlType) -> exp.Expr:
         found = exp.paren(rows.select(_aggregated("first", what.copy(), rows)))
         return found if missing else or_failure(found, tag)
 
@@ -260,7 +262,7 @@ def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
     return exp.Anonymous(this=function, expressions=[what])
 
 
-def _unrolled_list(rows: Unrolled) -> SqlValue:
+def _unrolled_list(rows: UnrolledRows) -> SqlValue:
     every = [item for _, items in rows.rows for item in items]
     tag = _common(every)
     empty = exp.cast(exp.Array(expressions=[]), f"{tag.sql_type}[]", dialect="duckdb")
@@ -271,10 +273,10 @@ def _unrolled_list(rows: Unrolled) -> SqlValue:
         for there, items in rows.rows
     ]
     listed = exp.Anonymous(this="flatten", expressions=[exp.Array(expressions=parts)])
-    return SqlValue(listed, Tag("list", tag), extent=_extent(every))
+    return SqlValue(listed, SqlType("list", tag), extent=_extent(every))
 
 
-def _unrolled_value(rows: Unrolled) -> SqlValue:
+def _unrolled_value(rows: UnrolledRows) -> SqlValue:
     if rows.is_risky:
         raise NotSqlError  # the rows behind the first one would not be evaluated
     firsts = [items[0] for _, items in rows.rows]
@@ -287,12 +289,12 @@ def _unrolled_value(rows: Unrolled) -> SqlValue:
     return SqlValue(or_failure(case, tag), tag, extent=_extent(firsts))
 
 
-def _extent(items: Sequence[SqlValue]) -> Extent:
+def _extent(items: Sequence[SqlValue]) -> FloatDomain:
     """Which reals the values of a list may be."""
-    return max((item.extent for item in items), default=Extent.FINITE)
+    return max((item.extent for item in items), default=FloatDomain.FINITE)
 
 
-def _common(items: Sequence[SqlValue]) -> Tag:
+def _common(items: Sequence[SqlValue]) -> SqlType:
     """The one type of values that go into a list."""
     tag = merged(item.tag for item in items)
     if tag is None or not tag.comes_back or tag.nullable or tag.type == "record":
@@ -349,7 +351,7 @@ def _bind(inner: ExpressionScope, aliases: Sequence[str], values: Sequence[SqlVa
 
 
 def _subquery(
-    inner: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[Element]
+    inner: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[FromItem]
 ) -> Subquery:
     resolved = resolve_in(inner, query, aliases)
     where = resolved.query.where
@@ -367,9 +369,9 @@ def _unrolled(
     query: Query,
     aliases: Sequence[str],
     rows: Sequence[tuple[SqlValue, ...]],
-) -> Unrolled:
+) -> UnrolledRows:
     made = [_unrolled_row(around, query, aliases, elements) for elements in rows]
-    return Unrolled(tuple(row for row, _ in made), any(risky for _, risky in made))
+    return UnrolledRows(tuple(row for row, _ in made), any(risky for _, risky in made))
 
 
 def _unrolled_row(
@@ -386,15 +388,15 @@ def _unrolled_row(
     return (there, items), inner.context.risks > before
 
 
-def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> Resolved:
+def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:
     """Look up the bare names of a nested query whose sources are in SQL already."""
-    shapes = [Shape(alias, tag=inner.rows[alias].tag) for alias in aliases]
+    shapes = [SourceType(alias, tag=inner.rows[alias].tag) for alias in aliases]
     resolved = resolve(query, shapes, inner.names, inner.locals)
     inner.context.bare |= resolved.bare
     return resolved
 
 
-def ordered(inner: ExpressionScope, keys: Sequence[tree.Key]) -> list[exp.Ordered]:
+def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.Ordered]:
     """The keys of ORDER BY; those that are the same for all rows order nothing.
 
     Raises:
@@ -448,7 +450,7 @@ def _list_in(around: ExpressionScope, node: Node) -> Node:
     return node
 
 
-def element(around: ExpressionScope, alias: str, node: Node) -> Element:
+def element(around: ExpressionScope, alias: str, node: Node) -> FromItem:
     """A source of a nested query: a world, a list, a query of its own.
 
     Raises:
@@ -467,18 +469,18 @@ def element(around: ExpressionScope, alias: str, node: Node) -> Element:
     inner = tag.element if tag.type == "list" else tag
     if not tag.is_sql or inner is None or inner.type == "record":
         raise NotSqlError
-    parameter = around.context.parameter(alias, Binding("", node, tag=tag))
+    parameter = around.context.parameter(alias, ParameterBinding("", node, tag=tag))
     given = exp.cast(parameter, tag.sql_type, dialect="duckdb")
     return unnested(name, SqlValue(given, tag))
 
 
-def _derived(around: ExpressionScope, name: str, query: Query) -> Element:
+def _derived(around: ExpressionScope, name: str, query: Query) -> FromItem:
     """A query as a source: its one item, or its columns by their names."""
     form = _form(query)
     rows = _rows(around, query)
     if rows.is_risky:
         raise NotSqlError  # what is not asked for would not be evaluated
-    if isinstance(rows, Unrolled):
+    if isinstance(rows, UnrolledRows):
         if form not in _LISTS:
             raise NotSqlError
         return unnested(name, _unrolled_list(rows))
@@ -489,7 +491,7 @@ def _derived(around: ExpressionScope, name: str, query: Query) -> Element:
     raise NotSqlError
 
 
-def _derived_items(rows: Subquery, name: str) -> Element:
+def _derived_items(rows: Subquery, name: str) -> FromItem:
     (item,) = rows.items
     if item.tag.type != "entity":
         if not item.tag.is_sql or item.tag.type == "record":
@@ -504,7 +506,7 @@ def _derived_items(rows: Subquery, name: str) -> Element:
     return _derived_element(rows, name, value, columns)
 
 
-def _derived_records(rows: Subquery, name: str) -> Element:
+def _derived_records(rows: Subquery, name: str) -> FromItem:
     if len(set(rows.names)) < len(rows.names):
         raise NotSqlError
     columns: dict[str, exp.Expr] = {}
@@ -514,13 +516,13 @@ def _derived_records(rows: Subquery, name: str) -> Element:
             raise NotSqlError
         columns[f"f{index}"] = item.sql
         fields[key] = replace(item, given=column_of(name, f"f{index}"), elements=None)
-    tag = Tag("record", fields=tuple((key, field.tag) for key, field in fields.items()))
+    tag = SqlType("record", fields=tuple((key, field.tag) for key, field in fields.items()))
     return _derived_element(rows, name, SqlValue(None, tag, fields=fields), columns)
 
 
 def _derived_element(
     rows: Subquery, name: str, value: SqlValue, columns: dict[str, exp.Expr]
-) -> Element:
+) -> FromItem:
     """A SELECT in FROM, with the keys of its order as columns of their own."""
     keys = [f"key {index + 1}" for index in range(len(rows.order))]
     shown = [exp.alias_(column.copy(), key) for key, column in columns.items()]
@@ -535,7 +537,7 @@ def _derived_element(
         exp.Ordered(this=column_of(name, alias), desc=key.args.get("desc"), nulls_first=False)
         for alias, key in zip(keys, rows.order, strict=True)
     )
-    return Element(value, select.subquery(exp.to_identifier(name)), position)
+    return FromItem(value, select.subquery(exp.to_identifier(name)), position)
 
 
 def is_inline(node: Node) -> bool:

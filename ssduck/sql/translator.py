@@ -20,15 +20,15 @@ from ssduck.formatting import shown
 from ssduck.language import tree
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group, over_rows
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
-from ssduck.language.clauses import Rest
+from ssduck.language.clauses import PythonClauses
 from ssduck.language.operator_chains import conjuncts
 from ssduck.language.sql_suggestions import instead_of_name
-from ssduck.language.tree import Binary, Call, Key, Node, Query, This
+from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import (
-    Element,
-    Span,
+    FromItem,
+    TickRange,
     column_of,
     counted_rows,
     needed,
@@ -41,11 +41,11 @@ from ssduck.sql.from_clause import (
 )
 from ssduck.sql.name_resolution import resolve
 from ssduck.sql.pair_joins import implied, joined, sides_of
-from ssduck.sql.plan import Binding, Names, Output, Plan, Shape
+from ssduck.sql.plan import OutputColumn, ParameterBinding, Plan, SourceType, TypeEnvironment
 from ssduck.sql.recursive_cte import searched
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.sql_values import Context, Extent, NotSqlError, SqlValue
-from ssduck.sql.types import INTEGER, Tag
+from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementContext
+from ssduck.sql.types import INTEGER, SqlType
 
 _MOST_ROWS = 2**62
 _ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
@@ -56,7 +56,7 @@ class NotInlineError(Exception):
 
 
 def translate(
-    query: Query, shapes: Sequence[Shape], names: Names, *, cautious: bool = False
+    query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, *, cautious: bool = False
 ) -> Plan:
     """Plan a query.
 
@@ -76,10 +76,15 @@ def translate(
 
 class _Translator:
     def __init__(
-        self, query: Query, shapes: tuple[Shape, ...], names: Names, *, cautious: bool
+        self,
+        query: Query,
+        shapes: tuple[SourceType, ...],
+        names: TypeEnvironment,
+        *,
+        cautious: bool,
     ) -> None:
         self.names = names
-        self.context = Context(names, cautious, changing(query))
+        self.context = StatementContext(names, cautious, changing(query))
         self.sql = Expressions(self.context)
         self.result = Plan(
             query,
@@ -132,7 +137,7 @@ class _Translator:
         order, keys = self._order(found)
         one_group = is_one_group(self.query)
         limit = self._limit(left=bool(left or keys or one_group or self.query.distinct))
-        plan.rest = Rest(
+        plan.rest = PythonClauses(
             self.selected,
             tuple(left),
             keys,
@@ -150,7 +155,7 @@ class _Translator:
 
     # -- sources ----------------------------------------------------------------------------
 
-    def _sources(self, query: Query, shapes: Sequence[Shape]) -> list[Element]:
+    def _sources(self, query: Query, shapes: Sequence[SourceType]) -> list[FromItem]:
         elements = [
             self._element(shape, source.value)
             for shape, source in zip(shapes, query.sources, strict=True)
@@ -160,7 +165,7 @@ class _Translator:
         self.sql.only = shapes[0].alias if len(shapes) == 1 else None
         return elements
 
-    def _element(self, shape: Shape, node: Node) -> Element:
+    def _element(self, shape: SourceType, node: Node) -> FromItem:
         """A source as a table: the entities of a world, some of them, values, a query."""
         if not shape.given:
             try:
@@ -176,8 +181,8 @@ class _Translator:
         if shape.tag.type == "record":
             table = self.result.tables[shape.alias] = f"the rows of {name}"
             return record_table(name, table, shape.tag)
-        tag = Tag("list", shape.tag if shape.tag.is_sql else None)
-        binding = Binding("", source=shape.alias, tag=tag)
+        tag = SqlType("list", shape.tag if shape.tag.is_sql else None)
+        binding = ParameterBinding("", source=shape.alias, tag=tag)
         given = exp.cast(
             self.context.parameter(shape.alias, binding), tag.sql_type, dialect="duckdb"
         )
@@ -185,7 +190,7 @@ class _Translator:
             return counted_rows(name, given)
         return unnested(name, SqlValue(given, tag))
 
-    def _past(self, shape: Shape) -> Element:
+    def _past(self, shape: SourceType) -> FromItem:
         """The past of a world; its name is none that a column could have."""
         name = self.context.alias(f"{shape.alias} then")
         assert shape.schema is not None
@@ -193,17 +198,19 @@ class _Translator:
             self.sql.ticks.present.add(column_of(name, "tick").sql())
             return present_table(shape.schema, name)
         first, last = (
-            self.context.parameter(end, Binding("", source=shape.alias, end=end, tag=INTEGER))
+            self.context.parameter(
+                end, ParameterBinding("", source=shape.alias, end=end, tag=INTEGER)
+            )
             for end in _ENDS
         )
         id = None
         if shape.of_one:
             id = self.context.parameter(
-                "id", Binding("", source=shape.alias, end="id", tag=INTEGER)
+                "id", ParameterBinding("", source=shape.alias, end="id", tag=INTEGER)
             )
         if shape.moments == "window":
             tick = column_of(name, "tick")
-            self.sql.ticks.spans[tick.sql()] = Span(shape.schema, first, last, tick, id)
+            self.sql.ticks.spans[tick.sql()] = TickRange(shape.schema, first, last, tick, id)
         return past_table(shape.schema, name, first, last, id)
 
     def _together(self) -> Iterator[exp.Expr]:
@@ -217,9 +224,9 @@ class _Translator:
                     yield exp.EQ(this=before[shape.schema].copy(), expression=column("tick"))
                 before[shape.schema] = column("tick")
 
-    def _known_shapes(self) -> list[Shape]:
+    def _known_shapes(self) -> list[SourceType]:
         return [
-            shape if shape.given else Shape(shape.alias, tag=self.sql.rows[shape.alias].tag)
+            shape if shape.given else SourceType(shape.alias, tag=self.sql.rows[shape.alias].tag)
             for shape in self.result.shapes
         ]
 
@@ -321,10 +328,10 @@ class _Translator:
         elif node not in calls:
             self._leave(node, but=calls)
 
-    def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[Key, ...]]:
+    def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[OrderKey, ...]]:
         """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
         ordered: list[exp.Expr] = []
-        left: tuple[Key, ...] = ()
+        left: tuple[OrderKey, ...] = ()
         of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
         try:
             if of_groups or is_impure(self.query):
@@ -374,8 +381,8 @@ class _Translator:
         found = searched(self.sql, self.query, self.selected, self.elements)
         plan.paths = True
         plan.graph = found.graph
-        plan.outputs = [Output(index, tag) for index, tag in enumerate(found.tags)]
-        plan.rest = Rest(self.selected)
+        plan.outputs = [OutputColumn(index, tag) for index, tag in enumerate(found.tags)]
+        plan.rest = PythonClauses(self.selected)
         self._finish(found.select)
         return plan
 
@@ -418,20 +425,20 @@ class _Translator:
         used = {parameter.name for parameter in select.find_all(exp.Parameter)}
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]
 
-    def _output(self, value: SqlValue) -> Output:
+    def _output(self, value: SqlValue) -> OutputColumn:
         if not value.tag.comes_back:
             raise NotSqlError
-        if value.extent == Extent.NAN:  # to Python, one that is no number is not another
+        if value.extent == FloatDomain.NAN:  # to Python, one that is no number is not another
             self.columns.append(value.sql)
-            return Output(len(self.columns) - 1, value.tag)
+            return OutputColumn(len(self.columns) - 1, value.tag)
         return self._column(value.sql, value.tag)
 
-    def _column(self, sql: exp.Expr, tag: Tag) -> Output:
+    def _column(self, sql: exp.Expr, tag: SqlType) -> OutputColumn:
         text = sql.sql(dialect="duckdb")
         if text not in self.texts:
             self.texts[text] = len(self.columns)
             self.columns.append(sql)
-        return Output(self.texts[text], tag)
+        return OutputColumn(self.texts[text], tag)
 
     def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
         """Leave a part to Python: fetch the largest parts of it that SQL can do."""
@@ -461,7 +468,7 @@ class _Translator:
 def _parts(node: Node) -> Iterator[Node]:
     """What is fetched of a part that SQL cannot do; of so many comparisons, what they compare."""
     for child in node.children():
-        if isinstance(node, tree.Chain) and isinstance(child, Binary):
+        if isinstance(node, tree.OperatorChain) and isinstance(child, Binary):
             yield from child.children()
         else:
             yield child

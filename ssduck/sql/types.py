@@ -15,7 +15,7 @@ IDS = 2**25
 
 
 @dataclass(frozen=True)
-class Tag:
+class SqlType:
     """The type of a value: what a plan depends on.
 
     Attributes:
@@ -29,12 +29,12 @@ class Tag:
     """
 
     type: ValueType
-    element: Tag | None = None
+    element: SqlType | None = None
     length: int | None = None
     schema: str | None = None
     past: bool = False
     nullable: bool = False
-    fields: tuple[tuple[str, Tag], ...] = ()
+    fields: tuple[tuple[str, SqlType], ...] = ()
 
     @property
     def is_number(self) -> bool:
@@ -100,36 +100,36 @@ class Signature:
 
     function: str
     name: str
-    parameters: tuple[Tag, ...]
-    result: Tag
+    parameters: tuple[SqlType, ...]
+    result: SqlType
 
 
-ANY = Tag("any")
-REAL = Tag("real")
-INTEGER = Tag("integer")
-TEXT = Tag("text")
-FLAG = Tag("flag")
+ANY = SqlType("any")
+REAL = SqlType("real")
+INTEGER = SqlType("integer")
+TEXT = SqlType("text")
+FLAG = SqlType("flag")
 
 
-def merged(tags: Iterable[Tag]) -> Tag | None:
+def merged(tags: Iterable[SqlType]) -> SqlType | None:
     """The type of what is one of several types; None of none."""
     distinct = list(dict.fromkeys(tags))
     return reduce(_both, distinct) if distinct else None
 
 
-def _both(a: Tag, b: Tag) -> Tag:
+def _both(a: SqlType, b: SqlType) -> SqlType:
     if a == b:
         return a
     if a.is_number and b.is_number:
-        return Tag("number", nullable=a.nullable or b.nullable)
+        return SqlType("number", nullable=a.nullable or b.nullable)
     if a.type == b.type == "list":
         elements = [tag.element for tag in (a, b) if tag.element is not None]
         length = a.length if a.length == b.length else None
         element = merged(elements)
-        return Tag("list", element, length) if element is None or element.is_sql else ANY
+        return SqlType("list", element, length) if element is None or element.is_sql else ANY
     if a.type == b.type == "record" and [k for k, _ in a.fields] == [k for k, _ in b.fields]:
         pairs = zip(a.fields, b.fields, strict=True)
-        return Tag("record", fields=tuple((k, _both(t, u)) for (k, t), (_, u) in pairs))
+        return SqlType("record", fields=tuple((k, _both(t, u)) for (k, t), (_, u) in pairs))
     if a.type == b.type != "record" and (a.schema, a.past) == (b.schema, b.past):
         return replace(a, nullable=a.nullable or b.nullable)
     return ANY

@@ -11,16 +11,16 @@ from ssduck.lazy import exports
 
 if TYPE_CHECKING:
     from ssduck.world.entities import Entity, Sensor
-    from ssduck.world.observers import Follower
+    from ssduck.world.observers import TickObserver
     from ssduck.world.running import run
     from ssduck.world.snapshot import Snapshot
     from ssduck.world.world import World
 
 __all__ = [
     "Entity",
-    "Follower",
     "Sensor",
     "Snapshot",
+    "TickObserver",
     "World",
     "run",
 ]
@@ -29,7 +29,7 @@ __getattr__, __dir__ = exports(
     __name__,
     {
         "entities": ("Entity", "Sensor"),
-        "observers": ("Follower",),
+        "observers": ("TickObserver",),
         "running": ("run",),
         "snapshot": ("Snapshot",),
         "world": ("World",),

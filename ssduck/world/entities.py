@@ -22,8 +22,8 @@ from ssduck.simulators.joints import openness
 from ssduck.simulators.kinematics import JointValues, finite, unit
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
-from ssduck.world.layout import Member
-from ssduck.world.openrave_names import EntitySpellings, SensorSpellings
+from ssduck.world.layout import EntityInfo
+from ssduck.world.openrave_names import OpenRaveEntity, OpenRaveSensor
 from ssduck.world.sensor_readings import Reading
 
 if TYPE_CHECKING:
@@ -85,14 +85,14 @@ class WorldArchive(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class RecordedTick:
     """A recorded tick that a handle stays at."""
 
     record: WorldArchive
     tick: int
 
 
-class Entity(EntitySpellings):
+class Entity(OpenRaveEntity):
     """A handle of a robot, kinbody or sensor: what it tells is of its world's last tick.
 
     One that a query of the past gave, `FROM kitchen{12.5}`, stays at the tick that it is of.
@@ -112,7 +112,7 @@ class Entity(EntitySpellings):
     KEY_HINT = "functions tell of an entity: z(this), or k.z where k is a source"
 
     def __init__(
-        self, world: World, id: int, name: str, kind: Kind, moment: Moment | None = None
+        self, world: World, id: int, name: str, kind: Kind, moment: RecordedTick | None = None
     ) -> None:
         self.world = world
         self.id = id
@@ -324,7 +324,7 @@ class Entity(EntitySpellings):
     def visible(self, on: bool) -> None:
         self.state.show(self, on)
 
-    def body_of(self, member: Member, verb: str) -> Body:
+    def body_of(self, member: EntityInfo, verb: str) -> Body:
         """What it is made of, by its entry in the world; `verb` says what for.
 
         Raises:
@@ -390,7 +390,7 @@ class Robot(KinBody):
     __slots__ = ()
 
 
-class Sensor(SensorSpellings, Entity):
+class Sensor(OpenRaveSensor, Entity):
     """A handle of a sensor: what it measured last, by its world's last tick.
 
     It is read from the simulator when it is asked for, and then again when its `period` has

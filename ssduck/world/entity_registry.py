@@ -10,10 +10,10 @@ from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.scenes import SensorSpec, read_sensor
 from ssduck.world.entities import Entity
-from ssduck.world.layout import Member
+from ssduck.world.layout import EntityInfo
 
 
-class Members:
+class EntityRegistry:
     """The members of a world, each under an id that is never used again.
 
     Args:
@@ -23,7 +23,7 @@ class Members:
         listed: the same as they are now; another list whenever some came or went.
     """
 
-    def __init__(self, listed: list[Member]) -> None:
+    def __init__(self, listed: list[EntityInfo]) -> None:
         self.listed = listed
         self._ids = count(1)
 
@@ -55,15 +55,15 @@ class Members:
         for body in came:
             name = _unique(body.name, taken)
             taken.add(name)
-            self.listed.append(Member(next(self._ids), name, body.kind, body=body))
+            self.listed.append(EntityInfo(next(self._ids), name, body.kind, body=body))
 
-    def of(self, id: int) -> Member | None:
+    def of(self, id: int) -> EntityInfo | None:
         """The member of that id; None if it is there no longer."""
         return next((member for member in self.listed if member.id == id), None)
 
     def add_sensor(
-        self, type: str, host: Member, name: str | None, settings: Mapping[str, Any]
-    ) -> Member:
+        self, type: str, host: EntityInfo, name: str | None, settings: Mapping[str, Any]
+    ) -> EntityInfo:
         """Put a sensor on a body.
 
         Args:
@@ -97,7 +97,7 @@ class Members:
         """Take a sensor away."""
         self.listed = [member for member in self.listed if member.id != id]
 
-    def host(self, on: str | Entity, world: str) -> Member:
+    def host(self, on: str | Entity, world: str) -> EntityInfo:
         """The body that a sensor is to sit on.
 
         Args:
@@ -124,7 +124,7 @@ class Members:
             raise ArgumentError(f"add_sensor: on: {found[0].name!r} is a sensor, not a body")
         return found[0]
 
-    def _mounted(self, ids: Iterable[int], specs: Sequence[SensorSpec]) -> list[Member]:
+    def _mounted(self, ids: Iterable[int], specs: Sequence[SensorSpec]) -> list[EntityInfo]:
         """The sensors on the bodies that carry them."""
         by_name = {member.name: member for member in self.listed}
         sensors = []
@@ -132,7 +132,7 @@ class Members:
             host = by_name[spec.on]
             mount = (host.id, _link_number(host, spec, index))
             sensors.append(
-                Member(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
+                EntityInfo(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
             )
         return sensors
 
@@ -144,7 +144,7 @@ def _unique(name: str, taken: Container[str]) -> str:
     return next(n for n in (f"{name}_{i}" for i in count(2)) if n not in taken)
 
 
-def _link_number(host: Member, spec: SensorSpec, index: int) -> int:
+def _link_number(host: EntityInfo, spec: SensorSpec, index: int) -> int:
     assert host.body is not None
     if spec.link is None:
         return 0

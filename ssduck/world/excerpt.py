@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssduck.simulators.backends import Original, Tick, backend
-from ssduck.simulators.interface import Frames, Simulator
+from ssduck.simulators.backends import BodyToCopy, TickToCopy, backend
+from ssduck.simulators.interface import LinkPoses, Simulator
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.snapshot import Snapshot
 
@@ -30,9 +30,9 @@ def excerpt(
     return backend().excerpt(source, originals, tick_of(snapshot)), sensors
 
 
-def tick_of(snapshot: Snapshot) -> Tick:
+def tick_of(snapshot: Snapshot) -> TickToCopy:
     """What a tick tells of all of its bodies."""
-    return Tick(snapshot.time, snapshot.disabled, snapshot.hidden)
+    return TickToCopy(snapshot.time, snapshot.disabled, snapshot.hidden)
 
 
 def sensors_of(snapshot: Snapshot, chosen: Container[int]) -> list[SensorSpec]:
@@ -44,7 +44,7 @@ def sensors_of(snapshot: Snapshot, chosen: Container[int]) -> list[SensorSpec]:
     ]
 
 
-def originals_of(snapshot: Snapshot, chosen: Container[int]) -> Iterator[Original]:
+def originals_of(snapshot: Snapshot, chosen: Container[int]) -> Iterator[BodyToCopy]:
     """What a tick tells of some bodies, in load order."""
     where = {body: (part, told) for part, told in snapshot.parts for body in part.bodies}
     joints = snapshot.joints() if snapshot.has("joints") else {}
@@ -54,6 +54,6 @@ def originals_of(snapshot: Snapshot, chosen: Container[int]) -> Iterator[Origina
             continue
         part, told = where[body]
         run = part.runs[body]
-        frames = Frames(told.positions[run], told.matrices[run], told.states[run])
+        frames = LinkPoses(told.positions[run], told.matrices[run], told.states[run])
         unknown = np.full((len(body.joints), 3), np.nan)
-        yield Original(member.name, body, frames, joints.get(body, unknown)[:, :2])
+        yield BodyToCopy(member.name, body, frames, joints.get(body, unknown)[:, :2])

@@ -1,6 +1,6 @@
 """Where the entities of a world go in its tables.
 
-A `Part` is a set of bodies that are read together: those that can move, or those that cannot.
+A `BodyGroup` is a set of bodies that are read together: those that can move, or those that cannot.
 What does not depend on their poses is worked out once; each tick then costs a few operations
 on whole arrays.
 """
@@ -25,12 +25,12 @@ from ssduck.geometry.shapes import (
     multiply,
     rotation_matrices,
 )
-from ssduck.simulators.interface import Body, Frames, Kind
+from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
+class EntityInfo:
     """An entity as the tables know it: a body, or a sensor on one.
 
     Attributes:
@@ -55,7 +55,7 @@ class Member:
         """Those of the links, kg."""
         return [link.mass for link in self.body.links] if self.body else []
 
-    def weighed(self, masses: Sequence[float]) -> Member:
+    def weighed(self, masses: Sequence[float]) -> EntityInfo:
         """The same entity with other masses of its links, kg."""
         if self.body is None or list(masses) == self.masses:
             return self
@@ -65,13 +65,13 @@ class Member:
         return replace(self, body=replace(self.body, links=tuple(links)))
 
 
-def margins_of(members: Iterable[Member]) -> float:
+def margins_of(members: Iterable[EntityInfo]) -> float:
     """How far apart two shapes of some entities may be that touch by their margins, metres."""
     bodies = (member.body for member in members if member.body is not None)
     return 2.0 * max((shape.margin for body in bodies for shape in body.shapes), default=0.0)
 
 
-class Layout:
+class TableLayout:
     """The rows of some entities in their world's tables.
 
     Args:
@@ -86,7 +86,7 @@ class Layout:
         moving: the others.
     """
 
-    def __init__(self, members: Iterable[Member], watched: bool) -> None:
+    def __init__(self, members: Iterable[EntityInfo], watched: bool) -> None:
         self.members = sorted(members, key=lambda member: member.kind != "sensor")
         self.rows = {member.id: row for row, member in enumerate(self.members)}
         self.bodies = [(m.id, m.body) for m in self.members if m.body is not None]
@@ -97,12 +97,14 @@ class Layout:
         first = dict(zip((id for id, _ in self.bodies), places, strict=False))
         still = {id for id, body in self.bodies if not (watched or body.movable)}
         self.still, self.moving = (
-            Part([m for m in self.members if m.body and (m.id in still) is stands], self, first)
+            BodyGroup(
+                [m for m in self.members if m.body and (m.id in still) is stands], self, first
+            )
             for stands in (True, False)
         )
 
 
-class Part:
+class BodyGroup:
     """Bodies that are read together, the sensors on them, and their rows in the tables.
 
     Args:
@@ -119,8 +121,8 @@ class Part:
 
     def __init__(
         self,
-        members: Sequence[Member],
-        layout: Layout,
+        members: Sequence[EntityInfo],
+        layout: TableLayout,
         first: Mapping[int, tuple[int, int]],
     ) -> None:
         self.bodies = tuple(member.body for member in members if member.body is not None)
@@ -164,7 +166,7 @@ class Part:
 
     # Rows x to zmax of the tables of entities and links: pose, velocities, box.
 
-    def write_entities(self, frames: Frames, block: Array) -> None:
+    def write_entities(self, frames: LinkPoses, block: Array) -> None:
         """Write the rows of these bodies and of their sensors; `block` is (19, entities)."""
         boxes = self._entity_boxer.boxes(frames.positions, frames.matrices)
         positions = frames.positions.take(self._told, axis=0)
@@ -177,7 +179,7 @@ class Part:
             states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turns)
         block[:, self._rows] = np.concatenate((states.T, boxes))
 
-    def sensor_poses(self, frames: Frames) -> tuple[Array, Array]:
+    def sensor_poses(self, frames: LinkPoses) -> tuple[Array, Array]:
         """Where the sensors on these bodies are: (n, 3) and matrices (n, 3, 3)."""
         on = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         positions, orientations = compose(
@@ -188,13 +190,13 @@ class Part:
         )
         return positions, rotation_matrices(orientations)
 
-    def write_links(self, frames: Frames, block: Array) -> None:
+    def write_links(self, frames: LinkPoses, block: Array) -> None:
         """Write the rows of these bodies' links; `block` is (19, links)."""
         states = frames.at(frames.positions, np.arange(len(frames.positions)))
         boxes = self._link_boxer.boxes(frames.positions, frames.matrices)
         block[:, self._link_rows] = np.concatenate((states.T, boxes))
 
-    def write_shapes(self, frames: Frames, block: Array) -> None:
+    def write_shapes(self, frames: LinkPoses, block: Array) -> None:
         """Write the rows of these bodies' shapes; `block` is (13, shapes): pose, box."""
         on = np.array([shape.frame for shape in self._shapes], dtype=np.intp)
         positions, orientations = compose(

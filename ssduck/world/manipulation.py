@@ -1,4 +1,4 @@
-"""What can be done to the bodies of a world: `Handled`."""
+"""What can be done to the bodies of a world: `ManipulableSimulation`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from ssduck.simulators.kinematics import (
     positions_of,
 )
 from ssduck.world.entities import Entity
-from ssduck.world.ticking import Ticked
+from ssduck.world.ticking import SteppedSimulation
 
 
-class Handled(Ticked):
+class ManipulableSimulation(SteppedSimulation):
     """A simulator with its last tick, whose bodies can be moved, driven, held and hidden."""
 
     def place(self, entity: Entity, pose: Pose | None, joints: JointValues | None) -> None:

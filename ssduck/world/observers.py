@@ -1,4 +1,4 @@
-"""Who wants ticks of a world at certain simulated times: `Follower`, and a world's side of it.
+"""Who wants ticks of a world at certain simulated times: `TickObserver`, and a world's side of it.
 
 A follower says when it wants the next tick; stepping stops there, takes it, and tells all
 followers. Steps at whose end nobody wants a tick take none.
@@ -18,8 +18,8 @@ from ssduck.simulators.interface import Simulator
 _ROUNDING = 1e-6
 
 
-class Follower(Protocol):
-    """Who follows worlds; see `Followed.follow`."""
+class TickObserver(Protocol):
+    """Who follows worlds; see `Observable.follow`."""
 
     def due(self, world: Any, /) -> float:
         """The simulated time, s, at which it next wants a tick of a world; inf for none.
@@ -31,7 +31,7 @@ class Follower(Protocol):
         """Be told of a tick, which need not be one that it wanted: `reached` tells."""
 
 
-class Followed(ABC):
+class Observable(ABC):
     """What of a world its followers use."""
 
     lock: threading.RLock
@@ -48,10 +48,10 @@ class Followed(ABC):
         """Simulated seconds that the next step takes; 0 where there are no steps."""
 
     def _begin_following(self) -> None:
-        self._followers: tuple[weakref.ref[Follower], ...] = ()
+        self._followers: tuple[weakref.ref[TickObserver], ...] = ()
         self._telling = threading.Lock()
 
-    def follow(self, follower: Follower) -> None:
+    def follow(self, follower: TickObserver) -> None:
         """Let a follower say when it wants ticks, and tell it of those that are taken.
 
         It is told of the ticks of `step`, `run` and `tick`, in the thread that takes them, with
@@ -70,7 +70,7 @@ class Followed(ABC):
                 kept.append(weakref.ref(follower))
             self._followers = tuple(kept)
 
-    def unfollow(self, follower: Follower) -> None:
+    def unfollow(self, follower: TickObserver) -> None:
         """Tell a follower nothing any more."""
         with self.lock:
             self._followers = tuple(ref for ref in self._followers if ref() is not follower)

@@ -46,7 +46,7 @@ class AABB:
         return self.half_extents
 
 
-class EntitySpellings:
+class OpenRaveEntity:
     """OpenRAVE's names of what an `Entity` has."""
 
     def GetName(self: Any) -> str:  # noqa: N802  # OpenRAVE's name
@@ -142,7 +142,7 @@ class SensorCommand(Enum):
     RenderDataCheck = 0x23
 
 
-class SensorSpellings:
+class OpenRaveSensor:
     """OpenRAVE's names of what a `Sensor` has."""
 
     __slots__ = ()
@@ -162,7 +162,7 @@ class SensorSpellings:
         return False
 
 
-class WorldSpellings:
+class OpenRaveWorld:
     """OpenRAVE's names of what a `World` has; an unknown name gives None, as there."""
 
     def GetRobots(self: Any) -> list[Entity]:  # noqa: N802  # OpenRAVE's name

@@ -18,7 +18,7 @@ import numpy as np
 from ssduck import validation as checks
 from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
-from ssduck.world.ticking import Ticked
+from ssduck.world.ticking import SteppedSimulation
 
 # Is told how many simulated seconds were run.
 Watch: TypeAlias = Callable[[float], object]
@@ -29,7 +29,7 @@ _ROUNDING = 1e-6
 
 
 def run(
-    worlds: Sequence[Ticked],
+    worlds: Sequence[SteppedSimulation],
     seconds: float,
     *,
     realtime: bool | float = False,
@@ -66,7 +66,7 @@ class _Lane:
         period: ticks are taken each so many steps, if it is an integer, or seconds.
     """
 
-    def __init__(self, world: Ticked, seconds: float, period: float | None) -> None:
+    def __init__(self, world: SteppedSimulation, seconds: float, period: float | None) -> None:
         self.world = world
         self._timestep = world.timestep
         if not self._timestep:

@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from ssduck.geometry.shapes import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.interface import Contact, Frames, Simulator, View
+from ssduck.simulators.interface import CameraView, Contact, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
-from ssduck.world.layout import Layout, Member
+from ssduck.world.layout import EntityInfo, TableLayout
 
 # Sums of time steps are off by less.
 _ROUNDING = 1e-9
@@ -72,16 +72,16 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class SensorPose:
     """A sensor and where it is: its position (3,) and its matrix (3, 3), in the world."""
 
-    member: Member
+    member: EntityInfo
     position: Array
     matrix: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class TickContext:
     """What is known of a tick when its sensors are read.
 
     Attributes:
@@ -94,7 +94,7 @@ class Scan:
 
     tick: int
     time: float
-    layout: Layout
+    layout: TableLayout
     anew: bool
 
     @cached_property
@@ -113,7 +113,7 @@ class Scan:
         return found
 
 
-class Sensing:
+class SensorReader:
     """The readings of a world's sensors, and which of them are switched on.
 
     Attributes:
@@ -127,9 +127,9 @@ class Sensing:
         self._pictures: dict[int, int] = {}
         self._rays: dict[int, Array] = {}
 
-    def twin(self) -> Sensing:
+    def twin(self) -> SensorReader:
         """The same switches, without a reading."""
-        twin = Sensing()
+        twin = SensorReader()
         twin._off = set(self._off)
         return twin
 
@@ -154,7 +154,7 @@ class Sensing:
         self._forget(id)  # its depth and its colours are of one moment
         return True
 
-    def _forget_gone(self, layout: Layout) -> None:
+    def _forget_gone(self, layout: TableLayout) -> None:
         """Let go of what is kept of sensors that are gone."""
         self._off &= layout.rows.keys()
         self._pictures = {id: at for id, at in self._pictures.items() if id in layout.rows}
@@ -165,7 +165,7 @@ class Sensing:
 
     # -- a tick ---------------------------------------------------------------------------
 
-    def due(self, scan: Scan, sensors: Iterable[Member], *, watched: bool) -> set[int]:
+    def due(self, scan: TickContext, sensors: Iterable[EntityInfo], *, watched: bool) -> set[int]:
         """Those of these sensors that are to be read, by their ids.
 
         Args:
@@ -180,7 +180,7 @@ class Sensing:
             and (scan.anew or self._is_over(member, scan.time, watched=watched))
         }
 
-    def _is_over(self, member: Member, time: float, *, watched: bool) -> bool:
+    def _is_over(self, member: EntityInfo, time: float, *, watched: bool) -> bool:
         reading = self.readings.get(member.id)
         if reading is None or member.sensor is None:
             return True
@@ -192,8 +192,8 @@ class Sensing:
     def read(
         self,
         simulator: Simulator,
-        scan: Scan,
-        posed: Sequence[Posed],
+        scan: TickContext,
+        posed: Sequence[SensorPose],
         contacts: Sequence[Contact],
     ) -> Mapping[int, Reading]:
         """The readings at a tick: new ones of these sensors, the last ones of the others."""
@@ -216,7 +216,7 @@ class Sensing:
         return {**kept, **felt, **self._cast(simulator, scan, seeing)}
 
     def _cast(
-        self, simulator: Simulator, scan: Scan, sensors: Sequence[Posed]
+        self, simulator: Simulator, scan: TickContext, sensors: Sequence[SensorPose]
     ) -> dict[int, Reading]:
         """Cast the rays of these sensors in one go."""
         if not sensors:
@@ -248,7 +248,7 @@ class Sensing:
             )
         return readings
 
-    def _rays_of(self, member: Member) -> Array:
+    def _rays_of(self, member: EntityInfo) -> Array:
         """Where a sensor's rays end at their longest, in its own frame."""
         spec = member.sensor
         if member.id not in self._rays and spec is not None:
@@ -258,7 +258,12 @@ class Sensing:
         return self._rays[member.id]
 
     def _images(
-        self, simulator: Simulator, scan: Scan, sensor: Posed, fractions: Array, entities: Indices
+        self,
+        simulator: Simulator,
+        scan: TickContext,
+        sensor: SensorPose,
+        fractions: Array,
+        entities: Indices,
     ) -> dict[str, Any]:
         """What only a camera has."""
         spec = sensor.member.sensor
@@ -273,12 +278,14 @@ class Sensing:
         }
         asked = self._pictures.get(sensor.member.id)
         if asked is not None and scan.tick - asked <= FORGOTTEN_AFTER:
-            view = View(sensor.position, sensor.matrix, spec.settings["fov"], width, height)
+            view = CameraView(sensor.position, sensor.matrix, spec.settings["fov"], width, height)
             images["image"] = simulator.photograph(view)
         return images
 
 
-def posed(layout: Layout, still: Frames, moving: Frames, ids: set[int]) -> list[Posed]:
+def posed(
+    layout: TableLayout, still: LinkPoses, moving: LinkPoses, ids: set[int]
+) -> list[SensorPose]:
     """Where these sensors are, in the order of the rows."""
     found = []
     for part, frames in ((layout.still, still), (layout.moving, moving)):
@@ -286,27 +293,27 @@ def posed(layout: Layout, still: Frames, moving: Frames, ids: set[int]) -> list[
             continue
         positions, matrices = part.sensor_poses(frames)
         found += [
-            Posed(member, position, matrix)
+            SensorPose(member, position, matrix)
             for member, position, matrix in zip(part.sensors, positions, matrices, strict=True)
             if member.id in ids
         ]
     return sorted(found, key=lambda sensor: layout.rows[sensor.member.id])
 
 
-def has_rays(member: Member) -> bool:
+def has_rays(member: EntityInfo) -> bool:
     """Whether a sensor sees; else it feels."""
     assert member.sensor is not None
     return SENSOR_TYPES[member.sensor.type].rays is not None
 
 
-def _host(member: Member, layout: Layout) -> int:
+def _host(member: EntityInfo, layout: TableLayout) -> int:
     """The handle of the body that a sensor sits on."""
     body = layout.members[layout.rows[member.mount[0]]].body
     assert body is not None
     return body.handle
 
 
-def _touched(member: Member, scan: Scan, contacts: Sequence[Contact]) -> Reading:
+def _touched(member: EntityInfo, scan: TickContext, contacts: Sequence[Contact]) -> Reading:
     """The contacts of the link that a sensor sits on, or of the whole body."""
     host = _host(member, scan.layout)
     spec = member.sensor

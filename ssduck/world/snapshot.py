@@ -21,18 +21,18 @@ from typing import Any
 import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
-from ssduck.geometry.batch import Sorts
-from ssduck.geometry.distance import Counter
-from ssduck.geometry.narrow_phase import Narrow
-from ssduck.geometry.queries import Shapes
+from ssduck.geometry.batch import ShapeTable
+from ssduck.geometry.distance import CallCounter
+from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Array, Geometry, Indices
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.schema import FORGOTTEN_AFTER, TABLES
-from ssduck.simulators.interface import Body, Contact, Frames, Simulator
-from ssduck.world.layout import Layout, Member, Part
+from ssduck.simulators.interface import Body, Contact, LinkPoses, Simulator
+from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.run_numbers import new_run
-from ssduck.world.sensor_readings import Reading, Scan, Sensing, has_rays, posed
+from ssduck.world.sensor_readings import Reading, SensorReader, TickContext, has_rays, posed
 
 ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
 
@@ -60,16 +60,16 @@ class Snapshot:
         self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
         self.number = 0
         self.time = 0.0
-        self.listed: list[Member] = []
+        self.listed: list[EntityInfo] = []
         self.untold: Mapping[str, str] = {}
         # Whether all ticks to be taken are one: poses that were given, or recorded.
         self._is_final = False
         self._is_past = False
-        self._layout = Layout((), watched=False)
+        self._layout = TableLayout((), watched=False)
         # What cannot move is read once; None if that has to be done (again).
-        self._still: Frames | None = None
+        self._still: LinkPoses | None = None
         # What the tables tell of: the frames of what cannot move, and of the rest.
-        self._frames: tuple[Frames, ...] = ()
+        self._frames: tuple[LinkPoses, ...] = ()
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
         self._asked: dict[str, int] = {}
@@ -77,10 +77,10 @@ class Snapshot:
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
         self.geometries: dict[str, int] = {} if geometries is None else geometries
-        self.sensing = Sensing()
-        self.calls = Counter()
-        self._shapes: Shapes | None = None
-        self._solids: tuple[Layout, Any] | None = None
+        self.sensing = SensorReader()
+        self.calls = CallCounter()
+        self._shapes: ShapeQueries | None = None
+        self._solids: tuple[TableLayout, Any] | None = None
         # When each sensor was asked for by itself, and which are as they are at this tick.
         self._asked_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
@@ -92,7 +92,7 @@ class Snapshot:
         self.masses: dict[int, list[float]] = {}
 
     @property
-    def members(self) -> Sequence[Member]:
+    def members(self) -> Sequence[EntityInfo]:
         """The entities by row: sensors first, then bodies."""
         return self._layout.members
 
@@ -102,7 +102,7 @@ class Snapshot:
         return self._layout.rows
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> TableLayout:
         """Where the entities go in the tables; the same object as long as they are the same."""
         return self._layout
 
@@ -112,7 +112,7 @@ class Snapshot:
         return all(table.whole for table in self.tables.values())
 
     @property
-    def parts(self) -> Iterator[tuple[Part, Frames]]:
+    def parts(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
         """The bodies that are read together, and where their frames are at this tick."""
         return zip((self._layout.still, self._layout.moving), self._frames, strict=True)
 
@@ -149,7 +149,7 @@ class Snapshot:
         for name in untold:
             twin.tables[name].fill(0, {})
         twin.untold = untold
-        twin.calls, twin._shapes = Counter(), None  # noqa: SLF001
+        twin.calls, twin._shapes = CallCounter(), None  # noqa: SLF001
         twin.sensing = self.sensing.twin()
         twin._is_final = True  # noqa: SLF001  # one class
         twin._asked, twin._read = {}, frozenset()  # noqa: SLF001
@@ -179,7 +179,7 @@ class Snapshot:
 
     # -- what is in the world -------------------------------------------------------------
 
-    def _lay_out(self, layout: Layout) -> None:
+    def _lay_out(self, layout: TableLayout) -> None:
         """Make the tables anew for these entities."""
         self._layout = layout
         listed = layout.members
@@ -263,12 +263,12 @@ class Snapshot:
         """The number of a geometry in the table of geometries: equal ones have one."""
         return self.geometries.setdefault(geometry.key, len(self.geometries) + 1)
 
-    def shapes(self) -> Shapes:
+    def shapes(self) -> ShapeQueries:
         """The shapes of this tick, to be compared; the table of shapes has to be asked for."""
         if self._shapes is None:
             solids, of, starts, numbers, sorts = self._sorted
             table = self.tables["shapes"]
-            narrow = Narrow(
+            narrow = NarrowPhase(
                 solids,
                 of,
                 table.reals("x", "z").T.copy(),
@@ -280,11 +280,11 @@ class Snapshot:
             )
             entities = self.tables["entities"]
             boxes = entities.reals("xmin", "zmax").copy()
-            self._shapes = Shapes(narrow, numbers, sorts, boxes, entities["id"].copy())
+            self._shapes = ShapeQueries(narrow, numbers, sorts, boxes, entities["id"].copy())
         return self._shapes
 
     @property
-    def _sorted(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], Sorts]:
+    def _sorted(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], ShapeTable]:
         """The solids, which one each shape is, where those of each entity begin, its number."""
         if self._solids is None or self._solids[0] is not self._layout:
             bodies = self._layout.bodies
@@ -301,7 +301,13 @@ class Snapshot:
             without = [member.id for member in self.members if member.body is None]
             numbers |= dict.fromkeys(without, len(bodies))
             owners = np.repeat(np.arange(len(bodies)), counts)
-            found = solids, of, [*starts, starts[-1]], numbers, Sorts(solids, of, owners, margins)
+            found = (
+                solids,
+                of,
+                [*starts, starts[-1]],
+                numbers,
+                ShapeTable(solids, of, owners, margins),
+            )
             self._solids = self._layout, found
         return self._solids[1]
 
@@ -389,7 +395,7 @@ class Snapshot:
 
     # A simulation that explodes has infinite numbers; it is told of in `_finish`.
     @np.errstate(invalid="ignore")
-    def take(self, simulator: Simulator, members: list[Member]) -> None:
+    def take(self, simulator: Simulator, members: list[EntityInfo]) -> None:
         """Read a tick: the entities, and the tables that were asked for.
 
         Args:
@@ -397,7 +403,7 @@ class Snapshot:
             members: the entities in load order; the same object as long as they are the same.
         """
         same = members is self.listed
-        layout = self._layout if same else Layout(members, simulator.watched)
+        layout = self._layout if same else TableLayout(members, simulator.watched)
         coming = self.number + (not self._is_final)
         wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
         wanted |= self.recorded
@@ -410,7 +416,7 @@ class Snapshot:
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
             joints = simulator.read_joints(jointed)
-        scan = Scan(coming, simulator.time, layout, anew=still is not self._still)
+        scan = TickContext(coming, simulator.time, layout, anew=still is not self._still)
         perceiving = self._perceiving(layout, coming, together="sensings" in wanted)
         due = self.sensing.due(scan, perceiving, watched=simulator.watched)
         sensors = posed(layout, still, moving, due)
@@ -448,7 +454,7 @@ class Snapshot:
         if same:  # else all columns are made anew
             self.tables["entities"].put(self._flag_columns())
 
-    def _perceiving(self, layout: Layout, coming: int, *, together: bool) -> list[Member]:
+    def _perceiving(self, layout: TableLayout, coming: int, *, together: bool) -> list[EntityInfo]:
         """The sensors that are asked for: all of them together, or some."""
         asked = {id: at for id, at in self._asked_sensors.items() if coming - at <= FORGOTTEN_AFTER}
         self._asked_sensors = asked
@@ -457,7 +463,7 @@ class Snapshot:
         sensors = [member for member in layout.members if member.sensor is not None]
         return sensors if together else [member for member in sensors if member.id in asked]
 
-    def _write_frames(self, still: Frames, moving: Frames, *, anew: bool) -> None:
+    def _write_frames(self, still: LinkPoses, moving: LinkPoses, *, anew: bool) -> None:
         """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""
         layout = self._layout
         entities = self.tables["entities"].reals("x", "zmax")

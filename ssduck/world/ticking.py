@@ -15,9 +15,9 @@ from ssduck.errors import ArgumentError, NumberError, SelectScriptError, Simulat
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Simulator
-from ssduck.simulators.static import Posed
-from ssduck.world.entity_registry import Members
-from ssduck.world.observers import Followed
+from ssduck.simulators.static import StaticSimulator
+from ssduck.world.entity_registry import EntityRegistry
+from ssduck.world.observers import Observable
 from ssduck.world.snapshot import Snapshot
 
 _serials = count()
@@ -41,7 +41,7 @@ class TickSink(Protocol):
         """Take note of masses that were read anew."""
 
 
-class Ticked(Followed):
+class SteppedSimulation(Observable):
     """A simulator and the last tick that was taken of it.
 
     Attributes:
@@ -60,7 +60,7 @@ class Ticked(Followed):
         self._queries = 0
         self._waiting = 0
         self._simulator = simulator
-        self._members = Members(snapshot.listed)
+        self._members = EntityRegistry(snapshot.listed)
         self._recorders: list[weakref.ref[TickSink]] = []
 
     @property
@@ -273,7 +273,7 @@ class Ticked(Followed):
     @property
     def is_final(self) -> bool:
         """Whether no other tick of it will come: it is a what-if world, or a past one."""
-        return isinstance(self._simulator, Posed)
+        return isinstance(self._simulator, StaticSimulator)
 
 
 def _parts(count: int, most: int) -> Iterator[int]:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from ssduck.geometry.shapes import Array
-from ssduck.simulators.interface import Body, Frames
+from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.kinematics import Pose, moved
-from ssduck.simulators.static import Posed
-from ssduck.world.layout import Part
+from ssduck.simulators.static import StaticSimulator
+from ssduck.world.layout import BodyGroup
 from ssduck.world.snapshot import Snapshot
 
 UNTOLD = {
@@ -25,7 +25,7 @@ UNTOLD = {
 @np.errstate(invalid="ignore")
 def imagined(
     snapshot: Snapshot, places: Mapping[Body, Pose], joints: Mapping[Body, Mapping[int, float]]
-) -> tuple[Posed, Snapshot]:
+) -> tuple[StaticSimulator, Snapshot]:
     """What stands for a simulator, and the snapshot to be taken of it.
 
     Args:
@@ -46,7 +46,7 @@ def imagined(
         frames[part.bodies] = _changed(part, known, changed, places, further)
         if changed:
             twin.read_all_anew()
-    posed = Posed(
+    posed = StaticSimulator(
         time=snapshot.time,
         frames=frames,
         joints={body: _joints(states, joints.get(body, {})) for body, states in told.items()},
@@ -57,12 +57,12 @@ def imagined(
 
 
 def _changed(
-    part: Part,
-    frames: Frames,
+    part: BodyGroup,
+    frames: LinkPoses,
     bodies: list[Body],
     places: Mapping[Body, Pose],
     further: Mapping[Body, Mapping[int, float]],
-) -> Frames:
+) -> LinkPoses:
     """The frames with these bodies elsewhere."""
     if not bodies:
         return frames
@@ -70,10 +70,10 @@ def _changed(
     states = frames.states.copy()
     for body in bodies:
         run = part.runs[body]
-        own = Frames(positions[run], matrices[run], states[run])
+        own = LinkPoses(positions[run], matrices[run], states[run])
         new = moved(body, own, places.get(body), further.get(body, {}))
         positions[run], matrices[run], states[run] = new.positions, new.matrices, new.states
-    return Frames(positions, matrices, states)
+    return LinkPoses(positions, matrices, states)
 
 
 def _joints(states: Array, positions: Mapping[int, float]) -> Array:

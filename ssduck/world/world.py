@@ -36,8 +36,8 @@ from ssduck.simulators.kinematics import (
 from ssduck.simulators.scenes import Camera, Scene, SensorSpec, variable_name
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.excerpt import excerpt
-from ssduck.world.manipulation import Handled
-from ssduck.world.openrave_names import WorldSpellings
+from ssduck.world.manipulation import ManipulableSimulation
+from ssduck.world.openrave_names import OpenRaveWorld
 from ssduck.world.running import run
 from ssduck.world.scene_export import new_folder, scene_of, write_scene
 from ssduck.world.sensor_readings import Reading
@@ -50,7 +50,7 @@ T = TypeVar("T")
 UNNAMED = "world"
 
 
-class World(Handled, WorldSpellings):
+class World(ManipulableSimulation, OpenRaveWorld):
     """One simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables

@@ -12,7 +12,7 @@ from rich.cells import cell_len
 
 import ssduck
 from ssduck.adapters.display import answer_of, fitted
-from ssduck.adapters.table_view import Shown
+from ssduck.adapters.table_view import TableView
 from ssduck.adapters.text_table import elided
 
 WIDE = [{f"column_{n}": n * 1.5 for n in range(31)} for _ in range(4)]
@@ -109,9 +109,9 @@ def test_elided(text, width, expected):
 def test_rows_beyond_are_counted_with_the_columns():
     rows = [dict.fromkeys(range(40), n) for n in range(30)]
     text = rich.console.Console(file=io.StringIO(), width=60)
-    text.print(Shown(rows))
+    text.print(TableView(rows))
     assert "first 20 of 30 rows, 40 columns (" in text.file.getvalue()
-    assert len(repr(Shown(rows)).splitlines()[0].split()) == 40  # no terminal: whole
+    assert len(repr(TableView(rows)).splitlines()[0].split()) == 40  # no terminal: whole
 
 
 def test_shown_on_a_terminal_fits(monkeypatch):
@@ -146,6 +146,6 @@ def test_types_are_called_as_duckdb_calls_them():
 
 
 def test_a_notebook_scrolls_a_wide_table():
-    page = Shown(WIDE)._repr_html_()
+    page = TableView(WIDE)._repr_html_()
     assert page.startswith('<div style="overflow-x: auto"><table>')
     assert page.count("<th>") == 31

@@ -22,7 +22,7 @@ import ssduck
 from ssduck.adapters.columns import array_of
 from ssduck.adapters.registry import find
 from ssduck.adapters.result import Result
-from ssduck.adapters.table_view import Shown
+from ssduck.adapters.table_view import TableView
 from ssduck.errors import ArgumentError, LimitError, UnsupportedError
 
 ROBOTS = "SELECT id, position, z, isRobot, obj FROM kitchen WHERE isRobot(this) AS"
@@ -427,17 +427,17 @@ SHOWN = [
 
 @pytest.mark.parametrize(("value", "text"), SHOWN)
 def test_shown_values(value, text):
-    assert repr(Shown(value)) == text
+    assert repr(TableView(value)) == text
 
 
 def test_shown_in_a_notebook():
-    page = Shown([{"<b>": f"<i>{n}"} for n in range(143)])._repr_html_()
+    page = TableView([{"<b>": f"<i>{n}"} for n in range(143)])._repr_html_()
     assert "<th>&lt;b&gt;</th>" in page
     assert "<td>&lt;i&gt;19</td>" in page
     assert "19" in page
     assert "&lt;i&gt;20" not in page
     assert page.endswith("<p>first 20 of 143 rows</p>")
-    assert "first" not in Shown([{"n": n} for n in range(20)])._repr_html_()
+    assert "first" not in TableView([{"n": n} for n in range(20)])._repr_html_()
 
 
 def test_shown_by_rich(kitchen):

@@ -150,7 +150,7 @@ def test_what_an_earlier_statement_raised_is_not_raised_again(database):
 class Work:
     def __init__(self):
         self.stops = 0
-        self.listening = ctrl_c.Listening(self.stop)
+        self.listening = ctrl_c.InterruptListener(self.stop)
 
     def stop(self):
         self.stops += 1
@@ -158,7 +158,7 @@ class Work:
 
 def test_the_thread_stops_who_listens():
     stopped = threading.Event()
-    listening = ctrl_c.Listening(stopped.set)
+    listening = ctrl_c.InterruptListener(stopped.set)
     listening.enter()
     with pytest.raises(KeyboardInterrupt):
         press()
@@ -260,8 +260,8 @@ def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
 # -- nothing stays behind -------------------------------------------------------------------
 
 OURS = {
-    ctrl_c.Listening.enter.__code__,
-    ctrl_c.Listening.leave.__code__,
+    ctrl_c.InterruptListener.enter.__code__,
+    ctrl_c.InterruptListener.leave.__code__,
     Connection._told.__code__,
     Connection._in_time.__code__,
 }

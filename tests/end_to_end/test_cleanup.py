@@ -14,7 +14,7 @@ from ssduck.demos.motion import cleaner as cleaner_module
 from ssduck.demos.motion.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
 from ssduck.demos.motion.driving import FASTEST, SWIFTEST, legs, timed
 from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import Surroundings, walls_of
+from ssduck.demos.motion.obstacles import Obstacles, walls_of
 from ssduck.demos.motion.planning import length, plan, shortened
 from ssduck.demos.motion.spaces import wrapped
 from ssduck.simulators.scenes import find_scene
@@ -113,7 +113,7 @@ def test_clear_is_what_clearances_say(few, barrett, chain, apart):
     rng = np.random.default_rng(5)  # bent over the table
     all_of[:, chain.columns(["j1"])] = rng.uniform(-2.2, -0.8, (20, 1))
     all_of[:, chain.columns(["j2"])] = rng.uniform(0.6, 1.5, (20, 1))
-    around = Surroundings(chain, barrett, [wall for other in others for wall in walls_of(other)])
+    around = Obstacles(chain, barrett, [wall for other in others for wall in walls_of(other)])
     found = around.clear(np.tile(near_the_table, (20, 1, 1)), all_of, apart)
     expected = []
     for posture in all_of:
@@ -132,7 +132,7 @@ def test_clear_is_what_clearances_say(few, barrett, chain, apart):
 
 
 def test_an_arm_that_would_be_in_the_base_is_not_clear(barrett, chain):
-    around = Surroundings(chain, barrett, (), hand=chain.beyond("arm7"))
+    around = Obstacles(chain, barrett, (), hand=chain.beyond("arm7"))
     base, now = chain.now(barrett)
     inside = now.copy()
     inside[chain.columns(["j1", "j2", "j4"])] = 0.0, 2.0, 1.6

@@ -28,7 +28,7 @@ from ssduck.demos import (
     robots,
     run_of,
 )
-from ssduck.demos.grid import Grid, free_cells, shortest_way
+from ssduck.demos.grid import SearchGrid, free_cells, shortest_way
 from ssduck.demos.placing import Placing
 from ssduck.demos.results import keep
 from ssduck.errors import SelectScriptError
@@ -165,7 +165,7 @@ def test_a_way_to_where_one_is():
 
 def test_free_cells_are_those_where_nothing_is_near():
     """The record and the narrow phase of one tick, against what-if worlds one by one."""
-    grid = Grid((0.7, 3.3), 0.7, (6, 4))
+    grid = SearchGrid((0.7, 3.3), 0.7, (6, 4))
     with ssduck.load("hall") as ss:
         hall = ss.call_variable("hall")
         placing = Placing(hall, hall["rover"], 0.1, ignored=("floor", "goal"))
@@ -207,7 +207,7 @@ def test_reasoning(tmp_path):
 
 def test_no_way_to_a_cell_beyond_the_grid(monkeypatch):
     """Of a grid of four cells the goal is none."""
-    monkeypatch.setattr(reasoning, "GRID", Grid((0.6, 0.6), 0.4, (2, 2)))
+    monkeypatch.setattr(reasoning, "GRID", SearchGrid((0.6, 0.6), 0.4, (2, 2)))
     said = []
     with ssduck.load("hall") as ss:
         assert reasoning.found_way(ss, (0, 0), (5, 5), said.append) == []

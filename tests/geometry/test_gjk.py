@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ssduck.geometry import gjk
-from ssduck.geometry.batch import Question, box_depths
+from ssduck.geometry.batch import PairPredicate, box_depths
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, compare
 from ssduck.geometry.narrow_phase import COLLIDES
-from ssduck.geometry.queries import FEW, Shapes
+from ssduck.geometry.queries import FEW, ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import MOST_IDS
@@ -34,7 +34,7 @@ from tests.support.solids import (
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))
-COLLIDE = Question("colliding", COLLIDES)
+COLLIDE = PairPredicate("colliding", COLLIDES)
 BOUNDS = (-COLLIDES, 0.0, 1e-3, 0.05, 0.3)
 
 
@@ -216,7 +216,7 @@ def test_all_pairs_of_a_tick(seed, is_round):
     gaps = {pair: alone.clearance(*pair) for pair in every}
     for apart in APART:
         near = [pair for pair in every if gaps[pair] is not None and gaps[pair] <= apart]
-        assert together.all_of(Question("within", apart), sorts).pairs == near
+        assert together.all_of(PairPredicate("within", apart), sorts).pairs == near
         asked = narrow(*entities)  # anew: what is farther need not be known
         found = {pair: asked.clearance(*pair, apart) for pair in every}
         assert [
@@ -227,7 +227,7 @@ def test_all_pairs_of_a_tick(seed, is_round):
 @pytest.mark.parametrize("apart", [-1e-9, -1.0, -math.inf, math.nan])
 def test_nothing_is_nearer_than_nothing(apart):
     tick = narrow([(box(), (0, 0, 0))], [(box(), (0.5, 0, 0))])
-    assert tick.all_of(Question("within", apart), sorts_of(tick)).pairs == []
+    assert tick.all_of(PairPredicate("within", apart), sorts_of(tick)).pairs == []
     assert tick.calls.pairs == 0
 
 
@@ -250,7 +250,7 @@ def test_at_the_bound(name, apart):
     a, b, touching = BESIDE[name]
     for more, expected in ((-1e-7, True), (0.0, None), (1e-7, False)):
         tick = narrow([(a, (0, 0, 0))], [(b, (touching + apart + more, 0, 0))])
-        found = tick.all_of(Question("within", apart), sorts_of(tick)).pairs == [(0, 1)]
+        found = tick.all_of(PairPredicate("within", apart), sorts_of(tick)).pairs == [(0, 1)]
         assert found is (tick.clearance(0, 1) <= apart)
         assert expected is None or found is expected
 
@@ -273,7 +273,7 @@ def test_sizes_beyond_any_scene(solid, size):
     sorts = sorts_of(tick)
     expected = [(0, 1), (0, 2), (1, 2)] if size > 1 else [(0, 2), (1, 2)]
     assert tick.all_of(COLLIDE, sorts).pairs == expected
-    assert tick.all_of(Question("within", 0.1), sorts).pairs == [(0, 1), (0, 2), (1, 2)]
+    assert tick.all_of(PairPredicate("within", 0.1), sorts).pairs == [(0, 1), (0, 2), (1, 2)]
 
 
 # Of a body of a metre.
@@ -302,7 +302,7 @@ def test_of_convex_shapes_fcl_is_not_asked():
     tick = narrow(*convex_crowd(300))
     sorts = sorts_of(tick)
     assert len(tick.all_of(COLLIDE, sorts).numbers) > 100
-    assert len(tick.all_of(Question("within", 0.01), sorts).numbers) > 100
+    assert len(tick.all_of(PairPredicate("within", 0.01), sorts).numbers) > 100
     assert tick.calls.calls == 0
     assert not tick._placed
 
@@ -317,11 +317,11 @@ def test_pairs_count_once_a_tick():
     tick.all_of(COLLIDE, sorts)
     assert tick.calls.pairs == len(meeting)
     for _ in range(2):
-        tick.all_of(Question("within", 0.1), sorts)
-        tick.all_of(Question("within", 0.05), sorts)
+        tick.all_of(PairPredicate("within", 0.1), sorts)
+        tick.all_of(PairPredicate("within", 0.05), sorts)
         tick.all_of(COLLIDE, sorts)
         assert tick.calls.pairs == len(near) > len(meeting)
-    shapes = Shapes(tick, {10 * n: n for n in range(60)}, sorts, BOXES, np.zeros(0, np.int64))
+    shapes = ShapeQueries(tick, {10 * n: n for n in range(60)}, sorts, BOXES, np.zeros(0, np.int64))
     for i, j in sorted(near)[:5]:
         shapes.collides(10 * i, 10 * j, COLLIDES)
         shapes.near(10 * j, 10 * i, 0.1)
@@ -335,7 +335,7 @@ def test_many_questions_are_answered_together():
     entities = [*convex_crowd(150), [(box(), (math.nan, 0, 0))], [(box(), (0, 0, 0))]]
     tick, alone = narrow(*entities), narrow(*entities)
     numbers = {n: n for n in range(len(entities))}
-    shapes = Shapes(tick, numbers, sorts_of(tick), BOXES, np.zeros(0, np.int64))
+    shapes = ShapeQueries(tick, numbers, sorts_of(tick), BOXES, np.zeros(0, np.int64))
     every = list(itertools.combinations(numbers, 2))
     meeting = [pair for pair in every if boxes_apart(tick, *pair) <= 0.05]
     unknown = [(149, 150), (151, 150)]
@@ -349,7 +349,9 @@ def test_many_questions_are_answered_together():
 
 def test_ids_of_all_that_are_near():
     tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
-    shapes = Shapes(tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64))
+    shapes = ShapeQueries(
+        tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64)
+    )
     assert shapes.all_within(0.4) == []
     pairs = [divmod(number, MOST_IDS) for number in shapes.all_within(0.5)]
     assert pairs == [(3, 5), (3, 7), (5, 3), (7, 3)]

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from ssduck.geometry.batch import Question, entities_of, pair_number
+from ssduck.geometry.batch import PairPredicate, entities_of, pair_number
 from ssduck.geometry.narrow_phase import COLLIDES
 from tests.support import hollows, pairs
 from tests.support.solids import narrow, sorts_of
@@ -86,10 +86,10 @@ def test_all_forms_agree_on_what_is_in_holes(seed):
 def questions(gaps):
     """Questions whose answers differ just there."""
     for apart in sorted(set().union(*map(limits, gaps))):
-        yield Question("within", apart)
-        yield Question("touching", apart)
+        yield PairPredicate("within", apart)
+        yield PairPredicate("touching", apart)
     deep = {COLLIDES, 1e-3, *(-gap * share for gap in gaps if gap < -1e-5 for share in (0.5, 2.0))}
-    yield from (Question("colliding", depth) for depth in sorted(deep))
+    yield from (PairPredicate("colliding", depth) for depth in sorted(deep))
 
 
 def holds(question, gap):

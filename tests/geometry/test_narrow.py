@@ -19,10 +19,10 @@ from ssduck.geometry import common_volume as volumes
 from ssduck.geometry import containment as overlap
 from ssduck.geometry import surfaces
 from ssduck.geometry.containment import hull_around, share_inside
-from ssduck.geometry.distance import Counter
+from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.mesh_distance import triangle_depths
-from ssduck.geometry.narrow_phase import Narrow
-from ssduck.geometry.placed_solid import Placed
+from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.surfaces import Surface
@@ -310,14 +310,14 @@ NO_SHAPES = [
 def test_numbers_that_make_no_shape_are_unknown(geometry):
     solid = solid_of(geometry)
     boxes = np.array([[-1.0] * 3 + [1.0] * 3] * 2)
-    tick = Narrow(
+    tick = NarrowPhase(
         [solid, solid_of(box())],
         np.arange(2),
         np.zeros((2, 3)),
         np.tile(STRAIGHT, (2, 1)),
         boxes,
         [0, 1, 2],
-        Counter(),
+        CallCounter(),
     )
     assert tick.collides(0, 1) is None
     assert tick.clearance(1, 0) is None
@@ -1085,10 +1085,10 @@ def test_large_meshes_are_compared_where_they_meet(monkeypatch):
 
 
 def test_hulls_of_half_spaces():
-    ground = Placed(solid_of(plane()), ORIGIN, STRAIGHT)
-    wall = Placed(solid_of(plane((1, 0, 0))), ORIGIN, STRAIGHT)
-    block = Placed(solid_of(box()), (0.0, 0.0, 0.5), STRAIGHT)
-    high = Placed(solid_of(box()), (9.0, 9.0, 1.0), STRAIGHT)
+    ground = PlacedSolid(solid_of(plane()), ORIGIN, STRAIGHT)
+    wall = PlacedSolid(solid_of(plane((1, 0, 0))), ORIGIN, STRAIGHT)
+    block = PlacedSolid(solid_of(box()), (0.0, 0.0, 0.5), STRAIGHT)
+    high = PlacedSolid(solid_of(box()), (9.0, 9.0, 1.0), STRAIGHT)
     assert share_inside(hull_around([ground, block]), [high]) == pytest.approx(0.5)
     assert share_inside(hull_around([ground, wall]), [high]) == 1.0
     assert share_inside(hull_around([ground, wall]), [ground]) == 1.0

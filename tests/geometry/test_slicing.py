@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from ssduck.geometry.raster import ROUNDED, Raster
-from ssduck.geometry.rasterize import Slicer
+from ssduck.geometry.rasterize import Rasterizer
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids, solid_of
 
@@ -84,7 +84,7 @@ def met_by_fcl(geometry, place, turn, low, high, larger):
 @pytest.mark.parametrize("kind", CONVEX)
 def test_convex_shapes_meet_the_cells_that_fcl_says(kind, turn):
     geometry, place = CONVEX[kind], [0.013, -0.027, 0.031]
-    slicer = Slicer(placed((geometry, place, TURNS[turn])))
+    slicer = Rasterizer(placed((geometry, place, TURNS[turn])))
     for low, high in SLABS:
         cells = slicer.cells(RASTER, low, high)
         arguments = geometry, place, TURNS[turn], low, high
@@ -103,11 +103,11 @@ def test_discs_are_exact(height):
         np.maximum(abs(RASTER.centres(axis) - centre[axis]) - RASTER.size / 2, 0) for axis in (0, 1)
     )
     met = np.hypot(x[:, None], y) <= radius
-    assert np.array_equal(Slicer(sphere).cells(RASTER, height, height), met)
+    assert np.array_equal(Rasterizer(sphere).cells(RASTER, height, height), met)
     upright = placed(
         (Geometry.primitive("cylinder", (radius, 1, 0)), [*centre, 0.1], TURNS["upright"])
     )
-    assert np.array_equal(Slicer(upright).cells(RASTER, height, height), met)
+    assert np.array_equal(Rasterizer(upright).cells(RASTER, height, height), met)
 
 
 @pytest.mark.parametrize("angle", [0, 10, 45, 89.5, 90, 200])
@@ -127,7 +127,7 @@ def test_turned_boxes_are_exact(angle):
         middle, half = centres @ axis, abs(axis).sum() * RASTER.size / 2
         spread = corners @ axis
         met &= (middle - half < spread.max() - 1e-9) & (middle + half > spread.min() + 1e-9)
-    assert np.array_equal(Slicer(box).cells(RASTER, 0.1, 0.1), met)
+    assert np.array_equal(Rasterizer(box).cells(RASTER, 0.1, 0.1), met)
 
 
 TINY = 1e-6
@@ -145,7 +145,7 @@ def test_the_sides_of_a_box(side, off):
     size, middle = high - low, (low + high) / 2
     raster = Raster((0.0, 0.0), 0.1, (10, 10))
     box = Geometry.primitive("box", (*size, 1.0))
-    cells = Slicer(placed((box, [*middle, 0.0], Rotation.identity()))).cells(raster, 0.0, 0.0)
+    cells = Rasterizer(placed((box, [*middle, 0.0], Rotation.identity()))).cells(raster, 0.0, 0.0)
     first, last = np.array([2, 3]), np.array([4, 6])
     if off > 0 and side < 2:
         first[side] -= 1
@@ -176,7 +176,7 @@ def test_the_top_and_the_bottom(kind, low, high, reach, met):
         "cylinder": Geometry.primitive("cylinder", (0.2, 1.0, 0)),
         "mesh": prism([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.0), (0, 0), (0, 0.2), (-0.2, 0.2)], 0.5),
     }
-    slicer = Slicer(placed((shapes[kind], [0, 0, 0], Rotation.identity())))
+    slicer = Rasterizer(placed((shapes[kind], [0, 0, 0], Rotation.identity())))
     assert slicer.cells(RASTER, low, high, reach=reach).any() == met
 
 
@@ -209,7 +209,7 @@ def test_a_closed_mesh_is_solid():
     mesh = prism(ELL, 0.4)
     assert solid_of(mesh).type == "mesh"
     assert solid_of(mesh).closed
-    slicer = Slicer(placed((mesh, [0, 0, 0], Rotation.identity())))
+    slicer = Rasterizer(placed((mesh, [0, 0, 0], Rotation.identity())))
     for low, high in ((0.0, 0.0), (0.4, 0.4), (-1, 1), (0.39, 2)):
         assert np.array_equal(slicer.cells(raster, low, high), inside), (low, high)
 
@@ -217,7 +217,7 @@ def test_a_closed_mesh_is_solid():
 def test_an_open_mesh_is_its_walls():
     raster = Raster((-0.75, -0.75), 0.1, (15, 15))
     mesh = prism(ELL, 0.4, lids=False)
-    cells = Slicer(placed((mesh, [0, 0, 0], Rotation.identity()))).cells(raster, 0.1, 0.1)
+    cells = Rasterizer(placed((mesh, [0, 0, 0], Rotation.identity()))).cells(raster, 0.1, 0.1)
     x, y = np.meshgrid(raster.centres(0), raster.centres(1), indexing="ij")
     on = lambda a, b: abs(a - b) < 0.04  # noqa: E731
     walls = (on(abs(x), 0.5) & (abs(y) < 0.54)) | (on(abs(y), 0.5) & (abs(x) < 0.54))
@@ -236,7 +236,7 @@ def test_a_wall_between_two_cells_is_in_both(off):
         np.array([[0, 1, 2]], np.int32),
     )
     raster = Raster((-0.1, -0.1), 0.1, (2, 2))
-    cells = Slicer(placed((wall, [off, 0, 0], Rotation.identity()))).cells(raster, 0.0, 0.0)
+    cells = Rasterizer(placed((wall, [off, 0, 0], Rotation.identity()))).cells(raster, 0.0, 0.0)
     assert cells.any(axis=1).tolist() == [off <= 0, off >= 0]
 
 
@@ -256,7 +256,7 @@ def test_a_torus(turn, height):
     mesh = Geometry("mesh", (0, 0, 0), np.array(torus.vertices), np.array(torus.faces, np.int32))
     place = [0.01, 0.02, 0.03]
     raster = Raster((-0.8, -0.8), 0.05, (32, 33))
-    cells = Slicer(placed((mesh, place, TURNS[turn]))).cells(raster, height, height)
+    cells = Rasterizer(placed((mesh, place, TURNS[turn]))).cells(raster, height, height)
     triangles = TURNS[turn].apply(torus.vertices)[torus.faces] + place
     near = np.array([-0.499, 0, 0.499]) * raster.size
     inside = np.zeros((9, *raster.shape), bool)
@@ -278,32 +278,32 @@ def test_a_torus(turn, height):
 
 def test_planes_are_solid():
     up = Geometry.primitive("plane", (0, 0, 1))
-    slicer = Slicer(placed((up, [0, 0, 0.2], Rotation.identity())))
+    slicer = Rasterizer(placed((up, [0, 0, 0.2], Rotation.identity())))
     assert slicer.cells(RASTER, 0.2, 0.2).all()
     assert not slicer.cells(RASTER, 0.2 + TINY, 0.3).any()
     assert not slicer.cells(RASTER, 0.2, 0.3, reach=ROUNDED).any()
-    steep = Slicer(
+    steep = Rasterizer(
         placed((Geometry.primitive("plane", (1, 0, 0)), [0.05, 0, 0], Rotation.identity()))
     )
     assert np.array_equal(steep.cells(RASTER, 0, 0).all(axis=1), RASTER.centres(0) < 0.05)
 
 
 def test_nothing_and_points():
-    empty = Slicer(PlacedSolids.none())
+    empty = Rasterizer(PlacedSolids.none())
     assert not empty.cells(RASTER, -1, 1).any()
     point = placed((Geometry.primitive("sphere", (0, 0, 0)), [0.01, 0.01, 0], Rotation.identity()))
-    assert Slicer(point).cells(RASTER, 0, 0).sum() == 1
+    assert Rasterizer(point).cells(RASTER, 0, 0).sum() == 1
     flat = placed(
         (Geometry.hull([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0]]), [0.01, 0.01, 0], Rotation.identity())
     )
-    assert Slicer(flat).cells(RASTER, 0, 0).sum() == 15
+    assert Rasterizer(flat).cells(RASTER, 0, 0).sum() == 15
 
 
 def test_bunches_change_nothing(monkeypatch):
     shapes = [(CONVEX["hull"], RNG.uniform(-0.5, 0.5, 3), Rotation.random(rng=k)) for k in range(9)]
     shapes += [(prism(ELL, 0.3), RNG.uniform(-0.5, 0.5, 3), Rotation.random(rng=9))]
-    whole = Slicer(placed(*shapes)).cells(RASTER, -0.1, 0.1)
+    whole = Rasterizer(placed(*shapes)).cells(RASTER, -0.1, 0.1)
     monkeypatch.setattr("ssduck.geometry.rasterize.TOGETHER", 7)
-    assert np.array_equal(Slicer(placed(*shapes)).cells(RASTER, -0.1, 0.1), whole)
-    alone = [Slicer(placed(shape)).cells(RASTER, -0.1, 0.1) for shape in shapes]
+    assert np.array_equal(Rasterizer(placed(*shapes)).cells(RASTER, -0.1, 0.1), whole)
+    alone = [Rasterizer(placed(shape)).cells(RASTER, -0.1, 0.1) for shape in shapes]
     assert np.array_equal(np.any(alone, axis=0), whole)

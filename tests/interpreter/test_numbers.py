@@ -19,11 +19,11 @@ from typer.testing import CliRunner
 import ssduck
 from ssduck.adapters import grid_values as grids
 from ssduck.adapters.result import Result
-from ssduck.adapters.table_view import Shown
+from ssduck.adapters.table_view import TableView
 from ssduck.cli.app import app
 from ssduck.errors import SelectScriptError
 from ssduck.openrave import OccupancyGridMap
-from ssduck.recording.replay.replayed_world import RecordedWorld
+from ssduck.recording.replay.replayed_world import ReplayedWorld
 
 HUGE = 10**400
 NO_NUMBERS = ["1", "", None, [1], {}, 1j, math.nan, True, False]
@@ -184,7 +184,7 @@ CALLS = {
     "Interpreter.add_trigger(rows)": ("bool", False, lambda t, v: trigger(t, rows=v)),
     "Interpreter.add_trigger(queue)": ("above 0", True, lambda t, v: trigger(t, queue=v)),
     "Result.fetchmany(size)": ("count", False, lambda t, v: t.ss.sql("SELECT 1").fetchmany(v)),
-    "Shown(rows)": ("count", False, lambda _, v: Shown([1, 2], v)),
+    "Shown(rows)": ("count", False, lambda _, v: TableView([1, 2], v)),
     "Past.at(tick)": ("id", False, lambda t, v: t.ss.past("sim").at(v)),
     "RecordedWorld.seek(time)": ("time", False, lambda t, v: t.recorded.seek(v)),
     "Limits(seconds)": ("limit", True, lambda _, v: ssduck.Limits(seconds=v)),
@@ -309,7 +309,7 @@ def test_no_public_function_is_without_cases():
     """By its annotations: whatever takes a number or a flag, or several."""
     classes = [ssduck.__getattr__(name) for name in ssduck.__all__]
     classes = [value for value in classes if inspect.isclass(value)]
-    classes += [RecordedWorld, Result, Shown, ssduck.World, grids.Grid, grids.SensorGrid]
+    classes += [ReplayedWorld, Result, TableView, ssduck.World, grids.Grid, grids.SensorGrid]
     seen = set()
     for owner in dict.fromkeys(classes):
         for name, member in inspect.getmembers(owner):

@@ -16,7 +16,7 @@ from ssduck.errors import (
     RemovedEntityError,
     SelectScriptError,
     SimulatorError,
-    Span,
+    SourceSpan,
     SqlError,
     UnknownNameError,
     UnsupportedError,
@@ -421,7 +421,7 @@ def test_what_is_told_of_a_long_program_is_short(program):
 
 
 def test_long_offending_text_over_several_lines_is_marked_on_its_first():
-    error = SelectScriptError("wrong", text="a = [1,\n2];", span=Span(4, 10))
+    error = SelectScriptError("wrong", text="a = [1,\n2];", span=SourceSpan(4, 10))
     assert str(error).splitlines() == ["wrong", "  line 1, column 5", "    a = [1,", "        ^^^"]
 
 

@@ -20,7 +20,7 @@ from ssduck.errors import (
 )
 from ssduck.interpreter import query_runner as queries
 from ssduck.language import evaluator as evaluate
-from ssduck.language.value_keys import Keys, exactly
+from ssduck.language.value_keys import ValueKeys, exactly
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 
@@ -287,13 +287,13 @@ def test_print_in_a_search_happens_at_each_row(ss, capsys):
 )
 def test_what_functions_tell_apart_is_no_state_twice(values):
     assert len({exactly(value) for value in values}) == len(values)
-    keys = Keys()
+    keys = ValueKeys()
     assert len({keys.exact([value]) for value in values}) == len(values)
     assert keys.exact([values[0]]) == keys.exact([values[0]])
 
 
 def test_equal_values_have_one_key():
-    keys = Keys()
+    keys = ValueKeys()
     state, other = [[1, 2], []], [[1, 2.0], []]
     keys.exact([state])
     assert keys.of((state,), ("a",)) == keys.of((other,), ("a",)) == keys.of(([*state],), ("a",))

@@ -9,20 +9,20 @@ from hypothesis import strategies as st
 from ssduck.errors import ParseError, SelectScriptError
 from ssduck.language.parser import parse
 from ssduck.language.tree import (
-    Aged,
     Assignment,
     Binary,
     Call,
-    Endless,
     If,
     Index,
-    ListOf,
+    ListLiteral,
     Literal,
     Name,
     Node,
     Query,
     This,
+    TimeIndex,
     Unary,
+    UnboundedHorizon,
 )
 
 
@@ -35,9 +35,9 @@ def shown(node: Node) -> str:
             return name
         case This(alias=alias):
             return f"{alias}.this" if alias else "this"
-        case Aged(name=name, age=age):
+        case TimeIndex(name=name, age=age):
             return f"{name}{{{shown(age) if age else ''}}}"
-        case ListOf(items=items):
+        case ListLiteral(items=items):
             return "[" + ", ".join(map(shown, items)) + "]"
         case Call(name=name, arguments=arguments):
             return f"{name}({', '.join(map(shown, arguments))})"
@@ -47,7 +47,7 @@ def shown(node: Node) -> str:
             return f"({operator} {shown(operand)})"
         case Binary(operator=operator, left=left, right=right):
             return f"({shown(left)} {operator} {shown(right)})"
-        case Endless():
+        case UnboundedHorizon():
             return ""
         case Assignment(name=name, horizon=None, value=value):
             return f"{name}={shown(value)}"

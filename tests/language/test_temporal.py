@@ -563,13 +563,13 @@ def test_times_are_the_same_however_they_are_rounded(step, back, every):
 def copied(monkeypatch):
     """How many values were copied from one log to another, and how long the longest log was."""
     counts = {"values": 0}
-    part = temporal.Log.part
+    part = temporal.ValueLog.part
 
     def counted(log, first, end):
         counts["values"] += end - first
         return part(log, first, end)
 
-    monkeypatch.setattr(temporal.Log, "part", counted)
+    monkeypatch.setattr(temporal.ValueLog, "part", counted)
     return counts
 
 

@@ -18,7 +18,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.database import recorders, writer
-from ssduck.database.writer import Writer
+from ssduck.database.writer import WriterConnection
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
 
@@ -41,14 +41,14 @@ class Gate:
         self.reached, self.opened = threading.Event(), threading.Event()
         self.failures = 0
         self._held = ""
-        run = Writer.run
+        run = WriterConnection.run
 
-        def told(own: Writer, sql: str) -> None:
+        def told(own: WriterConnection, sql: str) -> None:
             if threading.current_thread().name == "ssduck stores":
                 self._pass(sql)
             run(own, sql)
 
-        monkeypatch.setattr(Writer, "run", told)
+        monkeypatch.setattr(WriterConnection, "run", told)
 
     def _pass(self, sql: str) -> None:
         if self._held and sql.startswith(self._held):
@@ -345,7 +345,7 @@ def test_a_log_that_cannot_be_moved_is_told_at_flush(
         raise SqlError("no checkpoint")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Writer, "settle", fails)
+        patch.setattr(WriterConnection, "settle", fails)
         _ticked(world, RING + 1)
         _recorder(recorded).wait()
     with pytest.raises(SqlError, match="no checkpoint"):
@@ -382,15 +382,15 @@ def test_garbage_is_collected_in_the_thread_that_stores(
     ss: Any = ssduck.Interpreter(str(path))
     ss.add_variable("lab", world)
     finish = ss._database.connection._finalizer
-    run, ended = Writer.run, threading.Event()
+    run, ended = WriterConnection.run, threading.Event()
 
-    def told(own: Writer, sql: str) -> None:
+    def told(own: WriterConnection, sql: str) -> None:
         if threading.current_thread().name == "ssduck stores" and sql == "BEGIN":
             finish()  # as the collector of garbage would
             ended.set()
         run(own, sql)
 
-    monkeypatch.setattr(Writer, "run", told)
+    monkeypatch.setattr(WriterConnection, "run", told)
     _ticked(world, RING + 3)
     assert ended.wait(60)
     for thread in threading.enumerate():

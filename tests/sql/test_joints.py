@@ -291,15 +291,15 @@ def test_joints_that_were_not_recorded(write):
 
 def test_beyond_the_limits_and_unknown():
     from ssduck.simulators.interface import Joint
-    from ssduck.simulators.joints import Joints, openness
+    from ssduck.simulators.joints import EntityJoints, openness
 
     slide = Joint("slide", "prismatic", 1, 0.0, 0.5, None, None)
     assert openness(slide, -0.05) == pytest.approx(-0.1)
     assert openness(slide, 0.55) == pytest.approx(1.1)
-    assert Joints("e", [slide], [-0.05]).most_open() == pytest.approx(-0.1)
-    assert Joints("e", [slide], [math.nan]).most_open() is None
-    assert Joints("e", [slide], [math.nan]).openness("slide") is None
-    assert Joints("e", [slide], [math.nan]).position("slide") is None
-    assert Joints("e", [], []).most_open() == -math.inf
+    assert EntityJoints("e", [slide], [-0.05]).most_open() == pytest.approx(-0.1)
+    assert EntityJoints("e", [slide], [math.nan]).most_open() is None
+    assert EntityJoints("e", [slide], [math.nan]).openness("slide") is None
+    assert EntityJoints("e", [slide], [math.nan]).position("slide") is None
+    assert EntityJoints("e", [], []).most_open() == -math.inf
     for lower, upper in ((None, 1.0), (0.0, None), (1.0, 1.0), (2.0, 1.0), (-math.inf, math.inf)):
         assert openness(Joint("j", "revolute", 1, lower, upper, None, None), 0.0) is None

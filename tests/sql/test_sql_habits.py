@@ -675,7 +675,7 @@ def test_warnings_are_of_the_users_line(world, door):
 
 
 def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
-    fetched = queries.Planned._fetched
+    fetched = queries.PlannedQuery._fetched
 
     def refused(planned, *args):
         if not planned.plan.cautious:
@@ -685,7 +685,7 @@ def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
     text = "SELECT id FROM kitchen WHERE 10 / (1 + mass(this)) > 5 AS list;"
     with _interpreter(world, row_by_row=False) as ss:
         expected = ss.eval(text)
-    monkeypatch.setattr(queries.Planned, "_fetched", refused)
+    monkeypatch.setattr(queries.PlannedQuery, "_fetched", refused)
     with _interpreter(world, row_by_row=False) as ss:
         with pytest.warns(UserWarning, match="DuckDB refused a query's SQL: no such") as caught:
             assert ss.eval(text) == expected

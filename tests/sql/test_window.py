@@ -17,7 +17,7 @@ import ssduck
 from ssduck.geometry.shapes import multiply, rotation_matrices, turns_of
 from ssduck.interpreter import query_runner as queries
 from ssduck.recording.replay import batch_queries as many_ticks
-from ssduck.recording.stores.duckdb import NEAR_COLUMNS, POSE, Near, near_rows
+from ssduck.recording.stores.duckdb import NEAR_COLUMNS, POSE, PairRequest, near_rows
 from ssduck.recording.stores.memory import _near_of_two
 from ssduck.sql.relations.relation import BOX
 
@@ -180,7 +180,7 @@ def test_two_entities_picked_out_of_memory_are_those_of_sql(
     writer: Any, parts: list[pa.Table], pair: tuple[int, int], apart: float, ends: tuple[int, int]
 ) -> None:
     rows = pa.concat_tables(parts)
-    asked = Near(*ends, *pair, apart)
+    asked = PairRequest(*ends, *pair, apart)
     found, wanted = _near_of_two(rows, asked), near_rows(writer, None, asked, rows)
     assert tuple(found.column_names) == tuple(wanted.column_names) == NEAR_COLUMNS
     for name in NEAR_COLUMNS:

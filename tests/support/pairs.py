@@ -14,10 +14,10 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck.geometry.distance import Counter, Separation, separation
-from ssduck.geometry.gjk import ABOVE, BELOW, Bodies, Cores, compare
+from ssduck.geometry.distance import CallCounter, SignedDistance, separation
+from ssduck.geometry.gjk import ABOVE, BELOW, ConvexCores, PlacedCores, compare
 from ssduck.geometry.mesh_distance import mesh_apart, mesh_depth
-from ssduck.geometry.placed_solid import Placed
+from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 
@@ -53,7 +53,7 @@ class Shape:
         return np.array(rows)
 
     def placed(self):
-        return Placed(
+        return PlacedSolid(
             solid_of(self.geometry),
             tuple(map(float, self.position)),
             tuple(map(float, self.quaternion)),
@@ -139,7 +139,7 @@ def pair(kinds, seed):
 def gap(a, b, calls=None):
     """What ssduck says."""
     one, other = a.placed(), b.placed()
-    calls = calls or Counter()
+    calls = calls or CallCounter()
     kinds = {one.solid.type, other.solid.type}
     if "mesh" in kinds and "plane" not in kinds:
         return mesh_apart(one, other, calls) or mesh_depth(one, other, calls)
@@ -158,7 +158,9 @@ def bodies(shapes):
     centres = np.array([one.world(*s.centre) for one, s in places]).T
     inner = np.array([one.world(*s.inner_centre) for one, s in places]).T
     every = np.arange(len(shapes))
-    return Bodies(Cores(solids, every), *map(np.ascontiguousarray, (turns, centres, inner)))
+    return PlacedCores(
+        ConvexCores(solids, every), *map(np.ascontiguousarray, (turns, centres, inner))
+    )
 
 
 def verdicts(two, bound):
@@ -243,7 +245,7 @@ def is_in(shape, point, slack):
     return found.status == 0 and found.fun <= 3 * slack + 1e-7
 
 
-def convex_error(a, b, found: Separation, *, full=True):
+def convex_error(a, b, found: SignedDistance, *, full=True):
     """How far the separation of two convex shapes is from one that is proved.
 
     Points in the shapes bound the distance from above, the direction bounds it from below; the
@@ -391,7 +393,7 @@ def is_solid(shape):
     return shape.kind in ("box", "hull", "cylinder", "mesh")
 
 
-def mesh_error(a, b, found: Separation):
+def mesh_error(a, b, found: SignedDistance):
     """How far the separation from a mesh is from that by looking at all triangles."""
     (s, r), (t, q) = triangles(a), triangles(b)
     error = max(_identity(found), abs(float(np.dot(found.normal, found.normal)) - 1))

@@ -6,8 +6,8 @@ from collections import Counter
 
 import numpy as np
 
-from ssduck.geometry.batch import Sorts
-from ssduck.geometry.narrow_phase import Narrow
+from ssduck.geometry.batch import ShapeTable
+from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.shapes import Boxer, Geometry, PlacedGeometry, rotation_matrices
 from ssduck.geometry.solids import solid_of
 
@@ -58,10 +58,10 @@ def narrow(*entities):
             .T
         )
     solids = [solid_of(geometry) for geometry, _, _ in shapes]
-    return Narrow(solids, np.arange(len(shapes)), positions, turns, boxes, starts, Counter())
+    return NarrowPhase(solids, np.arange(len(shapes)), positions, turns, boxes, starts, Counter())
 
 
 def sorts_of(tick):
     counts = np.diff(tick._starts)
     owners = np.repeat(np.arange(len(counts)), counts)
-    return Sorts(tick._solids, np.arange(len(owners)), owners)
+    return ShapeTable(tick._solids, np.arange(len(owners)), owners)

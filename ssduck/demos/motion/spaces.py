@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import Surroundings
+from ssduck.demos.motion.obstacles import Obstacles
 from ssduck.geometry.broad_phase import Flags
 from ssduck.geometry.shapes import Array, Indices
 
@@ -35,7 +35,7 @@ class ArmSpace:
     """
 
     chain: KinematicChain
-    around: Surroundings
+    around: Obstacles
     base: Array
     others: Array
     arm: Indices
@@ -94,7 +94,7 @@ class BaseSpace:
     """
 
     chain: KinematicChain
-    around: Surroundings
+    around: Obstacles
     positions: Array
     height: float
     axle: float

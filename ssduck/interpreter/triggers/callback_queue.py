@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 
-class Inbox:
+class CallbackQueue:
     """What waits for a callback, which a thread calls with it, one after another.
 
     When it is full, the oldest is dropped. The thread knows nothing but this object and the

@@ -21,7 +21,7 @@ When: TypeAlias = Literal["change", "rising", "falling"]
 
 
 @dataclass(frozen=True)
-class Terms:
+class TriggerConfig:
     """When a trigger fires, and what it hands over; see `Interpreter.add_trigger`.
 
     Raises:
@@ -54,13 +54,13 @@ class Terms:
             object.__setattr__(self, "queue", queue)
 
 
-class Settling:
+class Debouncer:
     """What a callback was last told of, and what it is to be told of once that has held.
 
     Before the first result there are no rows, nothing is true, and any result is a change.
     """
 
-    def __init__(self, terms: Terms) -> None:
+    def __init__(self, terms: TriggerConfig) -> None:
         self._terms = terms
         self._told_rows: list[Any] = []
         self._settled: Any = None

@@ -16,8 +16,8 @@ from weakref import WeakSet
 
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import shown
-from ssduck.interpreter.program import Compiled
-from ssduck.interpreter.triggers.conditions import Terms, When
+from ssduck.interpreter.program import CompiledProgram
+from ssduck.interpreter.triggers.conditions import TriggerConfig, When
 from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
 from ssduck.language.tree import Node
 from ssduck.language.value_keys import ATOMS
@@ -36,10 +36,10 @@ class Evaluator(Protocol):
     def worlds(self) -> list[World]:
         """The worlds that are bound to variables, the first one first."""
 
-    def compile(self, text: str) -> Compiled:
+    def compile(self, text: str) -> CompiledProgram:
         """A program that is parsed once and evaluated often."""
 
-    def eval(self, program: Compiled) -> Any:
+    def eval(self, program: CompiledProgram) -> Any:
         """The result of a program."""
 
     def variable(self, name: str) -> Any:
@@ -58,15 +58,15 @@ class Evaluator(Protocol):
         """The worlds that parts may be about; None if their values alone tell."""
 
 
-class TriggerVerbs:
+class TriggerMethods:
     """What an interpreter lets its users do with triggers."""
 
-    _triggers: Triggers
+    _triggers: TriggerRegistry
 
     def add_trigger(
         self,
         name: str,
-        program: str | Compiled,
+        program: str | CompiledProgram,
         interval: float,
         callback: Callable[[Any], object],
         *,
@@ -108,7 +108,7 @@ class TriggerVerbs:
             SelectScriptError: the program cannot be evaluated; the trigger is not added.
             ArgumentError: there is one of that name, or an argument is wrong.
         """
-        terms = Terms(name, interval, when, debounce, rows, queue)
+        terms = TriggerConfig(name, interval, when, debounce, rows, queue)
         self._triggers.add(terms, program, callback)
 
     def del_trigger(self, name: str) -> None:
@@ -144,7 +144,7 @@ class TriggerVerbs:
     delTrigger = del_trigger  # noqa: N815
 
 
-class Triggers:
+class TriggerRegistry:
     """The triggers of an interpreter; follows the worlds that they are about.
 
     Args:
@@ -157,7 +157,12 @@ class Triggers:
         self._lock = threading.Lock()
         self._followed: WeakSet[World] = WeakSet()
 
-    def add(self, terms: Terms, program: str | Compiled, callback: Callable[[Any], object]) -> None:
+    def add(
+        self,
+        terms: TriggerConfig,
+        program: str | CompiledProgram,
+        callback: Callable[[Any], object],
+    ) -> None:
         """Add one, and evaluate it for the first time; see `Interpreter.add_trigger`."""
         if isinstance(program, str):
             program = self._interpreter.compile(program)
@@ -226,7 +231,7 @@ class Triggers:
                     TriggerWarning,
                 )
 
-    # -- worlds (ssduck.world.observers.Follower) -------------------------------------------------
+    # -- worlds (ssduck.world.observers.TickObserver) ----------------------------------------
 
     def due(self, world: World, /) -> float:
         """When the next trigger is due in a world."""

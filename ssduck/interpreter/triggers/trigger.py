@@ -12,12 +12,12 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import warn
-from ssduck.interpreter.program import Compiled
-from ssduck.interpreter.triggers.callback_queue import Inbox
-from ssduck.interpreter.triggers.conditions import Settling, Terms
+from ssduck.interpreter.program import CompiledProgram
+from ssduck.interpreter.triggers.callback_queue import CallbackQueue
+from ssduck.interpreter.triggers.conditions import Debouncer, TriggerConfig
 from ssduck.interpreter.triggers.diff import copied
 from ssduck.language.analysis import IMPURE, calls_of, variables_of
-from ssduck.language.tree import Bare, Program, Query
+from ssduck.language.tree import Program, Query, UnresolvedName
 from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
 
@@ -43,7 +43,9 @@ class Trigger:
         basis: what its last result depends on, where that is known.
     """
 
-    def __init__(self, terms: Terms, program: Compiled, callback: Callable[[Any], object]) -> None:
+    def __init__(
+        self, terms: TriggerConfig, program: CompiledProgram, callback: Callable[[Any], object]
+    ) -> None:
         self.terms = terms
         self.program = program
         self.paused = False
@@ -51,13 +53,13 @@ class Trigger:
         self.reads = _read_by(program.tree)
         self.basis: Any = None
         self._busy = threading.Lock()
-        self._beats: WeakKeyDictionary[World, Beat] = WeakKeyDictionary()
-        self._settling = Settling(terms)
+        self._beats: WeakKeyDictionary[World, Schedule] = WeakKeyDictionary()
+        self._settling = Debouncer(terms)
         self._log = _Log(terms.name)
         self._call: Callable[[Any], object] = _guarded(callback, self._log)
-        self.inbox: Inbox | None = None
+        self.inbox: CallbackQueue | None = None
         if terms.queue is not None:
-            self.inbox = Inbox(_quiet(self._call), terms.queue, f"trigger {terms.name}")
+            self.inbox = CallbackQueue(_quiet(self._call), terms.queue, f"trigger {terms.name}")
             self._call = self.inbox.put
             # The thread ends with the trigger, of which it knows nothing.
             weakref.finalize(self, self.inbox.close)
@@ -78,10 +80,10 @@ class Trigger:
             return math.inf
         return self._beat(world).due
 
-    def _beat(self, world: World) -> Beat:
+    def _beat(self, world: World) -> Schedule:
         beat = self._beats.get(world)
         if beat is None:
-            beat = self._beats[world] = Beat(world, self.terms.interval)
+            beat = self._beats[world] = Schedule(world, self.terms.interval)
         return beat
 
     def count_on(self, worlds: Sequence[World]) -> None:
@@ -162,7 +164,7 @@ class TriggerState:
         error: the last error of these; None before the first.
     """
 
-    terms: Terms
+    terms: TriggerConfig
     program: str
     paused: bool
     evaluations: int
@@ -184,7 +186,7 @@ class TriggerState:
         return self.terms.interval
 
 
-class Beat:
+class Schedule:
     """When a trigger is due in one world: every `interval` seconds from `start`, no drift.
 
     An interval shorter than a step, 0 included, is due after every step.
@@ -211,7 +213,7 @@ def _read_by(program: Program) -> frozenset[str] | None:
     """
     match program.statements:
         case [Query() as query] if not program.explain:
-            bare = {part.name for part in query.walk() if isinstance(part, Bare)}
+            bare = {part.name for part in query.walk() if isinstance(part, UnresolvedName)}
             names = calls_of(query) | variables_of(query) | bare
             # Sensors can be switched between two ticks.
             is_fixed = names.isdisjoint(_CHANGING) and "sensings" not in tables_of(query)

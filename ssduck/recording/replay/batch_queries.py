@@ -14,11 +14,11 @@ from itertools import accumulate
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.batch import Question, Scene, Sorts, entities_of, known_with_all
+from ssduck.geometry.batch import PairPredicate, ShapeTable, TickPairs, entities_of, known_with_all
 from ssduck.geometry.broad_phase import Pairs
-from ssduck.geometry.distance import Counter
-from ssduck.geometry.narrow_phase import Narrow
-from ssduck.geometry.queries import Shapes
+from ssduck.geometry.distance import CallCounter
+from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import (
     Array,
     Boxer,
@@ -30,7 +30,7 @@ from ssduck.geometry.shapes import (
     unit_quaternions,
 )
 from ssduck.geometry.solids import Solid, solid_of
-from ssduck.world.layout import Member
+from ssduck.world.layout import EntityInfo
 
 Ids = npt.NDArray[np.int64]
 
@@ -55,7 +55,7 @@ class _Model:
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class LinkPosesOverTicks:
     """Where n links are: positions (n, 3), orientations (n, 4), w, x, y, z."""
 
     positions: Array
@@ -63,7 +63,7 @@ class Frames:
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class PairSide:
     """One of the two entities of n pairs.
 
     Attributes:
@@ -73,30 +73,32 @@ class Side:
     """
 
     ids: Ids
-    base: Frames
-    links: Callable[[Indices, int, int], Frames]
+    base: LinkPosesOverTicks
+    links: Callable[[Indices, int, int], LinkPosesOverTicks]
 
 
-class Models:
+class EntityShapes:
     """What shapes entities have; a solid that several have is there once.
 
     Args:
         members: the entities, by id.
     """
 
-    def __init__(self, members: Mapping[int, Member]) -> None:
+    def __init__(self, members: Mapping[int, EntityInfo]) -> None:
         self._members = members
         self._solids: list[Solid] = []
         self._places: dict[str, int] = {}
         self._models: dict[int, _Model] = {}
-        self._sorts: dict[tuple[int, ...], Sorts] = {}
+        self._sorts: dict[tuple[int, ...], ShapeTable] = {}
 
     def moving_links(self, id: int) -> range:
         """The links of an entity but its base, by number."""
         body = self._members[id].body
         return range(1, 1 if body is None else len(body.links))
 
-    def shapes(self, ids: Sequence[int], poses: Sequence[Array], calls: Counter) -> Shapes:
+    def shapes(
+        self, ids: Sequence[int], poses: Sequence[Array], calls: CallCounter
+    ) -> ShapeQueries:
         """The shapes of some entities at one tick.
 
         Args:
@@ -110,16 +112,20 @@ class Models:
         if key not in self._sorts:
             owners = np.repeat(np.arange(len(ids)), [model.count for model in models])
             of, margins = _joined(models)
-            self._sorts[key] = Sorts(self._solids, of, owners, margins)
+            self._sorts[key] = ShapeTable(self._solids, of, owners, margins)
         of, margins = _joined(models)
         positions, orientations, boxes = (
             np.concatenate([part[i] for part in placed]) for i in range(3)
         )
         starts = list(accumulate((model.count for model in models), initial=0))
-        narrow = Narrow(self._solids, of, positions, orientations, boxes, starts, calls, margins)
+        narrow = NarrowPhase(
+            self._solids, of, positions, orientations, boxes, starts, calls, margins
+        )
         numbers = {id: number for number, id in enumerate(ids)}
         around = np.array([_around(part[2]) for part in placed]).reshape(-1, 6).T
-        return Shapes(narrow, numbers, self._sorts[key], around, np.array(ids, dtype=np.int64))
+        return ShapeQueries(
+            narrow, numbers, self._sorts[key], around, np.array(ids, dtype=np.int64)
+        )
 
     def _shapes_at(self, model: _Model, poses: Array) -> tuple[Array, Array, Array]:
         """Positions, orientations and boxes of an entity's shapes."""
@@ -133,7 +139,7 @@ class Models:
         return positions, orientations, boxes
 
     def together(
-        self, first: Side, second: Side, question: Question, calls: Counter
+        self, first: PairSide, second: PairSide, question: PairPredicate, calls: CallCounter
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Of which pairs something holds, and of which of them that is known, (n,) each.
 
@@ -163,7 +169,12 @@ class Models:
         return counts
 
     def _some(
-        self, first: Side, second: Side, run: Indices, question: Question, calls: Counter
+        self,
+        first: PairSide,
+        second: PairSide,
+        run: Indices,
+        question: PairPredicate,
+        calls: CallCounter,
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Of these n pairs, compared together: the two entities of pair k are k and n + k."""
         parts = [*self._placed(first, run, 0), *self._placed(second, run, len(run))]
@@ -178,14 +189,14 @@ class Models:
         counts = np.bincount(owners, minlength=2 * count)
         starts = np.cumsum(counts) - counts
         shapes = _each_with_each(starts[:count], counts[:count], starts[count:], counts[count:])
-        sorts = Sorts(self._solids, of, owners, margins)
+        sorts = ShapeTable(self._solids, of, owners, margins)
         scene = _scene_of(sorts, positions, orientations)
         endless = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
 
         def holds_of(s: int, t: int) -> bool:  # of the few that only a closer look decides
             two = [s, t]
             placed = positions[two], orientations[two], endless
-            narrow = Narrow(self._solids, of[two], *placed, [0, 1, 2], calls, margins[two])
+            narrow = NarrowPhase(self._solids, of[two], *placed, [0, 1, 2], calls, margins[two])
             return narrow.answer(0, 1, question)
 
         found = entities_of(scene, question, holds_of, shapes)
@@ -197,7 +208,7 @@ class Models:
         return holds, are_known[:count] & are_known[count:]
 
     def _placed(
-        self, side: Side, run: Indices, start: int
+        self, side: PairSide, run: Indices, start: int
     ) -> list[tuple[Indices, Indices, Array, Array, Array]]:
         """Whose, which solids, with which margins and where the shapes of one side's entities are.
 
@@ -222,9 +233,9 @@ class Models:
         nothing = np.zeros(0, dtype=np.intp)
         return [*found, (nothing, nothing, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))]
 
-    def _frames(self, side: Side, rows: Indices, id: int, link: int) -> Frames:
+    def _frames(self, side: PairSide, rows: Indices, id: int, link: int) -> LinkPosesOverTicks:
         if link == 0:
-            return Frames(side.base.positions[rows], side.base.orientations[rows])
+            return LinkPosesOverTicks(side.base.positions[rows], side.base.orientations[rows])
         return side.links(rows, id, link)
 
     def _model(self, id: int) -> _Model:
@@ -269,7 +280,9 @@ def _different(ids: Ids) -> list[int]:
     return found
 
 
-def _composed(frames: Frames, position: Array, orientation: Array) -> Frames:
+def _composed(
+    frames: LinkPosesOverTicks, position: Array, orientation: Array
+) -> LinkPosesOverTicks:
     """Where something is that is fixed to each of n frames.
 
     Args:
@@ -281,7 +294,7 @@ def _composed(frames: Frames, position: Array, orientation: Array) -> Frames:
         return frames
     count = len(frames.positions)
     inner = np.broadcast_to(position, (count, 3)), np.broadcast_to(orientation, (count, 4))
-    return Frames(*compose(frames.positions, frames.orientations, *inner))
+    return LinkPosesOverTicks(*compose(frames.positions, frames.orientations, *inner))
 
 
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -303,7 +316,7 @@ def _each_with_each(first: Indices, counts: Indices, second: Indices, others: In
     return first[pair] + place // width, second[pair] + place % width
 
 
-def _scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
+def _scene_of(sorts: ShapeTable, positions: Array, orientations: Array) -> TickPairs:
     """Shapes at poses, without boxes.
 
     Args:
@@ -316,4 +329,4 @@ def _scene_of(sorts: Sorts, positions: Array, orientations: Array) -> Scene:
         finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
         matrices = turns_of(unit).reshape(3, 3, -1).transpose(2, 0, 1)
     known = known_with_all(sorts, finite & sorts.known)
-    return Scene(sorts, known, np.zeros((6, 0)), positions, matrices)
+    return TickPairs(sorts, known, np.zeros((6, 0)), positions, matrices)

@@ -1,7 +1,7 @@
 """The past of a world as a source of queries.
 
-A `Past` is what `kitchen{12.5}`, `kitchen{-2.0}` and `kitchen{}` are: some ticks of a record, whose
-entities are handles that stay at their tick.
+A `PastTicks` is what `kitchen{12.5}`, `kitchen{-2.0}` and `kitchen{}` are: some ticks of a
+record, whose entities are handles that stay at their tick.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from ssduck.errors import EvaluationError
 from ssduck.formatting import shown
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import ROUNDING, Record, place_at
-from ssduck.world.entities import Entity, Moment
+from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.world import World
 
 
-def past_of(record: Record, age: float | None) -> Past:
+def past_of(record: Record, age: float | None) -> PastTicks:
     """Some ticks: the one at a time, those of the last seconds, or all.
 
     Args:
@@ -37,7 +37,7 @@ def past_of(record: Record, age: float | None) -> Past:
     if not len(numbers):
         raise EvaluationError(f"no tick of {name!r} is recorded")
     if age is None:
-        return Past(record, int(numbers[0]), int(numbers[-1]), is_window=True)
+        return PastTicks(record, int(numbers[0]), int(numbers[-1]), is_window=True)
     if age < 0:
         first = int(np.searchsorted(times, record.world.time + age - ROUNDING))
         if first == len(numbers):
@@ -45,13 +45,13 @@ def past_of(record: Record, age: float | None) -> Past:
                 f"of the last {-age:g} s of {name!r} no tick is recorded; the last one is of "
                 f"{times[-1]:g} s, and it is {record.world.time:g} s"
             )
-        return Past(record, int(numbers[first]), int(numbers[-1]), is_window=True)
+        return PastTicks(record, int(numbers[first]), int(numbers[-1]), is_window=True)
     tick = int(numbers[place_at(name, age, times, record.world.time)])
-    return Past(record, tick, tick, is_window=False)
+    return PastTicks(record, tick, tick, is_window=False)
 
 
 @dataclass(frozen=True, eq=False)
-class Past:
+class PastTicks:
     """Some ticks of a world: a source of queries, whose elements are its entities at each.
 
     Attributes:
@@ -150,7 +150,7 @@ class Past:
         return f"<Past of {self.world.name!r}: {told}>"
 
 
-def at_moment(entity: Entity, moment: Moment) -> Entity:
+def at_moment(entity: Entity, moment: RecordedTick) -> Entity:
     """The handle of an entity as it is at a tick."""
     return type(entity)(entity.world, entity.id, entity.name, entity.kind, moment)
 
@@ -189,7 +189,7 @@ def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | 
 
 
 @dataclass(frozen=True, eq=False)
-class Now:
+class PresentTick:
     """A world at its present tick, beside its past in one query: its entities stay at it."""
 
     record: Record
@@ -203,4 +203,4 @@ class Now:
     def __iter__(self) -> Iterator[Entity]:
         """The entities."""
         for entity in self.world:
-            yield at_moment(entity, Moment(self.record, self.tick))
+            yield at_moment(entity, RecordedTick(self.record, self.tick))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ssduck.geometry.queries import Shapes
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import MASSES
-from ssduck.simulators.static import Posed
-from ssduck.world.entities import Entity, Moment
+from ssduck.simulators.static import StaticSimulator
+from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
@@ -24,7 +24,7 @@ class PastWorld(World):
         snapshot: of that tick.
     """
 
-    def __init__(self, moment: Moment, posed: Posed, snapshot: Snapshot) -> None:
+    def __init__(self, moment: RecordedTick, posed: StaticSimulator, snapshot: Snapshot) -> None:
         record = moment.record
         self._begin(posed, snapshot, record.world.name, record.world.camera)
         self._record = record
@@ -49,7 +49,7 @@ class PastWorld(World):
             self._record.warn_of_masses()
         super().ask(_AS_READ & wanted)
 
-    def shapes(self) -> Shapes:
+    def shapes(self) -> ShapeQueries:
         """The shapes of this tick, to be compared."""
         self.ask(("shapes",))
         return self.snapshot.shapes()

@@ -17,21 +17,21 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.errors import EvaluationError
-from ssduck.geometry.batch import Question
-from ssduck.geometry.distance import Counter
-from ssduck.geometry.queries import Shapes
+from ssduck.geometry.batch import PairPredicate
+from ssduck.geometry.distance import CallCounter
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Array, Indices
-from ssduck.recording.buffers import Ticks
-from ssduck.recording.mass_changes import Reweighed
-from ssduck.recording.replay.batch_queries import Frames as LinkFrames
-from ssduck.recording.replay.batch_queries import Ids, Models, Side
+from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.mass_changes import MassChanges
+from ssduck.recording.replay.batch_queries import EntityShapes, Ids, PairSide
+from ssduck.recording.replay.batch_queries import LinkPosesOverTicks as LinkFrames
 from ssduck.recording.replay.past_world import PastWorld
-from ssduck.recording.replay.restore import Placings, links_of
-from ssduck.recording.replay.row_cache import Blocks
-from ssduck.recording.stores.duckdb import POSE, Near, not_recorded
-from ssduck.simulators.static import Posed
-from ssduck.world.entities import HANDLES, Entity, Moment
-from ssduck.world.layout import Member, margins_of
+from ssduck.recording.replay.restore import SnapshotRestorer, links_of
+from ssduck.recording.replay.row_cache import RowCache
+from ssduck.recording.stores.duckdb import POSE, PairRequest, not_recorded
+from ssduck.simulators.static import StaticSimulator
+from ssduck.world.entities import HANDLES, Entity, RecordedTick
+from ssduck.world.layout import EntityInfo, margins_of
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
@@ -66,14 +66,14 @@ class Record:
     def __init__(
         self,
         world: World | None,
-        ticks: Ticks,
-        members: Mapping[int, Member],
+        ticks: TickBuffer,
+        members: Mapping[int, EntityInfo],
         tables: Sequence[str],
         fetch: Callable[[str, int, int], pa.Table],
-        near: Callable[[Near], pa.Table],
+        near: Callable[[PairRequest], pa.Table],
         geometries: dict[str, int] | None = None,
         run: int | None = None,
-        reweighed: Reweighed | None = None,
+        reweighed: MassChanges | None = None,
     ) -> None:
         self._world: weakref.ref[World] | None = None
         if world is not None:
@@ -85,7 +85,7 @@ class Record:
         self.fetch = fetch
         self._near = near
         self._reweighed = reweighed
-        self._models = Models(members)
+        self._models = EntityShapes(members)
         # Of how many members it was found.
         self._margins = -1, 0.0
         # How often shapes at a tick were asked for.
@@ -94,12 +94,14 @@ class Record:
         if geometries is None:
             assert world is not None
             geometries, run = world.snapshot.geometries, world.snapshot.run
-        self._blocks = Blocks(fetch, ticks)
-        self._placings = Placings(members, self.tables, self._blocks, Snapshot(geometries, run))
+        self._blocks = RowCache(fetch, ticks)
+        self._placings = SnapshotRestorer(
+            members, self.tables, self._blocks, Snapshot(geometries, run)
+        )
         # Whether another record has taken its place, or none.
         self.is_closed = False
         # How often the narrow phase is called counts for the world, at whatever tick.
-        self.calls = Counter() if world is None else world.snapshot.calls
+        self.calls = CallCounter() if world is None else world.snapshot.calls
 
     @property
     def world(self) -> World:
@@ -133,7 +135,7 @@ class Record:
         """The handle of an entity at a tick."""
         member = self.members[id]
         kind = HANDLES[member.kind]
-        return kind(self.world, id, member.name, member.kind, Moment(self, tick))
+        return kind(self.world, id, member.name, member.kind, RecordedTick(self, tick))
 
     def at(self, tick: int) -> PastWorld:
         """The world at a tick.
@@ -146,11 +148,11 @@ class Record:
             if tick not in self._worlds:
                 while len(self._worlds) >= MOST_WORLDS:
                     self._worlds.popitem(last=False)
-                self._worlds[tick] = PastWorld(Moment(self, tick), *self.taken(tick))
+                self._worlds[tick] = PastWorld(RecordedTick(self, tick), *self.taken(tick))
             self._worlds.move_to_end(tick)
             return self._worlds[tick]
 
-    def taken(self, tick: int) -> tuple[Posed, Snapshot]:
+    def taken(self, tick: int) -> tuple[StaticSimulator, Snapshot]:
         """What stands for a simulator at a tick, and the snapshot of it.
 
         Raises:
@@ -162,7 +164,7 @@ class Record:
             snapshot.calls = self.calls
             return self.take(snapshot, tick), snapshot
 
-    def take(self, snapshot: Snapshot, tick: int) -> Posed:
+    def take(self, snapshot: Snapshot, tick: int) -> StaticSimulator:
         """Make a snapshot that of a tick; gives what stands for a simulator there.
 
         Raises:
@@ -198,7 +200,7 @@ class Record:
             )
         return place
 
-    def pairs(self, asked: Near, question: Question) -> list[Ids]:
+    def pairs(self, asked: PairRequest, question: PairPredicate) -> list[Ids]:
         """The pairs of entities of which something holds, at some ticks.
 
         Args:
@@ -212,7 +214,7 @@ class Record:
         rows = self._near(replace(asked, apart=asked.apart + far))
         ticks = rows["tick"].to_numpy()
         sides = [
-            Side(
+            PairSide(
                 rows[side].to_numpy(),
                 LinkFrames(_columns(rows, side, POSE[:3]), _columns(rows, side, POSE[3:])),
                 partial(self._link_frames, ticks),
@@ -249,7 +251,7 @@ class Record:
         place = np.flatnonzero(is_it)
         return np.array([own[name][place[0]] if len(place) else _NAN for name in POSE])
 
-    def shapes(self, tick: int, ids: Sequence[int] | None) -> Shapes:
+    def shapes(self, tick: int, ids: Sequence[int] | None) -> ShapeQueries:
         """The shapes at a tick, to be compared.
 
         Where few are asked for at a tick, only these are placed.

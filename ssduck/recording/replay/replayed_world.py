@@ -11,13 +11,13 @@ from ssduck.errors import EvaluationError
 from ssduck.language.value_history import seconds_of
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, place_at
-from ssduck.recording.stores.duckdb import Archive
+from ssduck.recording.stores.duckdb import TickArchive
 from ssduck.simulators.scenes import Camera
-from ssduck.world.entities import Entity, Moment
+from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.world import World
 
 
-class RecordedWorld(PastWorld):
+class ReplayedWorld(PastWorld):
     """A world of which there is only what was recorded: it is replayed, tick by tick.
 
     Its present is a recorded tick, at first the last one. `seek` goes to another one; `step` and
@@ -32,12 +32,12 @@ class RecordedWorld(PastWorld):
 
     _record: Record
 
-    def __init__(self, name: str, record: Record, archive: Archive) -> None:
+    def __init__(self, name: str, record: Record, archive: TickArchive) -> None:
         self.name, self.camera = name, Camera()
         record.world = self
         self.lock = threading.RLock()  # reading a record takes it
         posed, snapshot = record.taken(int(record.ticks.numbers[-1]))
-        super().__init__(Moment(record, snapshot.number), posed, snapshot)
+        super().__init__(RecordedTick(record, snapshot.number), posed, snapshot)
         self.archive = archive
         self._tick = snapshot.number
         self._tell_wall_time()
@@ -61,7 +61,7 @@ class RecordedWorld(PastWorld):
         """Simulated seconds between two recorded times, in the middle."""
         return self._timestep
 
-    def seek(self, time: float) -> RecordedWorld:
+    def seek(self, time: float) -> ReplayedWorld:
         """Go to the last tick until a time.
 
         Args:

@@ -9,11 +9,11 @@ import numpy as np
 
 from ssduck.geometry.shapes import Array, Indices, rotation_matrices
 from ssduck.recording.buffers import FRAMES, STORED
-from ssduck.recording.replay.row_cache import Blocks
+from ssduck.recording.replay.row_cache import RowCache
 from ssduck.recording.stores.duckdb import POSE
-from ssduck.simulators.interface import Body, Frames
-from ssduck.simulators.static import Posed
-from ssduck.world.layout import Layout, Member, Part
+from ssduck.simulators.interface import Body, LinkPoses
+from ssduck.simulators.static import StaticSimulator
+from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
 
 _NAN = float("nan")
@@ -34,11 +34,11 @@ class _Placing:
     """
 
     template: Snapshot
-    sources: tuple[tuple[Part, Indices], ...]
+    sources: tuple[tuple[BodyGroup, Indices], ...]
     bases: Indices
 
 
-class Placings:
+class SnapshotRestorer:
     """Places what a record tells of; what is the same while the entities are is kept.
 
     Args:
@@ -50,9 +50,9 @@ class Placings:
 
     def __init__(
         self,
-        members: Mapping[int, Member],
+        members: Mapping[int, EntityInfo],
         tables: frozenset[str],
-        rows: Blocks,
+        rows: RowCache,
         empty: Snapshot,
     ) -> None:
         self._members = members
@@ -71,7 +71,7 @@ class Placings:
         """
         return self._at(tick).template.past(tick, untold)
 
-    def take(self, snapshot: Snapshot, tick: int, time: float) -> Posed:
+    def take(self, snapshot: Snapshot, tick: int, time: float) -> StaticSimulator:
         """Make a snapshot that of a tick; gives what stands for a simulator there."""
         placing = self._at(tick)
         members = placing.template.listed
@@ -92,7 +92,7 @@ class Placings:
             )
             for name in ("enabled", "visible")
         }
-        posed = Posed(
+        posed = StaticSimulator(
             time=time,
             frames={part.bodies: _frames(states[source]) for part, source in placing.sources},
             joints=self._joints(tick, placing.template.layout),
@@ -117,8 +117,8 @@ class Placings:
         if ids not in self._placings:
             members = [self._members[id] for id in ids]
             template = Snapshot(self._empty.geometries, self._empty.run)
-            layout = Layout(members, watched=False)
-            posed = Posed(
+            layout = TableLayout(members, watched=False)
+            posed = StaticSimulator(
                 0.0,
                 {part.bodies: _nowhere(part) for part in (layout.still, layout.moving)},
                 {body: np.zeros((len(body.joints), 3)) for _, body in layout.bodies},
@@ -144,7 +144,7 @@ class Placings:
         reals = [rows.get(name, unknown) for name in names]
         return np.array(reals)[:, np.lexsort(keys[::-1])].T
 
-    def _joints(self, tick: int, layout: Layout) -> dict[Body, Array]:
+    def _joints(self, tick: int, layout: TableLayout) -> dict[Body, Array]:
         if "joints" not in self._tables:
             return {b: np.full((len(b.joints), 3), _NAN) for _, b in layout.bodies}
         rows = self._rows.rows("joints", tick)
@@ -163,21 +163,21 @@ def links_of(tables: Collection[str]) -> str:
     return "links" if "links" in tables else FRAMES
 
 
-def _frames(states: Array) -> Frames:
+def _frames(states: Array) -> LinkPoses:
     positions = np.ascontiguousarray(states[:, :3])
     with np.errstate(invalid="ignore"):
         matrices = rotation_matrices(states[:, 3:7])
-    return Frames(positions, matrices, states)
+    return LinkPoses(positions, matrices, states)
 
 
-def _nowhere(part: Part) -> Frames:
+def _nowhere(part: BodyGroup) -> LinkPoses:
     count = sum(run.stop - run.start for run in part.runs.values())
     states = np.zeros((count, 13))
     states[:, 3] = 1.0
     return _frames(states)
 
 
-def _starts(layout: Layout) -> dict[int, int]:
+def _starts(layout: TableLayout) -> dict[int, int]:
     """The row of the base of each body of several links, behind the rows of all entities."""
     first = len(layout.members)
     found: dict[int, int] = {}
@@ -188,7 +188,9 @@ def _starts(layout: Layout) -> dict[int, int]:
     return found
 
 
-def _sources(part: Part, layout: Layout, starts: Mapping[int, int]) -> tuple[Part, Indices]:
+def _sources(
+    part: BodyGroup, layout: TableLayout, starts: Mapping[int, int]
+) -> tuple[BodyGroup, Indices]:
     """Where the frames of a part are: among the entities' rows, and behind them."""
     ids = {body: id for id, body in layout.bodies}
     places: list[int] = []

@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.recording.buffers import Ticks
+from ssduck.recording.buffers import TickBuffer
 
 # So many ticks are fetched at once, and so many blocks of them kept.
 BLOCK = 64
 MOST_BLOCKS = 8
 
 
-class Blocks:
+class RowCache:
     """The rows of a record, of which those that were asked for last are kept.
 
     Args:
@@ -25,7 +25,7 @@ class Blocks:
         ticks: that are recorded.
     """
 
-    def __init__(self, fetch: Callable[[str, int, int], pa.Table], ticks: Ticks) -> None:
+    def __init__(self, fetch: Callable[[str, int, int], pa.Table], ticks: TickBuffer) -> None:
         self._fetch = fetch
         self._ticks = ticks
         self._blocks: OrderedDict[tuple[int, int], dict[str, dict[str, npt.NDArray[Any]]]] = (

@@ -23,11 +23,11 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.recording.background_writer import WHENEVER, Cut
-from ssduck.recording.buffers import FRAME_REALS, FRAMES, STORED, Ticks
+from ssduck.recording.buffers import FRAME_REALS, FRAMES, STORED, TickBuffer
 from ssduck.recording.spec import QUARTERS, RECORDABLE, Recording
-from ssduck.recording.static_tables import KEYS, MODELS, Numbers, defaults, models_of
+from ssduck.recording.static_tables import KEYS, MODELS, ShapeNumbers, defaults, models_of
 from ssduck.schema import BOX, TABLES
-from ssduck.world.layout import Member
+from ssduck.world.layout import EntityInfo
 
 SLOTS = QUARTERS + 2
 # The version of what is stored, and the table that tells it.
@@ -35,7 +35,7 @@ VERSION = 1
 ABOUT = "ssduck record"
 
 
-class Shown(Protocol):
+class VisibleRows(Protocol):
     """Rows that DuckDB looks into where they are."""
 
     version: int
@@ -49,7 +49,7 @@ class Shown(Protocol):
 Waiting: TypeAlias = Callable[[str], Sequence[str]]
 
 
-class Writer(Protocol):
+class StoreConnection(Protocol):
     """A connection to DuckDB of a history's own."""
 
     def run(self, sql: str) -> None:
@@ -79,7 +79,7 @@ class Writer(Protocol):
         """Close the connection."""
 
 
-class Archive(Protocol):
+class TickArchive(Protocol):
     """Where ticks are stored that can be read.
 
     Attributes:
@@ -97,14 +97,14 @@ class Archive(Protocol):
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
 
-    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+    def near(self, asked: PairRequest, waiting: pa.Table | None) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
 
     def close(self, *, forget: bool) -> None:
         """Let go of it; what is stored is dropped, or not."""
 
 
-class History:
+class DuckDBStore:
     """The stored ticks of a world.
 
     Args:
@@ -122,12 +122,12 @@ class History:
     untold_run: int | None = None
 
     keeps = False
-    shown: tuple[Mapping[str, Shown], ...] = ()
+    shown: tuple[Mapping[str, VisibleRows], ...] = ()
 
     def __init__(
         self,
         schema: str,
-        writer: Writer,
+        writer: StoreConnection,
         recording: Recording,
         world: str | None = None,
         *,
@@ -203,11 +203,11 @@ class History:
         for name, rows in self.views.items():
             self._writer.run(f"CREATE VIEW {self.place(name)} AS {rows}")
 
-    def ticks(self) -> Ticks:
+    def ticks(self) -> TickBuffer:
         """The ticks that are stored."""
         rows = f"SELECT tick, time FROM ({self._stored('ticks')}) AS ticks ORDER BY tick"  # noqa: S608
         found = self._writer.rows(rows)
-        return Ticks.of(found["tick"].to_numpy(), found["time"].to_numpy())
+        return TickBuffer.of(found["tick"].to_numpy(), found["time"].to_numpy())
 
     def all_models(self) -> dict[str, pa.Table]:
         """What the entities are that they tell of, as rows."""
@@ -232,9 +232,9 @@ class History:
     def _slot(self, table: str, slot: int) -> str:
         return self.place(f"{table} {slot}")
 
-    # -- writing (ssduck.recording.recorder.Store) -----------------------------------------------
+    # -- writing (ssduck.recording.recorder.RowStore) ----------------------------------------
 
-    def add_members(self, members: Collection[Member], numbers: Numbers) -> None:
+    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
         """Keep what entities are, before rows of theirs."""
         models = models_of(members, numbers, self._geometries)
         self._insert({self._model(table): rows for table, rows in models.items()})
@@ -301,7 +301,7 @@ class History:
             (first, last),
         )
 
-    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+    def near(self, asked: PairRequest, waiting: pa.Table | None) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
         return near_rows(self._writer, self._stored("entities"), asked, waiting)
 
@@ -369,7 +369,7 @@ class History:
 
 
 @dataclass(frozen=True)
-class Near:
+class PairRequest:
     """Which pairs of entities are asked for, at which ticks.
 
     Attributes:
@@ -396,7 +396,7 @@ _WAITING = "entities that wait"
 
 
 def near_rows(
-    writer: Writer, stored: str | None, asked: Near, waiting: pa.Table | None
+    writer: StoreConnection, stored: str | None, asked: PairRequest, waiting: pa.Table | None
 ) -> pa.Table:
     """Pairs of entities whose boxes are near at a tick, or are not known, with both poses.
 

@@ -14,15 +14,15 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.geometry.shapes import Array, Indices
-from ssduck.recording.background_writer import WHENEVER, Cut, Kept
+from ssduck.recording.background_writer import WHENEVER, BufferedRows, Cut
 from ssduck.recording.buffers import STORED, in_parts
 from ssduck.recording.spec import QUARTERS
 from ssduck.recording.stores.duckdb import (
     BOXES_OFF,
     NEAR_COLUMNS,
     POSE,
-    History,
-    Near,
+    DuckDBStore,
+    PairRequest,
     Waiting,
     near_rows,
 )
@@ -31,8 +31,8 @@ from ssduck.recording.stores.duckdb import (
 _LEAST_ROWS = 4096
 
 
-class Memory(History):
-    """The kept ticks of a world in memory; see `ssduck.recording.stores.duckdb.History`.
+class MemoryStore(DuckDBStore):
+    """The kept ticks of a world in memory; see `ssduck.recording.stores.duckdb.DuckDBStore`.
 
     Attributes:
         shown: what DuckDB is to be shown of it, by table.
@@ -41,7 +41,7 @@ class Memory(History):
     keeps = True
 
     def _make_tables(self) -> None:
-        self._kept = {table: Kept(in_parts(table)) for table in self.tables}
+        self._kept = {table: BufferedRows(in_parts(table)) for table in self.tables}
         self.shown = (self._kept,)
         # The first tick of each part, and the time of its first and its last.
         self._parts: list[tuple[int, float, float]] = []
@@ -109,7 +109,7 @@ class Memory(History):
         kept = self._kept[table]
         return pa.concat_tables([kept.empty, *kept.parts[begin:end]])
 
-    def near(self, asked: Near, waiting: pa.Table | None) -> pa.Table:
+    def near(self, asked: PairRequest, waiting: pa.Table | None) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks; see `near_rows`."""
         kept = self._between("entities", asked.first, asked.last)
         rows = kept if waiting is None else pa.concat_tables([kept, waiting])
@@ -123,7 +123,7 @@ class Memory(History):
         return " UNION ALL ".join(self._of_ring(table, ring) for ring in rings(table))
 
 
-def _near_of_two(rows: pa.Table, asked: Near) -> pa.Table:
+def _near_of_two(rows: pa.Table, asked: PairRequest) -> pa.Table:
     """What `near_rows` gives of one pair, picked out of the columns where they are.
 
     Args:
@@ -135,7 +135,7 @@ def _near_of_two(rows: pa.Table, asked: Near) -> pa.Table:
     return pa.table([np.concatenate(column) for column in columns], names=NEAR_COLUMNS)
 
 
-def _near_in(part: pa.RecordBatch, asked: Near) -> list[npt.NDArray[Any]]:
+def _near_in(part: pa.RecordBatch, asked: PairRequest) -> list[npt.NDArray[Any]]:
     """The columns of `near_rows`, of some ticks."""
     start, end = np.searchsorted(part["tick"].to_numpy(), [asked.first, asked.last + 1]).tolist()
     part = part.slice(start, max(end - start, 0))

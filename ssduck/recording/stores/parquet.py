@@ -26,7 +26,7 @@ from ssduck.recording.buffers import FRAMES
 from ssduck.recording.episode import Episode
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import KEYS, MODELS, Numbers, models_of, told_of
+from ssduck.recording.static_tables import KEYS, MODELS, ShapeNumbers, models_of, told_of
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     FORMAT,
@@ -37,7 +37,7 @@ from ssduck.recording.stores.parquet_layout import (
     part_name,
 )
 from ssduck.schema import TABLES
-from ssduck.world.layout import Member
+from ssduck.world.layout import EntityInfo
 
 if TYPE_CHECKING:
     from ssduck.world.world import World
@@ -48,8 +48,8 @@ PART_TICKS = 2400
 _NAME_MAX = 255
 
 
-class Folder:
-    """Writes an episode of a world into a folder (`ssduck.recording.recorder.Store`).
+class ParquetWriter:
+    """Writes an episode of a world into a folder (`ssduck.recording.recorder.RowStore`).
 
     Args:
         path: the folder; it is made if it is not there.
@@ -72,7 +72,7 @@ class Folder:
         self._count = self._told = 0
         self.last_tick: int | None = None
 
-    def add_members(self, members: Collection[Member], numbers: Numbers) -> None:
+    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
         """Keep what entities are, all or none of it."""
         models = models_of(members, numbers, self._geometries)
         for table in sorted(models, key=lambda table: table == "entities"):
@@ -182,7 +182,7 @@ class _NoNumbers:
         raise AssertionError(geometry)
 
 
-class FolderRecording:
+class ParquetRecording:
     """The ticks of a world on their way to a folder, until it is closed.
 
     Args:
@@ -194,7 +194,7 @@ class FolderRecording:
     """
 
     def __init__(
-        self, world: World, recorder: Recorder, folder: Folder, recorders: list[Recorder]
+        self, world: World, recorder: Recorder, folder: ParquetWriter, recorders: list[Recorder]
     ) -> None:
         self._world = world
         self._recorder = recorder

@@ -33,7 +33,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, warn
-from ssduck.recording.buffers import FRAMES, Ticks
+from ssduck.recording.buffers import FRAMES, TickBuffer
 from ssduck.recording.episode import Episode
 
 FORMAT = "ssduck record"
@@ -187,7 +187,7 @@ class FolderRun:
             raise RecordError(f"{self.place(table)} holds no whole part: nothing was stored")
         return pa.concat_tables([_read(file) for file in files])
 
-    def ticks(self) -> tuple[list[int], Ticks]:
+    def ticks(self) -> tuple[list[int], TickBuffer]:
         """The first tick of each part, and all of them.
 
         Raises:
@@ -200,7 +200,7 @@ class FolderRun:
         numbers = rows["tick"].to_numpy()
         if (np.diff(numbers) <= 0).any():
             raise RecordError(f"{self.place('ticks')} is damaged: its ticks do not ascend")
-        ticks = Ticks.of(numbers, rows["time"].to_numpy())
+        ticks = TickBuffer.of(numbers, rows["time"].to_numpy())
         return [part["tick"][0].as_py() for part in parts], ticks
 
     @property
@@ -210,7 +210,9 @@ class FolderRun:
         Raises:
             RecordError: a file is damaged.
         """
-        ticks = self.ticks()[1] if FolderRun(self.path, self.world, self.number).parts else Ticks()
+        ticks = (
+            self.ticks()[1] if FolderRun(self.path, self.world, self.number).parts else TickBuffer()
+        )
         entities = self.recording.get("entities")
         return Episode.of(
             self.path,

@@ -28,7 +28,12 @@ from ssduck.geometry.shapes import (
 )
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
-from ssduck.simulators.pybullet.collision_margins import Told, margin_of, told_of, with_margins
+from ssduck.simulators.pybullet.collision_margins import (
+    KnownMargins,
+    margin_of,
+    told_of,
+    with_margins,
+)
 from ssduck.simulators.pybullet.console import pybullet
 
 Pose: TypeAlias = tuple[Array, Array]
@@ -57,7 +62,7 @@ _ASKEW = np.array([[0.62, 0.53, 0.58], [-0.71, 0.44, -0.55], [0.37, -0.82, 0.43]
 
 
 @dataclass(frozen=True, eq=False)
-class Description:
+class BodyDescription:
     """A body as it was read.
 
     Attributes:
@@ -70,7 +75,7 @@ class Description:
     body: Body
     com: Pose
     exact: bool
-    told: tuple[Told, ...] = ()
+    told: tuple[KnownMargins, ...] = ()
 
 
 def describe(
@@ -80,7 +85,7 @@ def describe(
     kind: Kind | None,
     saved: SavedShapes | None = None,
     given: GivenShapes | None = None,
-) -> Description:
+) -> BodyDescription:
     """Read a body.
 
     Args:
@@ -169,7 +174,7 @@ class _Reader:
         self.type = self.dynamics[0][10]
         self.com = _com(self.dynamics)
 
-    def described(self, name: str | None, kind: Kind | None) -> Description:
+    def described(self, name: str | None, kind: Kind | None) -> BodyDescription:
         joints = tuple(map(self._joint, self.infos))
         jointed = any(joint.type != "fixed" for joint in joints)
         parents = [-1] + [info[16] + 1 for info in self.infos]
@@ -189,7 +194,7 @@ class _Reader:
                 shape for link, of in enumerate(told) for shape in with_margins(self.own[link], of)
             ),
         )
-        return Description(body, self.com, not body.has_stand_ins, told)
+        return BodyDescription(body, self.com, not body.has_stand_ins, told)
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
         """A joint, its axis in the frame of its link."""
@@ -202,10 +207,12 @@ class _Reader:
 
     # -- shapes ---------------------------------------------------------------------------
 
-    def _told(self, link: int) -> Told:
+    def _told(self, link: int) -> KnownMargins:
         """What PyBullet tells of the margins of a link."""
-        if all(margin_of(shape.geometry.type, Told(None)) == 0.0 for shape in self.own[link]):
-            return Told(None)
+        if all(
+            margin_of(shape.geometry.type, KnownMargins(None)) == 0.0 for shape in self.own[link]
+        ):
+            return KnownMargins(None)
         entries = None
         # Of links that have capsules PyBullet may not be asked; of soft bodies, and of those in
         # maximal coordinates, it tells nothing.

@@ -27,7 +27,7 @@ _LIMITS = {"jointLowerLimit": 8, "jointUpperLimit": 9}
 
 
 @dataclass(frozen=True)
-class State:
+class BodyState:
     """Where a body is in a client, as PyBullet tells and takes it.
 
     Attributes:
@@ -42,20 +42,20 @@ class State:
     joints: tuple[tuple[tuple[float, ...], tuple[float, ...]] | None, ...]
 
 
-def state_of(client: int, handle: int) -> State:
+def state_of(client: int, handle: int) -> BodyState:
     """The state of a body."""
     joints = [
         pybullet.getJointStateMultiDof(handle, joint, client)[:2]
         for joint in range(pybullet.getNumJoints(handle, client))
     ]
-    return State(
+    return BodyState(
         pybullet.getBasePositionAndOrientation(handle, client),
         pybullet.getBaseVelocity(handle, client),
         tuple(joints),
     )
 
 
-def set_state(client: int, handle: int, body: Body, state: State) -> None:
+def set_state(client: int, handle: int, body: Body, state: BodyState) -> None:
     """Put a body into a state; what is so already is left to the last bit."""
     if state_of(client, handle).base != state.base:
         pybullet.resetBasePositionAndOrientation(handle, *state.base, client)

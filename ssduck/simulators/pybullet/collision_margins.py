@@ -27,7 +27,7 @@ _NOTHING = 1e-9
 
 
 @dataclass(frozen=True)
-class Told:
+class KnownMargins:
     """What PyBullet tells of the margins of a link.
 
     Attributes:
@@ -41,7 +41,7 @@ class Told:
     is_of_file: bool = False
 
 
-def told_of(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> Told:
+def told_of(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> KnownMargins:
     """What PyBullet tells of the margins of a link.
 
     Args:
@@ -49,16 +49,16 @@ def told_of(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) 
         entries: of `getCollisionShapeData`; None where it is not to be asked.
     """
     if entries is None:
-        return Told(None)
+        return KnownMargins(None)
     off = [np.abs((*entry[5], *entry[6][:3])).max() > _NOTHING for entry in entries]
     is_of_file = any(
         entry[2] == pybullet.GEOM_MESH and entry[4] not in (b"", b"unknown_file")
         for entry in entries
     )
-    return Told(float(dynamics[11]), len(entries) > 1 or any(off), is_of_file)
+    return KnownMargins(float(dynamics[11]), len(entries) > 1 or any(off), is_of_file)
 
 
-def margin_of(type: str, told: Told) -> float:
+def margin_of(type: str, told: KnownMargins) -> float:
     """The margin of a shape, metres.
 
     What `changeDynamics` sets does not reach the hulls of a mesh file in a compound. Of a compound
@@ -80,12 +80,12 @@ def margin_of(type: str, told: Told) -> float:
     return told.margin
 
 
-def with_margins(shapes: Sequence[PlacedGeometry], told: Told) -> list[PlacedGeometry]:
+def with_margins(shapes: Sequence[PlacedGeometry], told: KnownMargins) -> list[PlacedGeometry]:
     """The shapes of a link with their margins."""
     return [replace(shape, margin=margin_of(shape.geometry.type, told)) for shape in shapes]
 
 
-def margins_of(client: int, body: Body, told: Sequence[Told]) -> list[float]:
+def margins_of(client: int, body: Body, told: Sequence[KnownMargins]) -> list[float]:
     """The margins of a body's shapes as they are now, metres.
 
     Args:

@@ -30,11 +30,11 @@ import numpy as np
 from ssduck.errors import SimulatorError, warn
 from ssduck.formatting import listed
 from ssduck.geometry.shapes import Array, compose, invert
-from ssduck.simulators.backends import Original, Tick
+from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SETTABLE, Body, Simulator
-from ssduck.simulators.pybullet.bodies import Description, com_of, xyzw
+from ssduck.simulators.pybullet.bodies import BodyDescription, com_of, xyzw
 from ssduck.simulators.pybullet.body_state import (
-    State,
+    BodyState,
     contacts_of,
     copy_colours,
     copy_dynamics,
@@ -50,7 +50,7 @@ from ssduck.simulators.pybullet.introspection import (
 )
 from ssduck.simulators.pybullet.link_frames import frames_of
 from ssduck.simulators.pybullet.scene_loader import (
-    Filled,
+    LoadedBodies,
     engine_of,
     hold_joint,
     load_body,
@@ -69,7 +69,7 @@ from ssduck.simulators.scenes import BodySpec, Scene
 
 
 def excerpt(
-    source: Simulator | None, originals: Sequence[Original], tick: Tick
+    source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> PyBulletSimulator:
     """A new simulation of some bodies as they are at a tick.
 
@@ -97,7 +97,7 @@ class _NotCarriedError(Exception):
 
 
 def _may_carry_contacts(
-    source: PyBulletSimulator, originals: Sequence[Original], tick: Tick
+    source: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> bool:
     """Whether the contacts of a client could be restored in a copy of all of it."""
     if len(originals) < source.count() or tick.disabled:
@@ -121,12 +121,12 @@ class _Copier:
 
     source: PyBulletSimulator | None
     client: int
-    tick: Tick
-    filled: Filled = field(default_factory=Filled)
+    tick: TickToCopy
+    filled: LoadedBodies = field(default_factory=LoadedBodies)
     handles: dict[Body, int] = field(default_factory=dict)
     guessed: dict[str, list[str]] = field(default_factory=dict)
 
-    def copied(self, originals: Sequence[Original], *, carry: bool = False) -> PyBulletSimulator:
+    def copied(self, originals: Sequence[BodyToCopy], *, carry: bool = False) -> PyBulletSimulator:
         """Copy them; with the contacts that the solver knows of, if they are all there are.
 
         Raises:
@@ -160,7 +160,7 @@ class _Copier:
 
     # -- bodies ---------------------------------------------------------------------------
 
-    def _load(self, originals: Sequence[Original], folder: Path) -> None:
+    def _load(self, originals: Sequence[BodyToCopy], folder: Path) -> None:
         loaded: dict[int, Sequence[int]] = {}  # by entry of a scene, all bodies of its file
         for original in originals:
             spec, number = self._origin_of(original.body)
@@ -194,10 +194,10 @@ class _Copier:
             return None, 0
         return origin.spec, origin.number
 
-    def _known(self, body: Body) -> Description | None:
+    def _known(self, body: Body) -> BodyDescription | None:
         return None if self.source is None else self.source.description_of(body)
 
-    def _load_written(self, original: Original, folder: Path, number: int) -> int:
+    def _load_written(self, original: BodyToCopy, folder: Path, number: int) -> int:
         """Load a body by a model that is written of what is known of it."""
         known = self._known(original.body)
         if known is None:
@@ -223,7 +223,7 @@ class _Copier:
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)
         return handle
 
-    def _finish(self, original: Original) -> bool:
+    def _finish(self, original: BodyToCopy) -> bool:
         """Let a loaded body be as the original is at the tick; tells whether it is so still."""
         body, handle = original.body, self.handles[original.body]
         known = self._known(body)
@@ -245,10 +245,10 @@ class _Copier:
         if body in self.tick.hidden:
             self.filled.hidden.add(handle)
         own = replace(body, handle=handle, name=original.name)
-        self.filled.described[handle] = Description(own, com, exact=True)
+        self.filled.described[handle] = BodyDescription(own, com, exact=True)
         return as_now
 
-    def _is_as_now(self, original: Original) -> bool:
+    def _is_as_now(self, original: BodyToCopy) -> bool:
         """Whether a body is in the source as it was at the tick, to the last digit."""
         body = original.body
         if self.source is None or self._known(body) is None:
@@ -266,7 +266,7 @@ class _Copier:
         # Those that the tick does not tell are as the links are.
         return bool((np.isnan(original.joints) | (joints == original.joints)).all())
 
-    def _told_state(self, original: Original, com: tuple[Array, Array], handle: int) -> State:
+    def _told_state(self, original: BodyToCopy, com: tuple[Array, Array], handle: int) -> BodyState:
         """A body's state as the tick tells of it."""
         frames = original.frames
         base = np.array([0])
@@ -282,13 +282,13 @@ class _Copier:
             ((float(position),), (float(velocity),)) if joint.type in SETTABLE else None
             for joint, (position, velocity) in zip(original.body.joints, joints, strict=True)
         ]
-        return State(
+        return BodyState(
             (tuple(place[0].tolist()), tuple(xyzw(turn)[0].tolist())),
             (tuple(moving[7:10].tolist()), tuple(moving[10:].tolist())),
             tuple(told),
         )
 
-    def _joints_by_frames(self, original: Original, handle: int) -> Array:
+    def _joints_by_frames(self, original: BodyToCopy, handle: int) -> Array:
         """Positions of joints that nobody has noted, from where the links are; at rest."""
         body = original.body
         what = "velocities" if self._known(body) is not None else "positions and velocities"
@@ -310,11 +310,11 @@ class _Copier:
                 joints[number, 0] = shifts[number] @ axis / (axis @ axis)
         return joints
 
-    def _hold(self, original: Original, state: State, handle: int) -> None:
+    def _hold(self, original: BodyToCopy, state: BodyState, handle: int) -> None:
         """Let motors hold joints where they do, or where they are at a tick that was before."""
         body = original.body
         held: Mapping[int, float] = {}
-        now: State | None = None
+        now: BodyState | None = None
         if self.source is not None and self._known(body) is not None:
             if self.source.watched and any(joint.type in SETTABLE for joint in body.joints):
                 self._guess("what motors do is not told; they are as PyBullet begins", original)
@@ -368,7 +368,7 @@ class _Copier:
 
     # -- what is not as it was ------------------------------------------------------------
 
-    def _guess(self, what: str, original: Original) -> None:
+    def _guess(self, what: str, original: BodyToCopy) -> None:
         self.guessed.setdefault(what, []).append(original.name)
 
     def _warn(self) -> None:

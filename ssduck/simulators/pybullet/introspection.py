@@ -11,12 +11,12 @@ import numpy as np
 
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.shapes import Array, Boxer
-from ssduck.simulators.interface import SETTABLE, Body, Frames
+from ssduck.simulators.interface import SETTABLE, Body, LinkPoses
 from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, next_to_zero
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
-from ssduck.simulators.pybullet.urdf import Drawn, Model, zero_poses
+from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
 from ssduck.simulators.scenes import ConstraintSpec
 
 # A link of a client: the body's number, and PyBullet's of the link; -1, -1 is the world.
@@ -33,7 +33,7 @@ _ELEMENTS = {
 }
 
 
-def model_of(simulator: PyBulletSimulator, body: Body) -> Model:
+def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
     """What a model's file would say of a body.
 
     Raises:
@@ -48,7 +48,7 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> Model:
     infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
     frames = simulator.read_frames((body,), links_move=True)
     joints = simulator.read_joints([body] if body.joints else [])
-    return Model(
+    return BodyModel(
         body,
         zero_poses(body, frames, positions_by_link(body, joints)),
         known.com,
@@ -67,12 +67,12 @@ def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
     }
 
 
-def guessed_model(body: Body, frames: Frames, joints: Array) -> Model:
+def guessed_model(body: Body, frames: LinkPoses, joints: Array) -> BodyModel:
     """What a record tells of a body; its masses are in the middles of its shapes."""
     positions = positions_by_link(body, joints)
     com = np.array([_middle(body, link) for link in range(len(body.links))])
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
-    return Model(
+    return BodyModel(
         body,
         zero_poses(body, frames, positions),
         (com, turns),
@@ -106,12 +106,12 @@ def _middle(body: Body, link: int) -> Array:
     return middle
 
 
-def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Drawn]:
+def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
     entries = pybullet.getVisualShapeData(body.handle, physicsClientId=simulator.client)
     colours = simulator.colours_of(body)
     for entry, (link, _, colour) in zip(entries, colours, strict=True):
         geometry = primitive_of(entry[2], entry[3])
-        yield Drawn(
+        yield Visual(
             link + 1,
             geometry,
             entry[4].decode(errors="replace"),

@@ -13,7 +13,7 @@ from operator import itemgetter
 import numpy as np
 
 from ssduck.geometry.shapes import Indices, invert, multiply, rotate, rotation_matrices
-from ssduck.simulators.interface import Body, Frames
+from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.pybullet.bodies import Pose
 from ssduck.simulators.pybullet.console import pybullet
 
@@ -23,7 +23,7 @@ _pose = itemgetter(0, 1)
 _pose_and_twist = itemgetter(0, 1, 6, 7)
 
 
-class FramesReader:
+class LinkPosesReader:
     """Reads the frames of a fixed list of bodies: the way is worked out once, used every tick.
 
     Args:
@@ -46,7 +46,7 @@ class FramesReader:
         self._origins = -positions  # from the centres of mass, in the link frames' axes
         self._shifted = bool(positions.any())
 
-    def read(self, client: int, links_move: bool) -> Frames:
+    def read(self, client: int, links_move: bool) -> LinkPoses:
         """All frames as they are now, body after body; velocities of links if they are wanted."""
         links = map(
             pybullet.getLinkStates,
@@ -72,7 +72,7 @@ class FramesReader:
         positions = states[:, :3]
         if self._shifted:
             positions = positions + rotate(matrices, self._origins)
-        return Frames(positions, matrices, states)
+        return LinkPoses(positions, matrices, states)
 
 
 # An answer like the others, of one number.
@@ -99,6 +99,6 @@ def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
     return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
-def frames_of(client: int, body: Body, com: Pose) -> Frames:
+def frames_of(client: int, body: Body, com: Pose) -> LinkPoses:
     """The frames of one body as they are now."""
-    return FramesReader([body], [com]).read(client, links_move=True)
+    return LinkPosesReader([body], [com]).read(client, links_move=True)

@@ -14,7 +14,7 @@ from operator import itemgetter
 import numpy as np
 
 from ssduck.geometry.shapes import Array, Indices
-from ssduck.simulators.interface import Hits
+from ssduck.simulators.interface import RayHits
 from ssduck.simulators.pybullet.console import pybullet
 
 # PyBullet refuses more rays than its maximum in one call, and of as many it tells nothing.
@@ -26,7 +26,7 @@ _body = itemgetter(0)
 _fraction = itemgetter(2)
 
 
-def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> Hits:
+def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayHits:
     """The nearest hit of each ray, but for hits of the body that it passes through."""
     bodies, fractions = _cast(client, starts, ends)
     blocked = np.flatnonzero((bodies == through) & (bodies >= 0))
@@ -34,7 +34,7 @@ def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> Hits
         bodies[blocked], fractions[blocked] = _behind(
             client, starts[blocked], ends[blocked], through[blocked]
         )
-    return Hits(bodies, fractions)
+    return RayHits(bodies, fractions)
 
 
 def _behind(client: int, starts: Array, ends: Array, through: Indices) -> tuple[Indices, Array]:

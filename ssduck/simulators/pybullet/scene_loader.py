@@ -12,9 +12,9 @@ import numpy as np
 
 from ssduck.errors import SceneError, nearest
 from ssduck.geometry.shapes import compose
-from ssduck.simulators.interface import SETTABLE, Joint, Kind, Motor
+from ssduck.simulators.interface import SETTABLE, Joint, Kind, MotorTarget
 from ssduck.simulators.kinematics import SLACK
-from ssduck.simulators.pybullet.bodies import Description, joint_of, wxyz, xyzw
+from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, xyzw
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.scenes import BodySpec, ConstraintSpec, Scene
 
@@ -35,7 +35,7 @@ _MARK = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
 
 
 @dataclass(frozen=True, eq=False)
-class Origin:
+class SceneOrigin:
     """Which entry of a scene a body was loaded from, and which of the bodies in its file it is."""
 
     spec: BodySpec
@@ -43,7 +43,7 @@ class Origin:
 
 
 @dataclass(eq=False)
-class Filled:
+class LoadedBodies:
     """What is known of the bodies that ssduck put into a client, by PyBullet body number.
 
     Attributes:
@@ -60,16 +60,16 @@ class Filled:
 
     names: dict[int, str] = field(default_factory=dict)
     kinds: dict[int, Kind] = field(default_factory=dict)
-    origins: dict[int, Origin] = field(default_factory=dict)
+    origins: dict[int, SceneOrigin] = field(default_factory=dict)
     held: dict[int, dict[int, float]] = field(default_factory=dict)
-    described: dict[int, Description] = field(default_factory=dict)
+    described: dict[int, BodyDescription] = field(default_factory=dict)
     disabled: set[int] = field(default_factory=set)
     hidden: set[int] = field(default_factory=set)
     time: float = 0.0
     elastic: bool = False
 
 
-def load_models(scene: Scene, client: int) -> Filled:
+def load_models(scene: Scene, client: int) -> LoadedBodies:
     """Fill a new client with a scene.
 
     Raises:
@@ -81,7 +81,7 @@ def load_models(scene: Scene, client: int) -> Filled:
     set_engine(engine, client)
     if scene.elastic:
         set_elastic(client)
-    filled = Filled(time=scene.time, elastic=scene.elastic)
+    filled = LoadedBodies(time=scene.time, elastic=scene.elastic)
     for index, spec in enumerate(scene.bodies):
         # A model that is loaded by itself has no entry in a scene's file.
         load_body(spec, f"{scene.path}: body[{index}]." if spec.name else "", filled, client)
@@ -133,7 +133,7 @@ def engine_of(client: int) -> dict[str, int]:
     return {name: int(told[called]) for name, called in _ENGINE.items()}
 
 
-def load_body(spec: BodySpec, place: str, filled: Filled, client: int) -> Sequence[int]:
+def load_body(spec: BodySpec, place: str, filled: LoadedBodies, client: int) -> Sequence[int]:
     """Load an entry of a scene; gives the numbers of its bodies, of which a file may have some.
 
     Args:
@@ -147,7 +147,7 @@ def load_body(spec: BodySpec, place: str, filled: Filled, client: int) -> Sequen
     """
     handles = load_model(spec, place, client)
     for number, handle in enumerate(handles):
-        filled.origins[handle] = Origin(spec, number)
+        filled.origins[handle] = SceneOrigin(spec, number)
         if spec.name:
             filled.names[handle] = spec.name
         if spec.kind:
@@ -237,10 +237,10 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
 def hold_joint(handle: int, joint: Joint, value: float, client: int) -> None:
     """Let a joint's motor hold it there; one without limits is held at velocity 0."""
     position = None if joint.lower is None else value
-    set_motor(handle, joint.link, Motor(position, 0.0, joint.max_effort or 0.0, None), client)
+    set_motor(handle, joint.link, MotorTarget(position, 0.0, joint.max_effort or 0.0, None), client)
 
 
-def set_motor(handle: int, link: int, motor: Motor, client: int) -> None:
+def set_motor(handle: int, link: int, motor: MotorTarget, client: int) -> None:
     """Let the motor of a link's joint act so from the next step on."""
     bounds: dict[str, Any] = {} if motor.speed is None else {"maxVelocity": motor.speed}
     target: dict[str, Any] = (
@@ -267,7 +267,7 @@ def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place:
         raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
 
 
-def _make_constraints(scene: Scene, filled: Filled, client: int) -> None:
+def _make_constraints(scene: Scene, filled: LoadedBodies, client: int) -> None:
     handles = {name: handle for handle, name in filled.names.items()}
     for index, spec in enumerate(scene.constraints):
         place = f"{scene.path}: constraint[{index}]."

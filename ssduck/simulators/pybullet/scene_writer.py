@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from ssduck.simulators.backends import Original, Tick
+from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SETTABLE, Body
 from ssduck.simulators.pybullet.introspection import constraints_of, model_of
 from ssduck.simulators.pybullet.scene_loader import engine_of
@@ -28,12 +28,12 @@ _NAMED = re.compile(r"^\s*(?:mtllib|map_\w+)\s+(.+?)\s*$", re.MULTILINE)
 
 
 def scene_of(
-    simulator: PyBulletSimulator, originals: Sequence[Original], tick: Tick, folder: Path
+    simulator: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
 ) -> Scene:
     """The scene that a simulation is, without its sensors; writes its models into a folder."""
     told = simulator.parameters()
     gravity = tuple(told[f"gravityAcceleration{axis}"] for axis in "XYZ")
-    models = _Models(simulator, folder)
+    models = _ModelWriter(simulator, folder)
     names = {original.body.handle: original for original in originals}
     return Scene(
         name="world",
@@ -48,7 +48,7 @@ def scene_of(
     )
 
 
-def _constraints(client: int, originals: Mapping[int, Original]) -> Iterator[ConstraintSpec]:
+def _constraints(client: int, originals: Mapping[int, BodyToCopy]) -> Iterator[ConstraintSpec]:
     for spec, (on, link), (to, to_link) in constraints_of(client):
         other = originals.get(to)
         yield replace(
@@ -66,7 +66,7 @@ def _link_name(body: Body, link: int) -> str | None:
 
 
 @dataclass(eq=False)
-class _Models:
+class _ModelWriter:
     """The models of a scene that is saved.
 
     Attributes:
@@ -79,7 +79,7 @@ class _Models:
     folder: Path
     copies: dict[Path, Path | None] = field(default_factory=dict)
 
-    def spec_of(self, original: Original, tick: Tick) -> BodySpec:
+    def spec_of(self, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
         """What the scene says of a body."""
         body, states = original.body, original.joints
         origin = self.simulator.filled.origins.get(body.handle)

@@ -30,16 +30,30 @@ from ssduck.geometry.shapes import (
 )
 from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import Body, Contact, Frames, Hits, Kind, Motor, View
-from ssduck.simulators.pybullet.bodies import Description, GivenShapes, describe, masses_of, xyzw
+from ssduck.simulators.interface import (
+    Body,
+    CameraView,
+    Contact,
+    Kind,
+    LinkPoses,
+    MotorTarget,
+    RayHits,
+)
+from ssduck.simulators.pybullet.bodies import (
+    BodyDescription,
+    GivenShapes,
+    describe,
+    masses_of,
+    xyzw,
+)
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import margins_of
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.constraints import tie, ties_of
 from ssduck.simulators.pybullet.given_shapes import given_shapes
-from ssduck.simulators.pybullet.link_frames import FramesReader
+from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
-from ssduck.simulators.pybullet.scene_loader import Filled, hold_joint, load_models, set_motor
+from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, load_models, set_motor
 from ssduck.simulators.scenes import Camera, Scene
 
 T = TypeVar("T")
@@ -78,12 +92,12 @@ class PyBulletSimulator:
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
         shapes: Mapping[int, GivenShapes] | None = None,
-        filled: Filled | None = None,
+        filled: LoadedBodies | None = None,
     ) -> None:
         self.client = client
         self.watched = not owned
         # Of a client that ssduck filled.
-        self.filled = filled or Filled()
+        self.filled = filled or LoadedBodies()
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
         self._given = dict(shapes or {})
@@ -91,7 +105,7 @@ class PyBulletSimulator:
         self.hidden: frozenset[Body] = frozenset()
         # Of hidden bodies: link, number among its visual shapes, colour.
         self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
-        self._known: dict[int, Description] = {}
+        self._known: dict[int, BodyDescription] = {}
         # Two worlds on one client must not take each other's tags for their own.
         self._tag = f"ssduck.{id(self)}"
         self._listed: tuple[list[int], list[int]] = ([], [])
@@ -101,7 +115,7 @@ class PyBulletSimulator:
         # Why the client is not to be asked any more. PyBullet gives the number of one that is
         # gone to the next one, which is none of ours.
         self._lost: str | None = None
-        self._layout: tuple[tuple[Body, ...], FramesReader] = ((), FramesReader([], []))
+        self._layout: tuple[tuple[Body, ...], LinkPosesReader] = ((), LinkPosesReader([], []))
         self.clock = Clock(self._clients_timestep(), self.filled.time)
 
     # -- bodies ---------------------------------------------------------------------------
@@ -154,7 +168,7 @@ class PyBulletSimulator:
             known.pop(body.handle, None)
         self._removed.append(body)
 
-    def description_of(self, body: Body) -> Description | None:
+    def description_of(self, body: Body) -> BodyDescription | None:
         """What was read of a body, if the client has it still."""
         known = self._known.get(body.handle)
         if known is None or known.body is not body or self._lost is not None:
@@ -187,7 +201,7 @@ class PyBulletSimulator:
         none = repeat(-1)
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
-    def _read(self, handle: int, saved: SavedShapes) -> Description:
+    def _read(self, handle: int, saved: SavedShapes) -> BodyDescription:
         read = self.filled.described.pop(handle, None) or describe(
             self.client,
             handle,
@@ -215,10 +229,13 @@ class PyBulletSimulator:
         """Go by another clock from now on."""
         self.clock = clock
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> Frames:
+    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:
         """All frames of these bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
-            self._layout = bodies, FramesReader(bodies, [self._known[b.handle].com for b in bodies])
+            self._layout = (
+                bodies,
+                LinkPosesReader(bodies, [self._known[b.handle].com for b in bodies]),
+            )
         return self._call(lambda: self._layout[1].read(self.client, links_move))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
@@ -271,7 +288,7 @@ class PyBulletSimulator:
                     friction=_friction(entry),
                 )
 
-    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> Hits:
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """The nearest body that each ray meets; see `ssduck.simulators.pybullet.rays`."""
         return self._call(lambda: cast_rays(self.client, starts, ends, through))
 
@@ -330,7 +347,7 @@ class PyBulletSimulator:
 
         self._call(put)
 
-    def drive(self, body: Body, motors: Mapping[int, Motor]) -> None:
+    def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
         """Set motors of joints by the numbers of their links; they act in the next steps."""
 
         def put() -> None:
@@ -415,7 +432,7 @@ class PyBulletSimulator:
         )[4]
         return np.asarray(bodies, dtype=np.intp).reshape(height, width)
 
-    def photograph(self, view: View) -> npt.NDArray[np.uint8]:
+    def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
         """A colour picture by PyBullet's software renderer, without shadows."""
         target = view.position + view.matrix[:, 0]
         seen = pybullet.computeViewMatrix(

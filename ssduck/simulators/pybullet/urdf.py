@@ -24,7 +24,7 @@ from ssduck.geometry.shapes import (
     invert,
     rotation_matrices,
 )
-from ssduck.simulators.interface import Body, Frames
+from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.kinematics import moved
 
 Numbers = Sequence[float]
@@ -34,7 +34,7 @@ _NONE = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class Visual:
     """What is drawn of a link: a shape or a mesh's file, its pose in the link frame, its colour.
 
     Attributes:
@@ -57,7 +57,7 @@ class Drawn:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class BodyModel:
     """A body as a model file tells of it.
 
     Attributes:
@@ -77,10 +77,12 @@ class Model:
     inertias: Array | None
     damping: Numbers
     contacts: Sequence[Mapping[str, float]]
-    drawn: Sequence[Drawn] | None
+    drawn: Sequence[Visual] | None
 
 
-def zero_poses(body: Body, frames: Frames, positions: Mapping[int, float]) -> tuple[Array, Array]:
+def zero_poses(
+    body: Body, frames: LinkPoses, positions: Mapping[int, float]
+) -> tuple[Array, Array]:
     """The poses of links in their parents' frames at joint positions of 0.
 
     Args:
@@ -96,7 +98,7 @@ def zero_poses(body: Body, frames: Frames, positions: Mapping[int, float]) -> tu
     return compose(*inverse, places[1:], turns[1:])
 
 
-def write_model(model: Model, folder: Path, stem: str) -> Path:
+def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
     """Write a model and the meshes that it needs into a folder; the URDF file is `stem.urdf`."""
     robot = ET.Element("robot", name=model.body.name)
     meshes = _Meshes(folder, stem)
@@ -121,7 +123,7 @@ def write_model(model: Model, folder: Path, stem: str) -> Path:
     return path
 
 
-def _add_inertial(element: ET.Element, model: Model, index: int) -> None:
+def _add_inertial(element: ET.Element, model: BodyModel, index: int) -> None:
     inertial = ET.SubElement(element, "inertial")
     _add_origin(inertial, model.com[0][index], model.com[1][index])
     ET.SubElement(inertial, "mass", value=_told(model.body.links[index].mass))
@@ -134,7 +136,7 @@ def _add_drawn(
     element: ET.Element,
     index: int,
     shapes: Sequence[PlacedGeometry],
-    drawn: Sequence[Drawn] | None,
+    drawn: Sequence[Visual] | None,
     meshes: _Meshes,
 ) -> None:
     if drawn is None:
@@ -195,7 +197,7 @@ def unique_names(names: Iterable[str]) -> list[str]:
     return list(found)
 
 
-def _add_joint(robot: ET.Element, model: Model, number: int, names: Sequence[str]) -> None:
+def _add_joint(robot: ET.Element, model: BodyModel, number: int, names: Sequence[str]) -> None:
     joint = model.body.joints[number]
     limited = joint.lower is not None and joint.upper is not None
     kind = joint.type

@@ -6,7 +6,7 @@ import re
 
 from ssduck.sql.relations.common import ENTITY, of_entity, told
 from ssduck.sql.relations.contacts import summed
-from ssduck.sql.relations.relation import Candidates, Parameter, Relation
+from ssduck.sql.relations.relation import CandidatePairs, Parameter, Relation
 from ssduck.sql.relations.shapes import COLLIDES, DEEP, on_shapes
 
 # Of a unit quaternion w, x, y, z.
@@ -117,7 +117,7 @@ OF_ODE: tuple[Relation, ...] = (
         COLLIDES,
         "Checks if a and b collide: collides(a, b).",
         symmetric=True,
-        candidates=Candidates("colliding", DEEP),
+        candidates=CandidatePairs("colliding", DEEP),
     ),
     *(
         of_entity(

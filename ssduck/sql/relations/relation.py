@@ -44,7 +44,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Candidates:
+class CandidatePairs:
     """Where the pairs of a tick are found of which a relation of two entities may hold.
 
     Attributes:
@@ -119,7 +119,7 @@ class Relation:
     element: ValueType = "real"
     apart: str = ""
     asked: str = ""
-    candidates: Candidates | None = None
+    candidates: CandidatePairs | None = None
     then: str = ""
     of_lists: str = ""
     far: Literal["", "more", "nothing"] = ""

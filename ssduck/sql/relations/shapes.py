@@ -6,7 +6,7 @@ from typing import Literal
 
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.sql.relations.common import A_B, ENTITY
-from ssduck.sql.relations.relation import Candidates, Parameter, Relation, ValueType
+from ssduck.sql.relations.relation import CandidatePairs, Parameter, Relation, ValueType
 
 # A third of the mean of the six sides of two boxes.
 _BESIDE = "(" + " + ".join(f"{o}.{s}max - {o}.{s}min" for o in "ab" for s in "xyz") + ") / 18"
@@ -60,7 +60,7 @@ def on_shapes(
     unit: str = "",
     symmetric: bool = False,
     element: ValueType = "real",
-    candidates: Candidates | None = None,
+    candidates: CandidatePairs | None = None,
     far: Literal["", "more", "nothing"] = "",
     also: tuple[str, ...] = (),
     by_margins: bool = False,
@@ -138,7 +138,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         more=(Parameter("depth", "real", "a depth, m", optional=True),),
         sliced=_narrow(_ask("collides", "depth"), _DEPTH_CHECKED),
         symmetric=True,
-        candidates=Candidates("colliding", DEEP, "depth"),
+        candidates=CandidatePairs("colliding", DEEP, "depth"),
     ),
     on_shapes(
         "penetration",
@@ -175,7 +175,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         more=(Parameter("eps", "real", "a distance, m", optional=True),),
         sliced=_narrow(_ask("touching", "eps"), f"(eps) + {_MARGINS}"),
         symmetric=True,
-        candidates=Candidates("touching", "0.001", "eps"),
+        candidates=CandidatePairs("touching", "0.001", "eps"),
         by_margins=True,
     ),
     on_shapes(
@@ -186,7 +186,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         asked="on pairs whose boxes are at most d apart",
         more=(Parameter("d", "real", "a distance, m"),),
         symmetric=True,
-        candidates=Candidates("within", "d"),
+        candidates=CandidatePairs("within", "d"),
     ),
     on_shapes(
         "nearestPoints",
@@ -206,7 +206,7 @@ OF_SHAPES: tuple[Relation, ...] = (
             _narrow(_ask(name), f"0.001 + {_MARGINS}"),
             about,
             asked="on pairs whose boxes are at most 1 mm and the largest margins apart",
-            candidates=Candidates("reaching", "0.001"),
+            candidates=CandidatePairs("reaching", "0.001"),
             also=("onTop",) if name == "on" else (),
             by_margins=True,
         )
@@ -219,7 +219,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         "Checks if b is on a, or on something that rests on a: the cup on a plate on a table rests "
         "on the table. What is on what is found once a tick, for all entities.",
         asked="on all pairs of the tick whose boxes are at most 1 cm apart, once",
-        candidates=Candidates("resting"),
+        candidates=CandidatePairs("resting"),
         by_margins=True,
     ),
     on_shapes(
@@ -237,7 +237,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         _narrow(_ask("contains")),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a. What is "
         "between the legs of a table is in its hull: enclosed asks for walls.",
-        candidates=Candidates("meeting"),
+        candidates=CandidatePairs("meeting"),
     ),
     on_shapes(
         "enclosed",
@@ -248,7 +248,7 @@ OF_SHAPES: tuple[Relation, ...] = (
         "sides. Grazing counts. A convex shape that holds the centre is no wall, a mesh is one "
         "from either side. An axis along which b reaches past a by more than 1 mm at both ends "
         "does not count.",
-        candidates=Candidates("meeting"),
+        candidates=CandidatePairs("meeting"),
     ),
     on_shapes(
         "nextTo",
