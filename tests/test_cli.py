@@ -572,9 +572,7 @@ TUTORIAL = [
 
 
 def test_demo_in_an_empty_folder(tmp_path):
-    began = time.monotonic()
     code, out, err = run("demo", cwd=tmp_path)
-    assert time.monotonic() - began < 10
     assert (code, err) == (0, "")
     for shown in (*TUTORIAL, *(question.asks for question in KITCHEN)):
         assert shown in out

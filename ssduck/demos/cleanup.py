@@ -28,11 +28,11 @@ from ssduck.world.world import World
 
 ROBOT = "barrett_4918"
 JOB = """\
-robot   = SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS value;
+barrett = SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS value;
 table   = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;
 sink    = SELECT obj FROM kitchen WHERE id(this) == 'sink' AS value;
 cleanUp = SELECT obj FROM kitchen
-          WHERE isCup(this) AND onX(table, this) AND distance(robot, this) < 1.3
+          WHERE isCup(this) AND onX(table, this) AND distance(barrett, this) < 1.3
           AS list;"""
 LEFT = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(table, this) AS list;"
 WASHED = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(sink, this) AS list;"

@@ -115,9 +115,9 @@ SELECT obj, position FROM kitchen WHERE within(microwave, this) AS list;""",
     Question(
         "What is on the table, and less than 1.3 m away from the robot that is to clean up?",
         """\
-robot   = SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS value;
+barrett = SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS value;
 cleanUp = SELECT obj FROM kitchen
-          WHERE onX(table, this) AND distance(robot, this) < 1.3
+          WHERE onX(table, this) AND distance(barrett, this) < 1.3
           AS list;""",
     ),
     Question(

@@ -181,22 +181,31 @@ def rotation_matrices(orientations: Array) -> Array:
 
 def turns_of(orientations: Array) -> Array:
     """As `rotation_matrices`, one row an entry: (n, 4) to (9, n)."""
-    # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed)
+    # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed). In few
+    # operations, each on several rows: in a tick of a small world these cost more than the sums.
     columns = np.ascontiguousarray(orientations.T)
-    ww, xx, yy, zz = columns * columns
-    wx, wy, wz = columns[0] * columns[1:]
-    xy, yz, xz = columns[1:] * columns[_AFTER]
-    return np.array(
-        [
-            *(ww + xx - yy - zz, 2.0 * (xy - wz), 2.0 * (xz + wy)),
-            *(2.0 * (xy + wz), ww - xx + yy - zz, 2.0 * (yz - wx)),
-            *(2.0 * (xz - wy), 2.0 * (yz + wx), ww - xx - yy + zz),
-        ]
-    )
+    products = columns.take(_FIRST, axis=0)
+    products *= columns.take(_SECOND, axis=0)
+    with_w, mixed, squares = products[:3], products[3:6], products[7:, None] * _SIGNS
+    entries = np.zeros((9, len(orientations)))
+    diagonal = entries[:3]
+    np.add(products[6], squares[0], out=diagonal)
+    diagonal += squares[1]
+    diagonal += squares[2]
+    np.subtract(mixed, with_w, out=entries[3:6])
+    np.add(mixed, with_w, out=entries[6:])
+    entries[3:] *= 2.0
+    turns: Array = entries.take(_ROW_BY_ROW, axis=0)
+    return turns
 
 
-_AFTER = np.array([2, 3, 1])
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+# The products wz, wx, wy; xy, yz, zx; ww, xx, yy, zz.
+_FIRST = np.array([0, 0, 0, 1, 2, 3, 0, 1, 2, 3])
+_SECOND = np.array([3, 1, 2, 2, 3, 1, 0, 1, 2, 3])
+# Of xx, yy and zz in each entry of the diagonal.
+_SIGNS = np.array([[1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])[:, :, None]
+# The diagonal, then xy - wz, yz - wx, zx - wy, then the same sums, as the rows of a matrix.
+_ROW_BY_ROW = np.array([0, 3, 8, 6, 1, 4, 5, 7, 2])
 
 
 def rotate(matrices: Array, vectors: Array) -> Array:
@@ -209,9 +218,14 @@ def rotate(matrices: Array, vectors: Array) -> Array:
 
 def cross(first: Array, second: Array) -> Array:
     """Cross products of the rows of (n, 3)."""
-    crossed: Array = first.take(_NEXT, axis=1) * second.take(_LAST, axis=1)
-    crossed -= first.take(_LAST, axis=1) * second.take(_NEXT, axis=1)
+    products = first.take(_CROSSED, axis=1)
+    products *= second.take(_CROSSED_WITH, axis=1)
+    crossed: Array = products[:, :3] - products[:, 3:]
     return crossed
+
+
+_CROSSED = np.array([1, 2, 0, 2, 0, 1])
+_CROSSED_WITH = np.array([2, 0, 1, 1, 2, 0])
 
 
 def multiply(first: Array, second: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, Span
 from ssduck.language.tree import Given
-from ssduck.language.value_keys import exactly
+from ssduck.language.value_keys import Keys, exactly
 
 # A frame keeps the memos of a query under this part, which no program has.
 MEMOS = Given(Span(0, 0), "memos")
@@ -33,6 +33,7 @@ class Memo:
     def __init__(self, call: Callable[[list[Any]], Any], *, keeps_same: bool = True) -> None:
         self._call = call
         self._keeps_same = keeps_same
+        self._keys = Keys()
         self._same: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
         self._alike: dict[tuple[Any, ...], Any] = {}
         self._asked = self._found = 0
@@ -49,7 +50,9 @@ class Memo:
             self._found += 1
             return known[1]
         try:
-            alike = tuple(map(exactly, arguments))
+            alike = (
+                self._keys.exact(arguments) if self._keeps_same else tuple(map(exactly, arguments))
+            )
         except (ArgumentError, RecursionError):
             return self._call(arguments)
         if alike in self._alike:
@@ -64,16 +67,18 @@ class Memo:
 
     def _tidy(self) -> None:
         if len(self._same) > MOST_KEPT or len(self._alike) > MOST_KEPT:
-            self._same.clear()
-            self._alike.clear()
+            self._clear()
         if self._asked == TRIED and self._found * _WORTH < self._asked:
             self._is_worth_it = False
-            self._same.clear()
-            self._alike.clear()
+            self._clear()
 
     def forget(self) -> None:
         """Forget everything: another query begins."""
-        self._same.clear()
-        self._alike.clear()
+        self._clear()
         self._asked = self._found = 0
         self._is_worth_it = True
+
+    def _clear(self) -> None:
+        self._same.clear()
+        self._alike.clear()
+        self._keys = Keys()

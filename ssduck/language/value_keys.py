@@ -93,6 +93,9 @@ def exactly(value: Any) -> Any:
     if kind is float:
         return (float, repr(value))
     if kind is list or kind is tuple:
+        types = tuple(map(type, value))
+        if _EXACT_ATOMS.issuperset(types):
+            return (kind, types, *value)
         return (kind, *map(exactly, value))
     if kind is dict:
         return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])

@@ -207,8 +207,9 @@ class _Reader:
         if all(margin_of(shape.geometry.type, Told(None)) == 0.0 for shape in self.own[link]):
             return Told(None)
         entries = None
-        # Of links that have capsules PyBullet may not be asked; of soft bodies it tells nothing.
-        if link not in self._drawn_capsules and self.type != _SOFT_BODY:
+        # Of links that have capsules PyBullet may not be asked; of soft bodies, and of those in
+        # maximal coordinates, it tells nothing.
+        if link not in self._drawn_capsules and self.type == _MULTI_BODY:
             entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
         return told_of(self.dynamics[link], entries)
 
