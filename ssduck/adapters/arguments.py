@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
 
@@ -18,7 +18,7 @@ def number(value: Any, what: str) -> float:
     Raises:
         ArgumentError: it is none.
     """
-    found = checks.as_float(value)
+    found = validation.as_float(value)
     if found is None:
         raise ArgumentError(f"{what} is a number, not {shown(value)}")
     if not math.isfinite(found):
@@ -57,6 +57,6 @@ def whole(value: Any, what: str, least: int, most: int) -> int:
     Raises:
         ArgumentError: it is none.
     """
-    if not checks.is_whole(value) or not least <= value <= most:
+    if not validation.is_whole(value) or not least <= value <= most:
         raise ArgumentError(f"{what} is a whole number from {least} to {most}, not {shown(value)}")
     return int(value)

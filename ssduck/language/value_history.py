@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import shown
 from ssduck.language.deferred import Deferred
@@ -220,7 +220,7 @@ def seconds_of(value: Any, what: str = "an age") -> float:
     Raises:
         ArgumentError: it is no finite number.
     """
-    seconds = checks.as_float(plain(value))
+    seconds = validation.as_float(plain(value))
     if seconds is None:
         raise ArgumentError(f"{what} is a number of seconds, not {shown(value)}")
     if not math.isfinite(seconds):

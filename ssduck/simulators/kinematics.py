@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, StateError, UnknownNameError, nearest
 from ssduck.formatting import shown
 from ssduck.geometry.shapes import (
@@ -55,7 +55,7 @@ def finite(values: Sequence[float], count: int, what: str) -> Array:
         StateError: they are not; it begins with `what`.
     """
     try:
-        array = np.asarray(values if checks.numbers(values) else (), dtype=np.float64)
+        array = np.asarray(values if validation.numbers(values) else (), dtype=np.float64)
     except OverflowError:  # a whole number beyond all floats
         array = np.zeros(0)
     if array.shape != (count,) or not np.isfinite(array).all():
