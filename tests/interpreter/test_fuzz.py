@@ -8,7 +8,6 @@ import pytest
 
 from tools import fuzz
 
-
 pytestmark = pytest.mark.filterwarnings("ignore::ssduck.ProgramWarning")
 
 

@@ -26,6 +26,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.recording.spec import RECORDABLE
+from tests.support.timing import HANGS
 from tools import kill
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -766,7 +767,7 @@ def recorder(path, end):
 def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     path = tmp_path / "run.duckdb"
     for end, number in (("kill", 0), ("close", 1), ("kill", 2)):
-        told, _ = recorder(path, end).communicate(timeout=60)
+        told, _ = recorder(path, end).communicate(timeout=HANGS)
         last = ssduck.episodes(path)[-1]
         assert (last.number, last.first_tick) == (number, 1)
         assert last.last_tick == int(told) + (end == "close")
@@ -811,7 +812,7 @@ def test_a_file_in_use_is_told_of(tmp_path):
             with pytest.raises(SqlError, match="in use by another process"):
                 ssduck.Interpreter(path)
         finally:
-            process.communicate("\n", timeout=60)
+            process.communicate("\n", timeout=HANGS)
     assert ssduck.episodes(path)[0].ticks == 12
 
 
