@@ -35,6 +35,7 @@ def blocks(language):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "texts"), blocks("python").items())
 def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -76,6 +77,7 @@ def run_bare(text, folder):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_readme_runs_as_its_first_command_leaves_it(tmp_path):
     """Without pandas and other extras; and once more in the same folder."""
     text = "\n".join(blocks("python")["README.md"])

@@ -139,6 +139,7 @@ def test_how_often(ss, sim, steps, interval, evaluations, ticks):
     assert sim.snapshot.number - before == ticks
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     timestep=st.sampled_from(["0.001", "0.002", "0.004", "0.01", "0.03", "1/240", "1/60", "1/7"]),

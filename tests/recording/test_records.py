@@ -210,6 +210,7 @@ def answer(ss, program):
         return repr(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("program", PROGRAMS["kitchen"])
 def test_the_kitchen_answers_as_it_did(kitchen, program, kind):
@@ -237,6 +238,7 @@ def test_tables_are_the_same_row_for_row(request, world, table, kind):
     assert tables[table]
 
 
+@pytest.mark.slow
 def test_each_past_tick_is_the_same(tmp_path, client):
     with ssduck.Interpreter(recording=None) as ss:
         live_lab(ss, client, Recording(), ticks=30).ask(["shapes"])
@@ -763,6 +765,7 @@ def recorder(path, end):
     )
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     path = tmp_path / "run.duckdb"
@@ -816,6 +819,7 @@ def test_a_file_in_use_is_told_of(tmp_path):
     assert ssduck.episodes(path)[0].ticks == 12
 
 
+@pytest.mark.slow
 def test_a_file_can_be_opened_many_times_but_not_where_it_is_recorded_into(tmp_path, client):
     path = tmp_path / "run.duckdb"
     with ssduck.Interpreter(path) as ss:
@@ -951,6 +955,7 @@ ss.close()
 """
 
 
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_a_full_disk_loses_nothing(tmp_path, kind):

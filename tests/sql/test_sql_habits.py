@@ -673,6 +673,7 @@ def test_warnings_are_of_the_users_line(world, door):
         assert [warning.filename for warning in caught] == [__file__]
 
 
+@pytest.mark.slow
 def test_combinations_agree(as_sql, by_rows):
     """Clauses with each other, in both evaluators."""
     items = ("type, count(*) AS n", "id", "DISTINCT type", "max(z) - min(z) AS d, count(id) AS n")
