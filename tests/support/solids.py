@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from ssduck.geometry.batch import ShapeTable
-from ssduck.geometry.bounds import Boxer
+from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
@@ -55,7 +55,7 @@ def narrow(*entities):
     with np.errstate(all="ignore"):
         unit = turns / np.linalg.norm(turns, axis=1)[:, None]
         boxes = (
-            Boxer(placed, range(len(shapes)), len(shapes))
+            BoundingBoxes(placed, range(len(shapes)), len(shapes))
             .boxes(positions, rotation_matrices(unit))
             .T
         )
