@@ -2,7 +2,7 @@
 PYTHON ?= .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test lint bench docs scenes
+.PHONY: help setup test check lint bench docs scenes
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -11,7 +11,10 @@ setup: ## make .venv with everything that development needs
 	python3 -m venv .venv
 	$(PYTHON) -m pip install --quiet -e '.[dev]'
 
-test: ## run the tests
+test: ## run the tests but for the slow ones
+	$(PYTHON) -m pytest -m "not slow"
+
+check: ## run all tests
 	$(PYTHON) -m pytest
 
 lint: ## check style, types and layers, and that what is generated is up to date

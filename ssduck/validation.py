@@ -1,4 +1,4 @@
-"""Arguments of public functions, checked before anything happens: numbers, flags and texts.
+"""Arguments, checked before anything happens: of public functions, and those in programs.
 
 Numbers of numpy count as Python's. True and False are no numbers, and a text that looks like
 a number is none.
@@ -12,8 +12,9 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ssduck.errors import ArgumentError, NumberError
+from ssduck.errors import ArgumentError, NumberError, StateError
 from ssduck.formatting import shown
 
 # More steps than that take years: the number is a mistake.
@@ -141,6 +142,87 @@ def numbers(values: Any) -> bool:
     if isinstance(values, np.ndarray):
         return values.ndim == 1 and values.dtype.kind in "iuf"
     return isinstance(values, Sequence) and all(map(is_real, values))
+
+
+def finite_array(values: Any, count: int, what: str) -> npt.NDArray[np.float64]:
+    """So many finite numbers as an array.
+
+    Raises:
+        StateError: they are not; it begins with `what`.
+    """
+    try:
+        array = np.asarray(values if numbers(values) else (), dtype=np.float64)
+    except OverflowError:  # a whole number beyond all floats
+        array = np.zeros(0)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        found = list(values) if isinstance(values, np.ndarray) else values
+        raise StateError(f"{what}: expected {count} finite numbers, found {shown(found)}")
+    return array
+
+
+# -- arguments in programs: behind AS, in {…} -----------------------------------------------
+
+
+def number_argument(value: Any, what: str, unit: str = "") -> float:
+    """A finite number; `unit` tells of what it is one, " of seconds" say.
+
+    Raises:
+        ArgumentError: it is none.
+    """
+    found = as_float(value)
+    if found is None:
+        raise ArgumentError(f"{what} is a number{unit}, not {shown(value)}")
+    if not math.isfinite(found):
+        raise ArgumentError(f"{what} is a finite number{unit}, not {shown(value)}")
+    return found
+
+
+def seconds_argument(value: Any, what: str = "an age") -> float:
+    """A finite number of seconds, which may be negative.
+
+    Raises:
+        ArgumentError: it is none.
+    """
+    return number_argument(value, what, " of seconds")
+
+
+def numbers_argument(values: Any, count: int, what: str, form: str) -> list[float]:
+    """So many finite numbers in a list; `form` tells what they are.
+
+    Raises:
+        ArgumentError: they are others.
+    """
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    if not isinstance(values, list | tuple) or len(values) != count:
+        raise ArgumentError(f"{what} is {form}, not {shown(values)}")
+    return [number_argument(value, what) for value in values]
+
+
+def length_argument(value: Any, what: str) -> float:
+    """A length above 0, m.
+
+    Raises:
+        ArgumentError: it is none.
+    """
+    length = number_argument(value, what)
+    if length <= 0.0:
+        raise ArgumentError(f"{what} is above 0 m, not {shown(value)}")
+    return length
+
+
+def whole_argument(value: Any, what: str, least: int, most: int) -> int:
+    """A whole number between two, both included.
+
+    Raises:
+        ArgumentError: it is none.
+    """
+    if not is_whole(value) or not least <= value <= most:
+        raise ArgumentError(f"{what} is a whole number from {least} to {most}, not {shown(value)}")
+    return int(value)
+
+
+# -- kinds of values ------------------------------------------------------------------------
 
 
 def _is_time(value: Any) -> bool:

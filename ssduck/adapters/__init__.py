@@ -1,7 +1,7 @@
-"""Result forms: what follows AS in a query, and the values that a form gives.
+"""Result forms: what follows AS in a query, and the values that it makes of the rows.
 
-`registry` finds a form by its name. Each other module has the forms of one topic, built on `base`.
-`result` is what raw SQL gives; `display` and `table_view` show values to people.
+`registry` finds a form by its name. Each other module defines the forms of one topic, on top of
+`base`. `result` holds the rows of raw SQL; `display` and `table_view` show values to people.
 """
 
 from typing import TYPE_CHECKING

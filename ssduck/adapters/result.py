@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pyarrow as pa
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.adapters.display import RowsOfColumns
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Result(RowsOfColumns):
         Raises:
             NumberError: that is no whole number, 0 or more.
         """
-        size = checks.whole(size, "fetchmany: size", least=0)
+        size = validation.whole(size, "fetchmany: size", least=0)
         part = self._table.slice(self._fetched, size)
         self._fetched += part.num_rows
         columns = [values_of(column) for column in part.columns]

@@ -6,7 +6,7 @@ import html
 from dataclasses import replace
 from typing import Any
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.adapters.display import (
     DisplayTable,
     answer_of,
@@ -36,7 +36,7 @@ class TableView:
     """
 
     def __init__(self, value: Any, rows: int = MOST_ROWS) -> None:
-        rows = checks.whole(rows, "show: rows", least=0)
+        rows = validation.whole(rows, "show: rows", least=0)
         answer = answer_of(value)
         self._count = len(answer.rows)
         self._answer: DisplayTable = replace(answer, rows=list(answer.rows)[:rows])

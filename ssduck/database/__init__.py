@@ -1,8 +1,8 @@
 """The one door to DuckDB: connections, schemas, prepared statements.
 
 A `Database` has a schema for each world (`worlds`, `schemas`), with a view of each table and a
-macro for each relation (`macros`). Statements run on one tick (`statement`, `connection`).
-`functions` are those in Python that SQL calls; `values` brings values to SQL and back.
+macro for each relation (`macros`). A statement runs on one tick (`statement`, `connection`).
+`functions` are the Python functions that SQL calls; `values` converts values to SQL and back.
 """
 
 from typing import TYPE_CHECKING

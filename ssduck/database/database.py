@@ -1,7 +1,7 @@
 """The one door to DuckDB: worlds as schemas, statements, and the tick that they run on.
 
-A `Database` is a `Connection` on which statements run, and the `WorldRegistry` that they are
-about, each a schema of views that look into its buffers. Nothing outside this folder imports `duckdb`.
+A `Database` is a `Connection` on which statements run, and the `WorldRegistry` that they are about,
+each a schema of views that look into its buffers. Nothing outside this folder imports `duckdb`.
 """
 
 from __future__ import annotations

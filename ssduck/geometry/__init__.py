@@ -1,9 +1,9 @@
-"""Shapes, poses, and what lies between shapes: distances, overlaps, sight.
+"""Shapes, poses, and what lies between shapes: distances, overlaps, lines of sight.
 
-Pure functions of numpy arrays that know nothing of simulators, worlds or queries. `shapes` has the
-kinds of shapes and their poses. `broad_phase` finds the pairs whose boxes meet, `narrow_phase` asks
-such pairs for what their shapes say, one by one or in a `batch`, and `queries` answers by the ids
-of entities. `rasterize` cuts shapes into cells of a `raster`.
+Pure functions of numpy arrays; they know no simulator, no world and no query. `shapes` defines the
+kinds of shapes and their poses. `broad_phase` finds the pairs of shapes whose boxes meet.
+`narrow_phase` compares the shapes of one pair, `batch` those of many pairs at once, and `queries`
+answers for entities, by their ids. `rasterize` finds the cells of a `raster` that shapes occupy.
 """
 
 from typing import TYPE_CHECKING

@@ -1,8 +1,9 @@
 """What users call: variables, programs, queries, recording, triggers.
 
-An `Interpreter` runs programs (`execution`) over its variables and functions (`namespace`). For a
-query, `planner` finds a plan and `query_runner` runs it: SQL first, then what is left to Python.
-`output` gives the rows the form that the query names. `opening` makes interpreters on worlds.
+An `Interpreter` runs programs (`execution`) with its variables and functions (`namespace`).
+`planner` finds the plan of a query and `query_runner` runs it: SQL first, then the parts that are
+left to Python. `output` turns the rows into the form that the query names. `opening` makes
+interpreters.
 """
 
 from typing import TYPE_CHECKING

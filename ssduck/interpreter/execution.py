@@ -33,7 +33,6 @@ from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.language.overrides import meant
 from ssduck.language.parser import parse
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
-from ssduck.language.value_history import seconds_of
 from ssduck.limits import Limits, Usage
 from ssduck.recording.replay.past import together as entities_together
 from ssduck.schema import MASSES
@@ -41,6 +40,7 @@ from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import told
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.translator import unknown_function
+from ssduck.validation import seconds_argument
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -217,7 +217,7 @@ class Execution(Namespace, ABC):
 
         with self._reading(node):
             series = self._over_time.series(node, frame, self._database.record_of, rows)
-            return FORMS[node.name].make(series, None if age is None else seconds_of(age))
+            return FORMS[node.name].make(series, None if age is None else seconds_argument(age))
 
     def _run_text(self, text: Any, frame: Frame) -> Any:
         """The value of a text in the scope of a frame: it sees the rows that it stands in."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.adapters.registry import Adapter, find
 from ssduck.adapters.result import Result
 from ssduck.adapters.table_view import MOST_ROWS, TableView
@@ -80,8 +80,8 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         strict: bool = False,
         recording: Recording | Literal["default"] | None = "default",
     ) -> None:
-        row_by_row = checks.flag(row_by_row, "Interpreter: row_by_row")
-        strict = checks.flag(strict, "Interpreter: strict")
+        row_by_row = validation.flag(row_by_row, "Interpreter: row_by_row")
+        strict = validation.flag(strict, "Interpreter: strict")
         if not isinstance(limits, Limits | None):
             raise ArgumentError(f"Interpreter: limits: {shown(limits)} is no Limits")
         if not isinstance(database, str | PathLike):
@@ -160,7 +160,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         Raises:
             SelectScriptError: as `eval` does.
         """
-        rows = checks.whole(rows, "show: rows", least=0)
+        rows = validation.whole(rows, "show: rows", least=0)
         return TableView(self.eval(program), rows)
 
     def explain(self, program: str | CompiledProgram) -> str:

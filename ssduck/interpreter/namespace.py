@@ -24,12 +24,13 @@ from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked,
 from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import instead_of_name
 from ssduck.language.tree import Call, Node
-from ssduck.language.value_history import ValueHistory, aged, history_of, kept, seconds_of
+from ssduck.language.value_history import ValueHistory, aged, history_of, kept
 from ssduck.recording.replay.past import past_of
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import unknown_function
+from ssduck.validation import seconds_argument
 from ssduck.world.world import World
 
 
@@ -105,7 +106,7 @@ class Namespace:
         self.variable(name)
         held = self._variables[name]
         if isinstance(held, World):
-            seconds = seconds_of(age[0], "what is in {…}") if age else None
+            seconds = seconds_argument(age[0], "what is in {…}") if age else None
             return past_of(self._database.record_of(held), seconds)
         return aged(name, held, age, self._now)
 

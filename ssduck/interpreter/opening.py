@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.interpreter.archives import chosen_runs, runs, world_of
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.recording.paths import given_path
@@ -67,7 +67,7 @@ def open_record(
         NumberError: the episode is no whole number, 0 or more.
     """
     if episode is not None:
-        episode = checks.whole(episode, "open: episode", least=0)
+        episode = validation.whole(episode, "open: episode", least=0)
     interpreter = Interpreter(recording=None)
     database = interpreter._database  # noqa: SLF001  # records are read in it
     try:

@@ -13,11 +13,11 @@ from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import shown
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
-from ssduck.language.value_history import seconds_of
 from ssduck.recording.paths import given_path
 from ssduck.recording.replay.past import PastTicks, past_of
 from ssduck.recording.spec import RECORDABLE, Recording
 from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.validation import seconds_argument
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -71,7 +71,7 @@ class RecordingMethods(ABC):
         """
         with self._lock:
             chosen = self._world(world)
-            seconds = None if age is None else seconds_of(age)
+            seconds = None if age is None else seconds_argument(age)
             return past_of(self._database.record_of(chosen), seconds)
 
     def record_to(
@@ -136,7 +136,7 @@ class RecordingMethods(ABC):
         """
         chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
         names = None if chosen is None else _names(chosen)
-        start, end = (None if time is None else seconds_of(time) for time in (start, end))
+        start, end = (None if time is None else seconds_argument(time) for time in (start, end))
         with self._lock:
             worlds = (
                 [w for w in self._database.worlds.values() if self._database.keeps(w)]

@@ -1,8 +1,8 @@
 """SelectScript: from text to a tree, and what a tree means in Python.
 
-`parser` makes a `tree` of a text. `analysis` tells what a part of a tree depends on. `evaluator` is
-the reference for what expressions mean, with `operators` and `builtins`; `clauses` and `hierarchy`
-do the same for the rows of a query. SQL is another package: `ssduck.sql`.
+`parser` turns a text into a `tree`. `analysis` finds out what a part of a tree depends on.
+`evaluator`, with `operators` and `builtins`, is the reference for what an expression means;
+`clauses` and `hierarchy` are that for the rows of a query. The translation to SQL is `ssduck.sql`.
 """
 
 from typing import TYPE_CHECKING

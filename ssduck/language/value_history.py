@@ -12,11 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
-from ssduck import validation as checks
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import shown
 from ssduck.language.deferred import LazyList
-from ssduck.language.value_keys import plain
+from ssduck.validation import seconds_argument
 
 # Simulated times are products of a step and rounded: so near to each other, in seconds, two are
 # one. 0.7 s is the 168th step of 1/240 s.
@@ -176,7 +175,7 @@ def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -
     present = now()
     if not age:
         return [value for _, value in history.within(math.inf, present)]
-    seconds = seconds_of(age[0], "what is in {…}")
+    seconds = seconds_argument(age[0], "what is in {…}")
     if seconds < 0:
         return [value for _, value in history.within(-seconds, present)]
     try:
@@ -204,7 +203,7 @@ def horizon_of(value: Any) -> float:
     Raises:
         ArgumentError: it is no finite number, or less than 0.
     """
-    seconds = seconds_of(value, "a horizon")
+    seconds = seconds_argument(value, "a horizon")
     if seconds < 0:
         raise ArgumentError(f"a horizon is not less than 0 s, as {shown(value)} is")
     return seconds
@@ -212,17 +211,3 @@ def horizon_of(value: Any) -> float:
 
 def _told(time: float) -> str:
     return f"{round(time, 9):.12g} s"
-
-
-def seconds_of(value: Any, what: str = "an age") -> float:
-    """A number of seconds.
-
-    Raises:
-        ArgumentError: it is no finite number.
-    """
-    seconds = checks.as_float(plain(value))
-    if seconds is None:
-        raise ArgumentError(f"{what} is a number of seconds, not {shown(value)}")
-    if not math.isfinite(seconds):
-        raise ArgumentError(f"{what} is a finite number of seconds, not {shown(value)}")
-    return seconds

@@ -1,8 +1,8 @@
 """Keeping the ticks of worlds, and going back to them.
 
-`spec` says what is kept. A `Recorder` is told of each tick, copies its rows into `buffers`, and
-gives them to one of the `stores`, in a thread (`background_writer`). `replay` reads them: as rows,
-as entities, and as whole worlds.
+`spec` defines what is kept. A `Recorder` gets each tick, copies its rows into `buffers`, and hands
+them to one of the `stores`, in a thread (`background_writer`). `replay` reads them: as rows, as
+entities, and as whole worlds.
 """
 
 from typing import TYPE_CHECKING

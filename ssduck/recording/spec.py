@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, NumberError, nearest
 from ssduck.formatting import shown
 from ssduck.world.layout import EntityInfo
@@ -69,15 +69,15 @@ class Recording:
             value = getattr(self, name)
             if value is None and name == "ticks":
                 continue
-            if not checks.is_whole(value) or value < 1:
+            if not validation.is_whole(value) or value < 1:
                 raise NumberError(f"{name} is to be a whole number above 0, not {shown(value)}")
             object.__setattr__(self, name, int(value))
         if self.seconds is not None:
-            seconds = checks.as_float(self.seconds)
+            seconds = validation.as_float(self.seconds)
             if seconds is None or not 0.0 < seconds < math.inf:
                 raise NumberError(f"seconds is to be a number above 0, not {shown(self.seconds)}")
             object.__setattr__(self, "seconds", seconds)
-        object.__setattr__(self, "changed", checks.flag(self.changed, "changed"))
+        object.__setattr__(self, "changed", validation.flag(self.changed, "changed"))
 
     @property
     def is_bounded(self) -> bool:

@@ -1,8 +1,8 @@
 """What ssduck needs of a simulator, and one folder for each simulator.
 
-`interface` says what a simulator is asked for, tick after tick, and what bodies are made of.
-`backends` lists the simulators by name, with what makes simulations. `scenes` reads the files that
-describe them. `static` stands for a simulator where nothing moves: a tick of the past, say.
+`interface` defines a simulator: what it answers, tick after tick, and what its bodies are made of.
+`backends` lists the simulators by name; a backend makes simulations. `scenes` reads scene files.
+`static` stands for a simulator in which nothing moves, for a tick of the past, for example.
 """
 
 from typing import TYPE_CHECKING

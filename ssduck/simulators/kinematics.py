@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, StateError, UnknownNameError, nearest
 from ssduck.formatting import shown
 from ssduck.geometry.shapes import (
@@ -44,24 +44,8 @@ def pose_of(values: Sequence[float], of: str) -> Pose:
     Raises:
         StateError: these are no seven finite numbers, or the orientation is all 0.
     """
-    numbers = finite(values, 7, f"{of}: pose w, x, y, z, x, y, z")
+    numbers = validation.finite_array(values, 7, f"{of}: pose w, x, y, z, x, y, z")
     return numbers[4:], unit(numbers[:4], of)
-
-
-def finite(values: Sequence[float], count: int, what: str) -> Array:
-    """So many finite numbers as an array.
-
-    Raises:
-        StateError: they are not; it begins with `what`.
-    """
-    try:
-        array = np.asarray(values if checks.numbers(values) else (), dtype=np.float64)
-    except OverflowError:  # a whole number beyond all floats
-        array = np.zeros(0)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        found = list(values) if isinstance(values, np.ndarray) else values
-        raise StateError(f"{what}: expected {count} finite numbers, found {shown(found)}")
-    return array
 
 
 def unit(orientation: Array, of: str) -> Array:
@@ -159,7 +143,7 @@ def _check_sequence(values: Any, name: str) -> None:
 
 def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
     """A velocity or an effort that the joint's model allows."""
-    given = float(finite([value], 1, f"{name}: joint {joint.name!r}: {what}")[0])
+    given = float(validation.finite_array([value], 1, f"{name}: joint {joint.name!r}: {what}")[0])
     most = joint.max_velocity if what == "velocity" else joint.max_effort
     if (most is not None and abs(given) > most) or (what == "effort" and given < 0.0):
         raise StateError(
@@ -203,7 +187,7 @@ def _named(key: str, joints: Mapping[str, Joint], name: str) -> Joint:
 
 
 def _position(value: float, joint: Joint, name: str) -> float:
-    position = float(finite([value], 1, f"{name}: joint {joint.name!r}")[0])
+    position = float(validation.finite_array([value], 1, f"{name}: joint {joint.name!r}")[0])
     low = -math.inf if joint.lower is None else joint.lower
     high = math.inf if joint.upper is None else joint.upper
     if not low - SLACK <= position <= high + SLACK:

@@ -1,8 +1,8 @@
-"""A query's tree as DuckDB SQL; it knows no world and no database.
+"""From a query's tree to DuckDB SQL. This package knows no world and no database.
 
-`translator` makes a `plan` of a query, through sqlglot: `expressions` becomes what it selects and
-asks for, `from_clause` its sources. What SQL has no equal of raises `NotSqlError` and is left to
-`ssduck.language`. `relations` is the registry of relations: what each one means.
+`translator` turns a query into a `plan`, through sqlglot: `expressions` translates what the query
+selects and its conditions, `from_clause` its sources. A part that SQL cannot express raises
+`NotSqlError`; `ssduck.language` evaluates it. `relations` defines the relations between entities.
 """
 
 from typing import TYPE_CHECKING

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
     RemovedEntityError,
@@ -19,7 +20,7 @@ from ssduck.geometry.shapes import Array, Indices
 from ssduck.schema import MASSES
 from ssduck.simulators.interface import Body, Kind
 from ssduck.simulators.joints import openness
-from ssduck.simulators.kinematics import JointValues, finite, unit
+from ssduck.simulators.kinematics import JointValues, unit
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo
@@ -221,8 +222,8 @@ class Entity(OpenRaveEntity):
             place = self.position if position is None else position
             turn = self.orientation if orientation is None else orientation
             pose = (
-                finite(place, 3, f"{self.name}: position"),
-                unit(finite(turn, 4, f"{self.name}: orientation"), self.name),
+                validation.finite_array(place, 3, f"{self.name}: position"),
+                unit(validation.finite_array(turn, 4, f"{self.name}: orientation"), self.name),
             )
         self.state.place(self, pose, joints)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
 from ssduck.geometry.narrow_phase import TOUCHES
 from ssduck.schema import MARGINS
@@ -54,7 +54,7 @@ class ManipulableSimulation(SteppedSimulation):
         """Tie a body to a link that touches it, and take a tick; see `Entity.hold`."""
         with self.lock:
             self._check_not_held()
-            touching = checks.whole(touching, "hold: touching", least=1)
+            touching = validation.whole(touching, "hold: touching", least=1)
             body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
             number = 0 if link is None else link_of(body, link, entity.name)
             if self._simulator.are_tied(body, held):
@@ -93,12 +93,12 @@ class ManipulableSimulation(SteppedSimulation):
 
     def enable(self, entity: Entity, on: bool) -> None:
         """Let a body take part in collisions, or not, and take a tick."""
-        on = checks.flag(on, "enabled")
+        on = validation.flag(on, "enabled")
         self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
 
     def show(self, entity: Entity, on: bool) -> None:
         """Let a body be drawn, or not, and take a tick."""
-        on = checks.flag(on, "visible")
+        on = validation.flag(on, "visible")
         self._change(entity, "show", lambda body: self._simulator.show(body, on))
 
     def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
 from ssduck.formatting import shown
 from ssduck.geometry.shapes import Array, quaternion_of, rotation_matrices
@@ -101,14 +101,14 @@ class OpenRaveEntity:
         if dofindices is None:
             self.move(joints=values)
             return
-        if not (checks.numbers(values) and checks.numbers(dofindices)):
+        if not (validation.numbers(values) and validation.numbers(dofindices)):
             told = f"{shown(dofindices)} and {shown(values)}"
             raise ArgumentError(f"{self.name}: indices and values are numbers in lists, not {told}")
         names = [joint.name for joint in _settable(self)]
         if len(dofindices) != len(values):
             raise ArgumentError(f"{self.name}: {len(dofindices)} indices, {len(values)} values")
         for index in dofindices:
-            if not checks.is_whole(index) or not 0 <= index < len(names):
+            if not validation.is_whole(index) or not 0 <= index < len(names):
                 raise ArgumentError(
                     f"{self.name} has no joint {shown(index)}; it has {len(names)}, counted from 0"
                 )
@@ -191,7 +191,7 @@ class OpenRaveWorld:
 
     def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
         """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
-        options = checks.whole(options, "CloneSelf: options", least=0)
+        options = validation.whole(options, "CloneSelf: options", least=0)
         world: World = self.excerpt(self if options & CLONE_BODIES else ())
         return world
 

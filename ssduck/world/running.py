@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
 from ssduck.world.ticking import SteppedSimulation
@@ -37,10 +37,10 @@ def run(
     every: int | None = None,
 ) -> None:
     """Run worlds for so much simulated time; the arguments are those of `World.run`."""
-    seconds = checks.seconds(seconds, "run: seconds")
+    seconds = validation.seconds(seconds, "run: seconds")
     speed = _speed(realtime)
     if every is not None:
-        every = checks.whole(every, "run: every", least=1, kind="number of steps; 1 or more")
+        every = validation.whole(every, "run: every", least=1, kind="number of steps; 1 or more")
     period = every if speed is None or every is not None else speed / PICTURES
     lanes = [_Lane(world, seconds, period) for world in worlds]
     began = time.monotonic()
@@ -71,7 +71,7 @@ class _Lane:
         self._timestep = world.timestep
         if not self._timestep:
             world.step()  # refuses
-        self.total = checks.steps_in(seconds, self._timestep, "run: seconds")
+        self.total = validation.steps_in(seconds, self._timestep, "run: seconds")
         self._done = 0
         self._period = period
         if isinstance(period, float):
@@ -99,13 +99,13 @@ def _speed(realtime: Any) -> float | None:
     """How many times as fast as the clock; None for as fast as can be."""
     if isinstance(realtime, bool | np.bool_):
         return 1.0 if realtime else None
-    return checks.positive(realtime, "run: realtime", "speed; True, or a number above 0")
+    return validation.positive(realtime, "run: realtime", "speed; True, or a number above 0")
 
 
 @contextmanager
 def _bar(seconds: float, lanes: int, progress: bool | str) -> Iterator[Watch | None]:
     """A bar on standard error, and who is to be told of seconds that were run; or nobody."""
-    is_flag = checks.is_whole(progress) and progress in (0, 1)
+    is_flag = validation.is_whole(progress) and progress in (0, 1)
     if not is_flag and not isinstance(progress, bool | np.bool_) and progress != "always":
         raise ArgumentError(f"run: progress: {shown(progress)} is none of True, False, 'always'")
     if not progress:

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from typing import Protocol, Self
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.clock import Clock
@@ -119,9 +119,9 @@ class SteppedSimulation(Observable):
         if steps is not None and time is not None:
             raise ArgumentError("tick: steps and time exclude each other")
         if time is None:
-            count = 1 if steps is None else checks.steps(steps, "tick: steps", "tick(time=…)")
+            count = 1 if steps is None else validation.steps(steps, "tick: steps", "tick(time=…)")
             return clock.after(count, timestep)
-        given = checks.finite(time, "tick: time", "seconds")
+        given = validation.finite(time, "tick: time", "seconds")
         if given < clock.time - self.slack:
             raise NumberError(
                 f"tick: time: {given:g} s is before the last tick, {clock.time:g} s; time does "
@@ -146,7 +146,7 @@ class SteppedSimulation(Observable):
             SimulatorError: the simulator does not answer; the last tick stays.
             UnsupportedError: it is a what-if world.
         """
-        left = checks.steps(count, "step", "run({})")
+        left = validation.steps(count, "step", "run({})")
         while True:
             run = int(min(left, self.steps_to_due()))
             self.advance(run)

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
     SceneError,
@@ -207,8 +207,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
             NumberError: the width or the height is no such number.
             UnsupportedError: it is a what-if world, or a recorded one.
         """
-        width, height = checks.picture_size(width, height, "render")
-        shadow = checks.flag(shadow, "render: shadow")
+        width, height = validation.picture_size(width, height, "render")
+        shadow = validation.flag(shadow, "render: shadow")
         with self.lock:
             return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
 
@@ -216,7 +216,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         self, width: int = 960, height: int = 720, camera: Camera | None = None
     ) -> Indices:
         """What each pixel of that picture shows, (height, width): an entity's id; 0 for nothing."""
-        width, height = checks.picture_size(width, height, "segmentation")
+        width, height = validation.picture_size(width, height, "segmentation")
         with self.lock:
             seen = self._simulator.segment(camera or self.camera, width, height)
             ids = np.zeros(int(seen.max(initial=-1)) + 2, dtype=np.intp)
@@ -406,7 +406,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         Raises:
             UnknownNameError: there is none of that id.
         """
-        row = self.snapshot.rows.get(id) if checks.is_whole(id) else None
+        row = self.snapshot.rows.get(id) if validation.is_whole(id) else None
         if row is None:
             raise UnknownNameError(f"world {self.name!r} has no entity of the id {shown(id)}")
         member = self.snapshot.members[row]
@@ -488,7 +488,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             self._check_not_held()
             if sensor not in self:
                 raise sensor.removed()
-            on = checks.flag(on, "power: on")
+            on = validation.flag(on, "power: on")
             if on != self.snapshot.sensing.is_on(sensor.id):
                 self.snapshot.switch(sensor.id, on=on)
 

@@ -344,6 +344,7 @@ def pixels(path):
         return np.asarray(picture.convert("RGB")).astype(int)
 
 
+@pytest.mark.slow
 def test_the_manuals_pictures_are_up_to_date(pictures):
     page = (ROOT / "docs" / "reference" / "result-forms.md").read_text(encoding="utf-8")
     assert len(pictures) == 9

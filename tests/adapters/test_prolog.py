@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.adapters.logic import _asp_term, _atom, _float, _term
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
+from tests.support.timing import HANGS
 
 PRINTED = (
     (Path(__file__).parents[1] / "data" / "clauses.txt")
@@ -68,7 +69,7 @@ def swipl(folder, clauses, goal):
         ],
         capture_output=True,
         check=False,
-        timeout=60,
+        timeout=HANGS,
     )
     assert (done.returncode, done.stderr.decode()) == (0, "")
     return done.stdout.decode()

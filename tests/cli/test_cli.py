@@ -26,6 +26,7 @@ import ssduck
 from ssduck.cli.app import app
 from ssduck.demos.kitchen import KITCHEN
 from ssduck.interpreter import opening
+from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
@@ -114,7 +115,7 @@ def start(*arguments, module=("-m", "ssduck"), **others):
 def run(*arguments, **others):
     """Run it: its exit code, what it wrote, and what it complained of."""
     process = start(*arguments, **others)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=HANGS)
     return process.returncode, out, err
 
 
@@ -530,10 +531,10 @@ def written(folder, output):
 def test_an_interrupted_recording_is_whole(here, output):
     with start("record", "two.toml", "--seconds", "100000", "-o", output) as process:
         began = time.monotonic()
-        while time.monotonic() < began + 60 and written(here, output) < 200_000:
+        while time.monotonic() < began + HANGS and written(here, output) < 200_000:
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=HANGS)
     assert (process.returncode, err) == (
         130,
         "interrupted: what was recorded until then is whole\n",
@@ -571,6 +572,7 @@ TUTORIAL = [
 ]
 
 
+@pytest.mark.slow
 def test_demo_in_an_empty_folder(tmp_path):
     code, out, err = run("demo", cwd=tmp_path)
     assert (code, err) == (0, "")
@@ -687,7 +689,7 @@ def test_interrupted(here, arguments):
         assert process.stdout.readline() == "begun\n"
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=HANGS)
     assert (process.returncode, out, err) == (130, "", "")
 
 

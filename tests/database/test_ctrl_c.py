@@ -18,6 +18,7 @@ from ssduck.database.connection import Connection
 from ssduck.database.database import Database
 from ssduck.errors import SqlError
 from ssduck.limits import Limits
+from tests.support.timing import HANGS
 
 
 @pytest.fixture(autouse=True)
@@ -392,7 +393,7 @@ def test_a_child_does_not_tell_its_parents_line():
         [sys.executable, "-W", "ignore", "-c", FORKED],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANGS,
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")

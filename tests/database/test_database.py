@@ -20,6 +20,7 @@ from ssduck.database.macros import TABLE_MACROS
 from ssduck.recording.static_tables import MODELS
 from ssduck.schema import ROWS, TABLES, second_names
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.timing import HANGS
 
 NINE_PAIRS = (
     "SELECT a.name, b.name FROM entities a, entities b "
@@ -168,7 +169,7 @@ def test_interpreters_with_the_same_worlds_do_not_wait_for_each_other(sim):
             for thread in threads:
                 thread.start()
             for thread in threads:
-                thread.join(30)
+                thread.join(HANGS)
             assert not any(thread.is_alive() for thread in threads)
 
 

@@ -10,6 +10,8 @@ from benchmarks import adapters, pairs, recorded
 from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, Crowd, Piece, crowd
 from benchmarks.referee import bounds, may_touch, verdict
 
+pytestmark = pytest.mark.slow
+
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2.0
 BOX = Piece("box", (0.5, 0.5, 0.5), CORNERS)
 SPHERE = Piece("sphere", (0.5,), np.zeros((1, 3)), ball=0.5)

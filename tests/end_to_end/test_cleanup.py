@@ -20,6 +20,8 @@ from ssduck.demos.motion.spaces import wrapped
 from ssduck.simulators.scenes import find_scene
 from ssduck.world.world import World
 
+pytestmark = pytest.mark.slow
+
 FEW = ("barrett_4918", "kitchen", "chair_12d0", "chair_6b56", "table", "sink", "cup_58a2")
 
 

@@ -33,6 +33,8 @@ from ssduck.demos.placing import Placing
 from ssduck.demos.results import keep
 from ssduck.errors import SelectScriptError
 
+pytestmark = pytest.mark.slow
+
 
 def ssduck_(*arguments):
     return CliRunner().invoke(app, arguments, prog_name="ssduck")

@@ -14,6 +14,7 @@ import pytest
 
 import ssduck
 from ssduck.language.parser import parse
+from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -36,6 +37,7 @@ def blocks(language):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "texts"), blocks("python").items())
 def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -70,13 +72,14 @@ def run_bare(text, folder):
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANGS,
         check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
+@pytest.mark.slow
 def test_readme_runs_as_its_first_command_leaves_it(tmp_path):
     """Without pandas and other extras; and once more in the same folder."""
     text = "\n".join(blocks("python")["README.md"])

@@ -403,6 +403,7 @@ def test_published_towers_are_those_after_the_move():
     ] == AFTER
 
 
+@pytest.mark.slow
 def test_towers_by_nested_functions():
     """280,000 rows, and as many calls as there are distinct arguments of them."""
     calls = []

@@ -19,6 +19,7 @@ import ssduck
 from ssduck import openrave
 from ssduck.errors import ArgumentError
 from ssduck.simulators.scenes import find_scene
+from tests.support.timing import HANGS
 
 CELL_41 = """
 class interpeter_environment(ssRAVE.interpreter):
@@ -309,7 +310,7 @@ def test_swi_prolog_answers(session, tmp_path):
         )
         command = ["swipl", "-q", "-g", ask, "-t", "halt(1)", str(file)]
         answers = json.loads(
-            subprocess.run(command, capture_output=True, check=True, timeout=60).stdout
+            subprocess.run(command, capture_output=True, check=True, timeout=HANGS).stdout
         )
         assert len(answers) == count
         found.append(answers)

@@ -280,6 +280,7 @@ def doors(ss, condition, *, raw):
     yield ss.sql(joined).fetchall() == [(first,)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slow", [False, True])
 def test_at_the_bounds_of_margins_and_depths(hulls, slow):
     with ssduck.Interpreter(row_by_row=slow) as ss:

@@ -218,6 +218,7 @@ def twisted(turn, half):
     return c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w
 
 
+@pytest.mark.slow
 @settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 10**6),
@@ -822,6 +823,7 @@ COSTS = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [50, 300, 1000])
 def test_only_pairs_whose_boxes_meet_are_compared(stage, count):
     world, meeting = crowd(stage, count)

@@ -28,6 +28,7 @@ from ssduck.errors import ArgumentError, SimulatorError, UnknownNameError, Unsup
 from ssduck.interpreter.triggers.diff import changed, copied, is_true, likeness, rows_of
 from ssduck.interpreter.triggers.registry import TriggerWarning
 from ssduck.world import running
+from tests.support.timing import HANGS
 
 
 def falling(client, height=10.0):
@@ -138,6 +139,7 @@ def test_how_often(ss, sim, steps, interval, evaluations, ticks):
     assert sim.snapshot.number - before == ticks
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     timestep=st.sampled_from(["0.001", "0.002", "0.004", "0.01", "0.03", "1/240", "1/60", "1/7"]),
@@ -747,8 +749,8 @@ def test_ctrl_c_in_a_callback_is_heard(ss, sim):
 # -- queues ------------------------------------------------------------------------------------
 
 
-def until(condition, seconds=10.0):
-    end = time.monotonic() + seconds
+def until(condition):
+    end = time.monotonic() + HANGS
     while not condition():
         assert time.monotonic() < end, "it does not happen"
         time.sleep(0.001)
@@ -760,7 +762,7 @@ def test_a_slow_callback_has_a_thread_of_its_own(ss, sim):
     def slow(result):
         threads.add(threading.current_thread().name)
         got.append(result)
-        go.wait(10)
+        go.wait(HANGS)
 
     ss.add_variable("v", 0)
     ss.add_trigger("t", "v;", 0, slow, queue=2)
@@ -841,7 +843,7 @@ def test_closing_does_not_wait_for_ever(ss, sim, monkeypatch):
     monkeypatch.setattr("ssduck.interpreter.triggers.registry.PATIENCE", 0.05)
     go = threading.Event()
     got = []
-    ss.add_trigger("t", HEIGHT, 0, lambda _: got.append(1) or go.wait(10), queue=1)
+    ss.add_trigger("t", HEIGHT, 0, lambda _: got.append(1) or go.wait(HANGS), queue=1)
     until(lambda: got)
     with pytest.warns(TriggerWarning, match="trigger 't': its callback is still running") as caught:
         ss.close()
@@ -870,10 +872,10 @@ def test_queries_and_steps_in_two_threads(ss, sim):
     thread.start()
     stepper = threading.Thread(target=lambda: sim.step(300), daemon=True)
     stepper.start()
-    stepper.join(60)
+    stepper.join(HANGS)
     assert not stepper.is_alive(), "a deadlock"
     ended.set()
-    thread.join(60)
+    thread.join(HANGS)
     assert not thread.is_alive()
     assert not errors
     assert results
@@ -887,7 +889,7 @@ def test_two_threads_that_step(ss, sim):
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(60)
+        thread.join(HANGS)
         assert not thread.is_alive(), "a deadlock"
     assert sim.time == pytest.approx(200 / 240)
     before = state(ss, "t").evaluations
@@ -915,7 +917,7 @@ class Follower:
         thread.join()
 
     def _try(self, world):
-        self.free.append(world.lock.acquire(timeout=5))
+        self.free.append(world.lock.acquire(timeout=HANGS))
         world.lock.release()
 
 

@@ -493,6 +493,7 @@ def test_raw_sql_looks_up_what_was_told_then(
             assert value == (pytest.approx(other, abs=1e-9) if value is not None else other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["near(a.this, b.this, 0.3)", "collides(a.this, b.this)"])
 @pytest.mark.parametrize(
     "where",

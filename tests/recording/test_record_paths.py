@@ -35,6 +35,7 @@ def ticks(path: Path) -> tuple[int, int]:
         return len(ss.eval("SELECT id FROM lab{} AS list;")), told
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_folder_is_the_one_of_that_name(client, tmp_path: Path) -> None:
     ss = ssduck.Interpreter()
@@ -104,6 +105,7 @@ def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeyp
     assert list(here.iterdir()) == []
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> None:
     world = ball(client)

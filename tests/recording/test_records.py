@@ -26,6 +26,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.recording.spec import RECORDABLE
+from tests.support.timing import HANGS
 from tools import kill
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -209,6 +210,7 @@ def answer(ss, program):
         return repr(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("program", PROGRAMS["kitchen"])
 def test_the_kitchen_answers_as_it_did(kitchen, program, kind):
@@ -236,6 +238,7 @@ def test_tables_are_the_same_row_for_row(request, world, table, kind):
     assert tables[table]
 
 
+@pytest.mark.slow
 def test_each_past_tick_is_the_same(tmp_path, client):
     with ssduck.Interpreter(recording=None) as ss:
         live_lab(ss, client, Recording(), ticks=30).ask(["shapes"])
@@ -762,11 +765,12 @@ def recorder(path, end):
     )
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     path = tmp_path / "run.duckdb"
     for end, number in (("kill", 0), ("close", 1), ("kill", 2)):
-        told, _ = recorder(path, end).communicate(timeout=60)
+        told, _ = recorder(path, end).communicate(timeout=HANGS)
         last = ssduck.episodes(path)[-1]
         assert (last.number, last.first_tick) == (number, 1)
         assert last.last_tick == int(told) + (end == "close")
@@ -811,10 +815,11 @@ def test_a_file_in_use_is_told_of(tmp_path):
             with pytest.raises(SqlError, match="in use by another process"):
                 ssduck.Interpreter(path)
         finally:
-            process.communicate("\n", timeout=60)
+            process.communicate("\n", timeout=HANGS)
     assert ssduck.episodes(path)[0].ticks == 12
 
 
+@pytest.mark.slow
 def test_a_file_can_be_opened_many_times_but_not_where_it_is_recorded_into(tmp_path, client):
     path = tmp_path / "run.duckdb"
     with ssduck.Interpreter(path) as ss:
@@ -950,6 +955,7 @@ ss.close()
 """
 
 
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_a_full_disk_loses_nothing(tmp_path, kind):

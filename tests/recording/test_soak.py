@@ -6,6 +6,8 @@ import pytest
 
 from tools import soak
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("in_file", [False, True], ids=["memory", "file"])
 def test_memory_does_not_grow(tmp_path, in_file, capsys):

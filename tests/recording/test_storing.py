@@ -21,6 +21,7 @@ from ssduck.database import recorders, writer
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
+from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
 RING = 10
@@ -434,7 +435,7 @@ ENDS = {
 def test_a_process_that_ends_while_it_stores(tmp_path: Path, end: str) -> None:
     path = tmp_path / "run.duckdb"
     subprocess.run(
-        [sys.executable, "-c", SCRIPT + ENDS[end], str(path)], check=True, timeout=60, cwd=ROOT
+        [sys.executable, "-c", SCRIPT + ENDS[end], str(path)], check=True, timeout=HANGS, cwd=ROOT
     )
     with ssduck.open(path) as then:
         assert _counts(then) == _whole(25 if end == "a fork" else 24)

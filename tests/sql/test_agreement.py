@@ -7,6 +7,8 @@ from hypothesis import HealthCheck, given, settings
 
 from tests.support.grammar import evaluators, program, programs, seeded, shrunk
 
+pytestmark = pytest.mark.slow
+
 SEEDS = range(2500)
 # So many of a hundred queries run as SQL alone.
 LEAST_SQL = 40

@@ -692,6 +692,7 @@ def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
         assert [warning.filename for warning in caught] == [__file__]
 
 
+@pytest.mark.slow
 def test_combinations_agree(as_sql, by_rows):
     """Clauses with each other, in both evaluators."""
     items = ("type, count(*) AS n", "id", "DISTINCT type", "max(z) - min(z) AS d, count(id) AS n")

@@ -141,6 +141,7 @@ def test_an_excerpt_of_all_is_the_same_and_stays_so(scene):
     assert farthest(world, copy) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chosen", [None, CLOSED], ids=["all", "some"])
 def test_relations_agree(kitchen, chosen):
     names = [entity.name for entity in kitchen] if chosen is None else list(chosen)
@@ -674,6 +675,7 @@ def connected():
     return sum(map(pybullet.isConnected, range(1024)))
 
 
+@pytest.mark.slow
 def test_closed_worlds_and_forgotten_ones_give_all_back(kitchen):
     chosen = ["kitchen", "table", "cup_905a", "roomba_625x"]
     gc.collect()  # what other tests have left

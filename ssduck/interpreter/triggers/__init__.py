@@ -1,5 +1,5 @@
-"""Programs that are evaluated as simulated time passes, and callbacks for what changes.
+"""Programs that are evaluated as simulated time passes, and callbacks when results change.
 
-`registry` has the triggers of an interpreter. `trigger` is one of them; `conditions` says when it
-fires, `diff` what changed, and `callback_queue` calls back in a thread of its own.
+`registry` holds the triggers of an interpreter, and `trigger` is one of them. `conditions` decides
+when it fires, `diff` finds what changed, and `callback_queue` runs callbacks in their own thread.
 """

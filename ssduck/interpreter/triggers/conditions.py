@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 from weakref import WeakKeyDictionary
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import shown
 from ssduck.interpreter.triggers.diff import bag, changed, copied, is_true, likeness, rows_of
@@ -39,7 +39,7 @@ class TriggerConfig:
         if not isinstance(self.name, str) or not self.name:
             raise ArgumentError(f"add_trigger: name: {shown(self.name)} is no name; give a text")
         for name in ("interval", "debounce"):
-            seconds = checks.seconds(getattr(self, name), f"add_trigger: {name}")
+            seconds = validation.seconds(getattr(self, name), f"add_trigger: {name}")
             object.__setattr__(self, name, seconds)  # for good from here on
         if self.when not in get_args(When):
             raise ArgumentError(
@@ -50,7 +50,7 @@ class TriggerConfig:
             raise ArgumentError(f"add_trigger: rows: {shown(self.rows)} is not True or False")
         if self.queue is not None:
             kind = "size; 1 or more, or None for none"
-            queue = checks.whole(self.queue, "add_trigger: queue", least=1, kind=kind)
+            queue = validation.whole(self.queue, "add_trigger: queue", least=1, kind=kind)
             object.__setattr__(self, "queue", queue)
 
 

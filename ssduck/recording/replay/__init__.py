@@ -1,5 +1,6 @@
-"""Recorded ticks, read: rows, entities, and worlds as they were.
+"""Reading recorded ticks: rows, entities, and worlds as they were.
 
-`record` is what is kept of a world, by tick. `restore` makes a tick of its rows, `past_world` a
-world. `past` is what a query has in FROM; `batch_queries` compares shapes over many ticks at once.
+A `record` gives access to all that is kept of one world. `restore` turns the rows of a tick into a
+snapshot, and `past_world` is the world at that tick. `past` is a source of queries;
+`batch_queries` compares shapes at many ticks at once.
 """

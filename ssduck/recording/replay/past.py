@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import EvaluationError
 from ssduck.formatting import shown
 from ssduck.recording.replay.past_world import PastWorld
@@ -127,7 +127,7 @@ class PastTicks:
         Raises:
             EvaluationError: it is none of them.
         """
-        if not checks.is_whole(tick) or not self.first <= tick <= self.last:
+        if not validation.is_whole(tick) or not self.first <= tick <= self.last:
             raise EvaluationError(f"{shown(tick)} is none of the ticks {self.first} to {self.last}")
         return self.record.at(tick)
 

@@ -1,1 +1,1 @@
-"""Where recorded ticks are kept: in memory, in DuckDB, or in folders of Parquet files."""
+"""Where recorded ticks are stored: in memory, in DuckDB, or in folders of Parquet files."""

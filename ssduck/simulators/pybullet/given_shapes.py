@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ssduck import validation
 from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
 from ssduck.geometry.shapes import Array, Geometry, Triangles, load_mesh
@@ -49,7 +50,7 @@ def given_shapes(
 def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int | None]:
     """The body, the link (the base is 0) and the number that a key says."""
     parts = key if isinstance(key, tuple) else (key,)
-    if not 1 <= len(parts) <= 3 or not all(_is_number(part) for part in parts):
+    if not 1 <= len(parts) <= 3 or not all(map(validation.is_whole, parts)):
         raise ArgumentError(f"shapes: {shown(key)} is no key: a key is {_KEYS}")
     body, link = int(parts[0]), int(parts[1]) if len(parts) > 1 else -1
     number = int(parts[2]) if len(parts) > 2 else None
@@ -62,10 +63,6 @@ def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int |
             f"shapes: body {body} has no link {link}; its links: -1 (the base) to {count - 1}"
         )
     return body, link + 1, number
-
-
-def _is_number(part: Any) -> bool:
-    return isinstance(part, int | np.integer) and not isinstance(part, bool)
 
 
 def _geometries(key: Any, value: Any) -> list[Geometry]:

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ssduck import validation as checks
+from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
 from ssduck.formatting import listed, shown
 from ssduck.geometry.shapes import (
@@ -582,7 +582,7 @@ def attach(
         SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
     """
     number = getattr(client, "_client", client)
-    if not checks.is_whole(number) or not pybullet.isConnected(int(number)):
+    if not validation.is_whole(number) or not pybullet.isConnected(int(number)):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
     number = int(number)
     handles = _handles(number)
@@ -590,7 +590,7 @@ def attach(
         if not isinstance(own, Mapping | None):
             raise ArgumentError(f"attach: {what}: {shown(own)} is no dict by the bodies' numbers")
     for handle in (*(names or {}), *(kinds or {})):
-        if not checks.is_whole(handle) or handle not in handles:
+        if not validation.is_whole(handle) or handle not in handles:
             listed = ", ".join(map(str, handles)) or "none"
             raise SelectScriptError(f"PyBullet has no body {shown(handle)}; its bodies: {listed}")
     for handle, kind in (kinds or {}).items():

@@ -1,8 +1,8 @@
-"""The relations between entities: what each one means, one entry in one place.
+"""The relations between entities: one entry defines one relation.
 
-A `Relation` says what it takes and yields, its formula, and its help. They are listed by topic:
-`entities`, `shapes`, `contacts`, `regions`, `joints`, `sensors`, and `ode` for the names of the ODE
-dialect. `registry` brings them together.
+A `Relation` has its parameters, its result, its formula, and its help. There is a module for each
+topic: `entities`, `shapes`, `contacts`, `regions`, `joints`, `sensors`, and `ode` for the names of
+the ODE dialect. `registry` collects them.
 """
 
 from typing import TYPE_CHECKING
