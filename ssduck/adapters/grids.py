@@ -14,10 +14,11 @@ from ssduck.adapters.grid_values import MOST_CELLS, OccupancyGrid, PlaneGrid, Se
 from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.line_of_sight import are_blocked
+from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.raster import ROUNDED, Raster
 from ssduck.geometry.rasterize import Rasterizer
-from ssduck.geometry.shapes import Array, rotation_matrices
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
 from ssduck.simulators.sensor_types import SENSOR_TYPES

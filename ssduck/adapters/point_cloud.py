@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.shapes import Array, Indices, cross
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 MOST_POINTS = 20_000_000

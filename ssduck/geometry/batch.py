@@ -17,7 +17,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags, Pairs, meeting
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.broad_phase import Pairs, meeting
 from ssduck.geometry.gjk import (
     ABOVE,
     BELOW,
@@ -28,7 +29,7 @@ from ssduck.geometry.gjk import (
     compare,
     slack,
 )
-from ssduck.geometry.shapes import Array, Indices, rotate
+from ssduck.geometry.poses import rotate
 from ssduck.geometry.solids import Solid
 
 # Two edges that are as parallel have no axis of their own.

@@ -17,9 +17,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
 Pairs: TypeAlias = tuple[Indices, Indices]
 Cells: TypeAlias = npt.NDArray[np.int64]
 

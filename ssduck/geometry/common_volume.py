@@ -11,8 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 
 # A triangle whose shadow is smaller, as a share of its longest edge squared, casts none.
 UPRIGHT = 1e-13

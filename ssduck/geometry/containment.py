@@ -9,9 +9,10 @@ from typing import TypeAlias
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.common_volume import common_volume
 from ssduck.geometry.placed_solid import PlacedSolid
-from ssduck.geometry.shapes import Array, Geometry
+from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import FLAT, Solid, hull_of, solid_of
 from ssduck.geometry.surfaces import without_copies
 

@@ -22,8 +22,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.shapes import Array, cross
+from ssduck.geometry.poses import cross
 
 # Below this, metres, surfaces touch.
 TOUCH = 1e-9

@@ -28,11 +28,10 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.distance import ROUND, TOUCH
-from ssduck.geometry.shapes import Array, Indices
 from ssduck.geometry.solids import Solid
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 
 BELOW, ABOVE, UNDECIDED = 1, -1, 0

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
+from ssduck.geometry.arrays import Array, Flags
 from ssduck.geometry.ray_casting import ROUNDED, first_met
-from ssduck.geometry.shapes import Array
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # Rays times faces that are looked at together.

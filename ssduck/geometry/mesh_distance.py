@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.distance import (
     TOUCH,
     CallCounter,
@@ -31,7 +32,7 @@ from ssduck.geometry.distance import (
     rounded,
 )
 from ssduck.geometry.placed_solid import PlacedSolid
-from ssduck.geometry.shapes import Array, cross
+from ssduck.geometry.poses import cross
 from ssduck.geometry.surfaces import Surface
 
 MOST_CONTACTS = 100_000

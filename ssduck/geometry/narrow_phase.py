@@ -17,6 +17,7 @@ from threading import RLock
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.batch import (
     PairPredicate,
     PairResult,
@@ -25,7 +26,6 @@ from ssduck.geometry.batch import (
     entities_of,
     known_with_all,
 )
-from ssduck.geometry.broad_phase import Flags
 from ssduck.geometry.contact_support import UPRIGHT
 from ssduck.geometry.containment import (
     Box,
@@ -41,7 +41,7 @@ from ssduck.geometry.containment import (
 from ssduck.geometry.distance import CallCounter, SignedDistance, separation
 from ssduck.geometry.mesh_distance import mesh_apart, mesh_depth, surely_deeper
 from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.shapes import Array, Indices, rotate, rotation_matrices, unit_quaternions
+from ssduck.geometry.poses import rotate, rotation_matrices, unit_quaternions
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # What is deeper collides.

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.solids import Solid
 
 Point: TypeAlias = tuple[float, float, float]

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import meeting
 from ssduck.geometry.narrow_phase import COLLIDES, NarrowPhase
-from ssduck.geometry.shapes import Array
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.geometry.surroundings import NeighbourSearch, Turn
 from ssduck.schema import MOST_IDS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
 
 # What is as near to a boundary is on it, m.
 ROUNDED = 1e-9

@@ -20,11 +20,10 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.broad_phase import Flags
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.common_volume import cut
 from ssduck.geometry.raster import ROUNDED, Raster, StripIntervals
 from ssduck.geometry.rasterize_round import RoundShape, round_parts
-from ssduck.geometry.shapes import Array, Indices
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # Pairs of an edge and a strip that are looked at together.

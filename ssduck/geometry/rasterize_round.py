@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.raster import ROUNDED, Raster, StripIntervals
-from ssduck.geometry.shapes import Array
 from ssduck.geometry.solids import Solid
 
 # How far a point that is worked out may be outside of what bounds it, m.

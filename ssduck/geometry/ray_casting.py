@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, cross
+from ssduck.geometry.arrays import Array, Flags
+from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import Solid
 
 # As near as this a surface begins at a point, m.

@@ -17,8 +17,9 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Geometry, Indices, Triangles, cross
+from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
+from ssduck.geometry.poses import cross
+from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.surfaces import Surface, enclosed_volume, without_copies
 
 SolidType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices, Triangles, cross
+from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
+from ssduck.geometry.poses import cross
 
 # Points times boxes of triangles that are looked at together.
 TOGETHER = 20_000

@@ -14,13 +14,14 @@ from typing import TypeAlias
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.batch import pair_number
 from ssduck.geometry.contact_support import carries
 from ssduck.geometry.distance import SignedDistance
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.placed_solid import PlacedSolid, Point
+from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.ray_casting import ROUNDED, chords_of, crossings, first_met, is_of_triangles
-from ssduck.geometry.shapes import Array, rotation_matrices
 
 # The numbers w, x, y, z of a unit quaternion.
 Turn: TypeAlias = tuple[float, float, float, float]

@@ -15,7 +15,9 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices, PlacedGeometry, cross
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import cross
+from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.scenes import Camera
 

@@ -16,16 +16,8 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError, UnknownNameError, nearest
 from ssduck.formatting import shown
-from ssduck.geometry.shapes import (
-    Array,
-    Indices,
-    compose,
-    cross,
-    invert,
-    multiply,
-    rotate,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import compose, cross, invert, multiply, rotate, rotation_matrices
 from ssduck.simulators.interface import SETTABLE, Body, Joint, LinkPoses, MotorTarget
 
 Pose: TypeAlias = tuple[Array, Array]

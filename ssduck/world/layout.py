@@ -14,17 +14,10 @@ from itertools import accumulate
 
 import numpy as np
 
-from ssduck.geometry.shapes import (
-    IDENTITY,
-    Array,
-    Boxer,
-    Geometry,
-    Indices,
-    PlacedGeometry,
-    compose,
-    multiply,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.bounds import Boxer
+from ssduck.geometry.poses import IDENTITY, compose, multiply, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
 

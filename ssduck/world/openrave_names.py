@@ -17,7 +17,8 @@ import numpy.typing as npt
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
 from ssduck.formatting import shown
-from ssduck.geometry.shapes import Array, quaternion_of, rotation_matrices
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import quaternion_of, rotation_matrices
 from ssduck.simulators.interface import SETTABLE
 from ssduck.simulators.kinematics import pose_of
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.kinematics import Pose, moved
 from ssduck.simulators.static import StaticSimulator

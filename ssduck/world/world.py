@@ -24,7 +24,7 @@ from ssduck.errors import (
     nearest,
 )
 from ssduck.formatting import shown
-from ssduck.geometry.shapes import Indices
+from ssduck.geometry.arrays import Indices
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.simulators.interface import Body, Kind, Simulator

@@ -12,21 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry import shapes as geometry
-from ssduck.geometry.shapes import (
+from ssduck.geometry import mesh_files
+from ssduck.geometry.bounds import Boxer
+from ssduck.geometry.mesh_files import load_hulls, load_mesh
+from ssduck.geometry.poses import (
     IDENTITY,
-    Boxer,
-    Geometry,
-    PlacedGeometry,
     compose,
     cross,
     invert,
-    load_hulls,
-    load_mesh,
     multiply,
     rotate,
     rotation_matrices,
 )
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from tests.support.urdf import box_obj
 
 coordinates = st.floats(-50.0, 50.0)
@@ -486,6 +484,6 @@ def test_a_file_is_read_once_until_it_is_written_anew(write):
 
 def test_no_more_files_are_kept_than_a_scene_has(write):
     path = write("a.obj", TETRAHEDRON)
-    for size in range(1, geometry.CACHED_FILES + 20):
+    for size in range(1, mesh_files.CACHED_FILES + 20):
         load_hulls(path, (float(size), 1.0, 1.0))
-    assert geometry._hulls.cache_info().currsize == geometry.CACHED_FILES
+    assert mesh_files._hulls.cache_info().currsize == mesh_files.CACHED_FILES

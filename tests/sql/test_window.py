@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.geometry.shapes import multiply, rotation_matrices, turns_of
+from ssduck.geometry.poses import multiply, rotation_matrices, turns_of
 from ssduck.interpreter import query_runner as queries
 from ssduck.recording.replay import batch_queries as many_ticks
 from ssduck.recording.stores.duckdb import NEAR_COLUMNS, POSE, PairRequest, near_rows

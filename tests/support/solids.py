@@ -7,8 +7,10 @@ from collections import Counter
 import numpy as np
 
 from ssduck.geometry.batch import ShapeTable
+from ssduck.geometry.bounds import Boxer
 from ssduck.geometry.narrow_phase import NarrowPhase
-from ssduck.geometry.shapes import Boxer, Geometry, PlacedGeometry, rotation_matrices
+from ssduck.geometry.poses import rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.demos.motion.kinematics import KinematicChain, poses
-from ssduck.geometry.broad_phase import Flags, Pairs
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.gjk import ABOVE, ConvexCores, PlacedCores, compare
-from ssduck.geometry.shapes import Array, Geometry, Indices, PlacedGeometry
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.entities import Entity
 

@@ -14,21 +14,15 @@ from itertools import accumulate
 import numpy as np
 import numpy.typing as npt
 
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.batch import PairPredicate, ShapeTable, TickPairs, entities_of, known_with_all
+from ssduck.geometry.bounds import Boxer
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.geometry.poses import compose, rotation_matrices, turns_of, unit_quaternions
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.geometry.shapes import (
-    Array,
-    Boxer,
-    Geometry,
-    Indices,
-    compose,
-    rotation_matrices,
-    turns_of,
-    unit_quaternions,
-)
+from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.layout import EntityInfo
 

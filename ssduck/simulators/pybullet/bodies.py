@@ -15,17 +15,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.shapes import (
-    IDENTITY,
-    Array,
-    Geometry,
-    PlacedGeometry,
-    compose,
-    invert,
-    load_hulls,
-    load_mesh,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.mesh_files import load_hulls, load_mesh
+from ssduck.geometry.poses import IDENTITY, compose, invert, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import (

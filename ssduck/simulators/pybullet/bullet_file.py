@@ -22,7 +22,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import IDENTITY, Array, Geometry, compose, quaternion_of
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import IDENTITY, compose, quaternion_of
+from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.pybullet.console import pybullet
 
 # A geometry with its position (3,) and orientation (4,) in a frame.

@@ -29,7 +29,8 @@ import numpy as np
 
 from ssduck.errors import SimulatorError, warn
 from ssduck.formatting import listed
-from ssduck.geometry.shapes import Array, compose, invert
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SETTABLE, Body, Simulator
 from ssduck.simulators.pybullet.bodies import BodyDescription, com_of, xyzw

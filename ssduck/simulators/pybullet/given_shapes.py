@@ -16,7 +16,9 @@ import numpy as np
 from ssduck import validation
 from ssduck.errors import ArgumentError
 from ssduck.formatting import shown
-from ssduck.geometry.shapes import Array, Geometry, Triangles, load_mesh
+from ssduck.geometry.arrays import Array, Triangles
+from ssduck.geometry.mesh_files import load_mesh
+from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.pybullet.bodies import GivenShapes
 from ssduck.simulators.pybullet.console import pybullet

@@ -10,7 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck.errors import UnsupportedError
-from ssduck.geometry.shapes import Array, Boxer
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.bounds import Boxer
 from ssduck.simulators.interface import SETTABLE, Body, LinkPoses
 from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
 from ssduck.simulators.pybullet.console import pybullet

@@ -12,7 +12,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from ssduck.geometry.shapes import Indices, invert, multiply, rotate, rotation_matrices
+from ssduck.geometry.arrays import Indices
+from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.pybullet.bodies import Pose
 from ssduck.simulators.pybullet.console import pybullet

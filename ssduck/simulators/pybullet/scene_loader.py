@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from ssduck.errors import SceneError, nearest
-from ssduck.geometry.shapes import compose
+from ssduck.geometry.poses import compose
 from ssduck.simulators.interface import SETTABLE, Joint, Kind, MotorTarget
 from ssduck.simulators.kinematics import SLACK
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, xyzw

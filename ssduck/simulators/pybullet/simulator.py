@@ -4,7 +4,7 @@ This module and its neighbours of the same prefix are the only ones that import 
 PyBullet reports the pose of a link's centre of mass; what leaves this module is the link
 frame: `X_W_link = X_W_com * inverse(X_link_com)`, X_link_com from `getDynamicsInfo`. Its
 quaternions are x, y, z, w. Its padded boxes are not used: shapes are read once and boxed
-exactly (ssduck.geometry.shapes).
+exactly (ssduck.geometry.bounds).
 """
 
 from __future__ import annotations
@@ -23,11 +23,8 @@ import numpy.typing as npt
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
 from ssduck.formatting import listed, shown
-from ssduck.geometry.shapes import (
-    Array,
-    Indices,
-    compose,
-)
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import compose
 from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (

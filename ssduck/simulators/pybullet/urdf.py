@@ -16,14 +16,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from ssduck.geometry.shapes import (
-    Array,
-    Geometry,
-    PlacedGeometry,
-    compose,
-    invert,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import compose, invert, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.kinematics import moved
 
