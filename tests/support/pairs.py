@@ -153,7 +153,7 @@ def bodies(shapes):
     """Shapes for `classify_gaps`, by their numbers."""
     solids = [solid_of(one.geometry) for one in shapes]
     placed = [one.placed() for one in shapes]
-    turns = np.array([one.rows for one in placed]).reshape(-1, 9).T
+    turns = np.array([one.matrix_rows for one in placed]).reshape(-1, 9).T
     places = list(zip(placed, solids, strict=True))
     centres = np.array([one.to_world(*s.centre) for one, s in places]).T
     inner = np.array([one.to_world(*s.inscribed_centre) for one, s in places]).T

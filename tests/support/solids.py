@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 
 from ssduck.geometry.batch import ShapeTable
 from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
@@ -60,7 +59,9 @@ def narrow(*entities):
             .T
         )
     solids = [solid_of(geometry) for geometry, _, _ in shapes]
-    return NarrowPhase(solids, np.arange(len(shapes)), positions, turns, boxes, starts, Counter())
+    return NarrowPhase(
+        solids, np.arange(len(shapes)), positions, turns, boxes, starts, CallCounter()
+    )
 
 
 def sorts_of(tick):
