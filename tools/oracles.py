@@ -3,7 +3,7 @@
 Random pairs of all combinations of shapes, half of them with parallel edges and faces that meet.
 What is decided of many convex pairs at once is compared with the gaps. Prints the worst error of
 each combination; the exit status is 1 if one is beyond its bound.
-`--write` writes docs/shapes.md, the table of what is supported how well.
+`--write` writes docs/reference/shapes.md, the table of what is supported how well.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 
 from tests.support import hollows, pairs
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "shapes.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "shapes.md"
 # What a gap may be off, metres; with a cylinder against something that is not a sphere or plane.
 BOUND, ROUND_BOUND = 1e-9, 1e-6
 # Gaps that all pairs of convex shapes are compared with at once.
@@ -181,7 +181,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Compare the narrow phase with oracles.")
     parser.add_argument("count", nargs="?", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="the first pair's of a combination")
-    parser.add_argument("--write", action="store_true", help="write docs/shapes.md")
+    parser.add_argument("--write", action="store_true", help="write docs/reference/shapes.md")
     given = parser.parse_args()
     started = time.monotonic()
     each = max(1, -(-given.count // len(pairs.COMBINATIONS)))

@@ -306,7 +306,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
         It is in a PyBullet simulation of its own, and begins at the same time; its entities have
         the same names. What is carried over, and what PyBullet does not tell, is listed in
-        docs/adapters.md.
+        docs/reference/result-forms.md.
 
         Args:
             entities: entities of this world, or their names; a sensor brings the body that it
