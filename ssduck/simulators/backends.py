@@ -30,13 +30,13 @@ class BodyToCopy:
     Attributes:
         name: in its world.
         body: what it is made of.
-        frames: where its links are.
+        link_poses: where its links are.
         joints: their positions and velocities, (joints, 2); NaN for what nobody knows.
     """
 
     name: str
     body: Body
-    frames: LinkPoses
+    link_poses: LinkPoses
     joints: Array
 
 

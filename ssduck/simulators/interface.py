@@ -110,7 +110,7 @@ class LinkPoses:
     matrices: Array
     states: Array
 
-    def at(self, points: Array, links: Indices) -> Array:
+    def states_at(self, points: Array, links: Indices) -> Array:
         """The states (n, 13) of these links, told of points (n, 3) of theirs."""
         states = self.states.take(links, axis=0)
         states[:, 7:10] += cross(states[:, 10:], points - states[:, :3])
@@ -207,7 +207,7 @@ class Simulator(Protocol):
         """Go by another clock: of a simulation that others step, the ticks tell the time."""
 
     @property
-    def watched(self) -> bool:
+    def is_external(self) -> bool:
         """Whether others may add, remove and move bodies between two ticks, and step it."""
 
     @property
@@ -221,12 +221,12 @@ class Simulator(Protocol):
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         """Bodies that came and bodies that went since the last call; None if none did."""
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
         """All frames of these bodies, body after body, as they are now.
 
         Args:
             bodies: the same object as long as they are the same.
-            links_move: whether velocities of links other than bases are asked for; else they
+            with_velocities: whether velocities of links other than bases are asked for; else they
                 may be NaN.
         """
 

@@ -191,7 +191,7 @@ def _position(value: float, joint: Joint, name: str) -> float:
 
 
 def moved_link_poses(
-    body: Body, frames: LinkPoses, base: Pose | None, joints: Mapping[int, float]
+    body: Body, link_poses: LinkPoses, base: Pose | None, joints: Mapping[int, float]
 ) -> LinkPoses:
     """A body's frames if its base is put elsewhere, and some joints have moved, all at rest.
 
@@ -199,11 +199,11 @@ def moved_link_poses(
 
     Args:
         body: the body.
-        frames: where its links are.
+        link_poses: where its links are.
         base: of the base link's frame; None leaves it as it is.
         joints: how much further these joints are than now, rad or m, by the joint's link.
     """
-    old = frames.at(frames.positions, np.arange(len(body.links)))
+    old = link_poses.states_at(link_poses.positions, np.arange(len(body.links)))
     new = np.zeros_like(old)
     if base is None:
         new[0] = old[0]

@@ -20,21 +20,21 @@ class StaticSimulator:
 
     Attributes:
         time: simulated seconds.
-        frames: of the bodies that are read together.
+        link_poses: of the bodies that are read together.
         joints: position, velocity and effort of each body's joints, (joints, 3).
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
-        called: what such a world is called in errors.
+        description: what such a world is called in errors.
         timestep: seconds of a step; there are none.
     """
 
     time: float
-    frames: Mapping[tuple[Body, ...], LinkPoses]
+    link_poses: Mapping[tuple[Body, ...], LinkPoses]
     joints: Mapping[Body, Array]
     disabled: frozenset[Body]
     hidden: frozenset[Body]
-    called: str = "a what-if world"
-    watched: bool = False
+    description: str = "a what-if world"
+    is_external: bool = False
     timestep: float = 0.0
 
     @property
@@ -45,9 +45,9 @@ class StaticSimulator:
     def describe(self) -> None:
         """None comes, none goes."""
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:  # noqa: ARG002
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
         """All frames of these bodies; the velocities of links are known in any case."""
-        return self.frames[bodies]
+        return self.link_poses[bodies]
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
@@ -68,13 +68,13 @@ class StaticSimulator:
     def step(self, count: int) -> None:  # noqa: ARG002
         """Refuse."""
         raise UnsupportedError(
-            f"{self.called} is not simulated: it cannot be stepped; step the world that it was "
-            "taken of"
+            f"{self.description} is not simulated: it cannot be stepped; step the world that it "
+            "was taken of"
         )
 
     def _refuse(self, *_: Any) -> NoReturn:
         raise UnsupportedError(
-            f"{self.called} does not change: ask what if, "
+            f"{self.description} does not change: ask what if, "
             "world.what_if({name: pose}, joints={name: {joint: value}})"
         )
 
@@ -83,14 +83,14 @@ class StaticSimulator:
 
     def _perceive(self, *_: Any) -> NoReturn:
         raise UnsupportedError(
-            f"sensors perceive nothing in {self.called}: no simulation casts their rays"
+            f"sensors perceive nothing in {self.description}: no simulation casts their rays"
         )
 
     cast_rays = photograph = _perceive
 
     def render(self, *_: Any, **__: Any) -> NoReturn:
         """Refuse."""
-        raise UnsupportedError(f"{self.called} has no picture: no simulator draws it")
+        raise UnsupportedError(f"{self.description} has no picture: no simulator draws it")
 
     segment = render
 

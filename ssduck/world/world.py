@@ -321,7 +321,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         """
         # Nothing is to move while it is read: neither here nor where the simulation is.
         # The tick of a client that others step cannot be taken anew for its joints.
-        tables = () if self._simulator.watched else ("joints",)
+        tables = () if self._simulator.is_external else ("joints",)
         with self.held(tables), self.origin.lock:
             chosen = {self._id_of(entity) for entity in entities}
             simulator, sensors = excerpt(self.snapshot, chosen, self.origin.simulator)
@@ -518,7 +518,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         if isinstance(chosen, Sensor):
             self.remove_sensor(chosen)
             return
-        if self._simulator.watched:
+        if self._simulator.is_external:
             raise UnsupportedError(
                 f"{chosen.name!r} is in a client of yours: remove it there, and the next tick sees "
                 "it; or take an excerpt, and remove it from that"

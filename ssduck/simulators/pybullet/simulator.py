@@ -73,10 +73,10 @@ class PyBulletSimulator:
             of the models.
         kinds: kinds of these bodies, instead of robot for what has movable joints.
         shapes: of these bodies, those that the caller knows.
-        filled: what else is known of them if ssduck put them there.
+        loaded: what else is known of them if ssduck put them there.
 
     Attributes:
-        filled: the same; where its motors hold joints is kept there.
+        loaded: the same; where its motors hold joints is kept there.
         clock: counts the simulated time: the steps that ssduck runs, and in a client of
             the user's those that ticks tell of.
     """
@@ -89,12 +89,12 @@ class PyBulletSimulator:
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
         shapes: Mapping[int, GivenShapes] | None = None,
-        filled: LoadedBodies | None = None,
+        loaded: LoadedBodies | None = None,
     ) -> None:
         self.client = client
-        self.watched = not owned
+        self.is_external = not owned
         # Of a client that ssduck filled.
-        self.filled = filled or LoadedBodies()
+        self.loaded = loaded or LoadedBodies()
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
         self._given = dict(shapes or {})
@@ -113,7 +113,7 @@ class PyBulletSimulator:
         # gone to the next one, which is none of ours.
         self._lost: str | None = None
         self._layout: tuple[tuple[Body, ...], LinkPosesReader] = ((), LinkPosesReader([], []))
-        self.clock = Clock(self._clients_timestep(), self.filled.time)
+        self.clock = Clock(self._clients_timestep(), self.loaded.time)
 
     # -- bodies ---------------------------------------------------------------------------
 
@@ -123,7 +123,7 @@ class PyBulletSimulator:
         PyBullet gives the number of a removed body to the next one at once, so every known
         body carries a tag (user data, which goes with it) that tells the two apart.
         """
-        if self._described and not self.watched:
+        if self._described and not self.is_external:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
         handles = self._call(lambda: _handles(self.client))
@@ -148,11 +148,11 @@ class PyBulletSimulator:
 
     def _begin_absent(self) -> None:
         """Let bodies be what they begin as: without collisions, or not drawn."""
-        for handle in self.filled.disabled:
+        for handle in self.loaded.disabled:
             self.enable(self._known[handle].body, on=False)
-        for handle in self.filled.hidden:
+        for handle in self.loaded.hidden:
             self.show(self._known[handle].body, on=False)
-        self.filled.disabled, self.filled.hidden = set(), set()
+        self.loaded.disabled, self.loaded.hidden = set(), set()
 
     def remove(self, body: Body) -> None:
         """Take a body out of a client that ssduck made."""
@@ -161,7 +161,7 @@ class PyBulletSimulator:
         self._call(lambda: pybullet.performCollisionDetection(self.client))
         self._forget([body])
         del self._known[body.handle]
-        for known in (self.filled.origins, self.filled.held):
+        for known in (self.loaded.origins, self.loaded.held):
             known.pop(body.handle, None)
         self._removed.append(body)
 
@@ -170,7 +170,7 @@ class PyBulletSimulator:
         known = self._known.get(body.handle)
         if known is None or known.body is not body or self._lost is not None:
             return None
-        if self.watched:
+        if self.is_external:
             # Its number may be another's by now.
             handles, tags = self._listed
             tag = dict(zip(handles, tags, strict=True)).get(body.handle)
@@ -201,7 +201,7 @@ class PyBulletSimulator:
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
     def _read(self, handle: int, saved: SavedShapes) -> BodyDescription:
-        read = self.filled.described.pop(handle, None) or describe(
+        read = self.loaded.described.pop(handle, None) or describe(
             self.client,
             handle,
             self._names.get(handle),
@@ -228,14 +228,14 @@ class PyBulletSimulator:
         """Go by another clock from now on."""
         self.clock = clock
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
         """All frames of these bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
             self._layout = (
                 bodies,
                 LinkPosesReader(bodies, [self._known[b.handle].com for b in bodies]),
             )
-        return self._call(lambda: self._layout[1].read(self.client, links_move))
+        return self._call(lambda: self._layout[1].read(self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
@@ -259,7 +259,7 @@ class PyBulletSimulator:
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """The collision margins of these bodies' shapes; of what is gone, as they were."""
-        told = {body: self._known[body.handle].told for body in self._are_there(bodies)}
+        told = {body: self._known[body.handle].link_margins for body in self._are_there(bodies)}
         return self._call(
             lambda: [margins_of(self.client, body, told.get(body, ())) for body in bodies]
         )
@@ -339,9 +339,9 @@ class PyBulletSimulator:
         def put() -> None:
             for link, position in positions.items():
                 pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
-                if not self.watched:
+                if not self.is_external:
                     hold_joint(body.handle, body.joints[link - 1], position, self.client)
-                    self.filled.held.setdefault(body.handle, {})[link] = position
+                    self.loaded.held.setdefault(body.handle, {})[link] = position
             pybullet.performCollisionDetection(self.client)
 
         self._call(put)
@@ -471,7 +471,7 @@ class PyBulletSimulator:
         self._lost = "the world is closed"
         if not pybullet.isConnected(self.client):
             return
-        if self.watched:
+        if self.is_external:
             for tag in self._listed[1]:
                 pybullet.removeUserData(tag, self.client)
         else:
@@ -534,9 +534,9 @@ def load(scene: Scene) -> PyBulletSimulator:
         SceneError: a model cannot be loaded: file, key and reason.
     """
     with new_client() as client:
-        filled = load_models(scene, client)
+        loaded = load_models(scene, client)
         return PyBulletSimulator(
-            client, owned=True, names=filled.names, kinds=filled.kinds, filled=filled
+            client, owned=True, names=loaded.names, kinds=loaded.kinds, loaded=loaded
         )
 
 
