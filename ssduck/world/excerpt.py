@@ -27,7 +27,7 @@ def excerpt(
     everyone = {*chosen, *(members[id].mount[0] for id in chosen if members[id].sensor is not None)}
     sensors = sensors_of(snapshot, everyone)
     originals = list(originals_of(snapshot, everyone))
-    return backend().excerpt(source, originals, tick_of(snapshot)), sensors
+    return backend(source.backend).excerpt(source, originals, tick_of(snapshot)), sensors
 
 
 def tick_of(snapshot: Snapshot) -> TickToCopy:

@@ -42,6 +42,7 @@ from ssduck.simulators.pybullet.body_state import (
     set_state,
     state_of,
 )
+from ssduck.simulators.pybullet.clients import new_client
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.introspection import (
     constraints_of,
@@ -61,10 +62,7 @@ from ssduck.simulators.pybullet.scene_loader import (
     set_solver_settings,
     solver_settings,
 )
-from ssduck.simulators.pybullet.simulator import (
-    PyBulletSimulator,
-    new_client,
-)
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import write_model, zero_poses
 from ssduck.simulators.scenes import BodySpec, Scene
 

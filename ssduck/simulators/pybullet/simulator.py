@@ -9,23 +9,19 @@ exactly (ssduck.geometry.bounds).
 
 from __future__ import annotations
 
-import gc
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from itertools import repeat
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck import validation
-from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
-from ssduck.formatting import joined_names, short_repr
+from ssduck.errors import SimulatorError, warn
+from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
-from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     Body,
@@ -44,14 +40,14 @@ from ssduck.simulators.pybullet.bodies import (
     xyzw,
 )
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
+from ssduck.simulators.pybullet.clients import handles_of
 from ssduck.simulators.pybullet.collision_margins import margins_of
 from ssduck.simulators.pybullet.console import captured, pybullet
-from ssduck.simulators.pybullet.constraints import fixed_constraints, tie
-from ssduck.simulators.pybullet.given_shapes import given_shapes
+from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
-from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, load_models, set_motor
-from ssduck.simulators.scenes import Camera, Scene
+from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, set_motor
+from ssduck.simulators.scenes import Camera
 
 T = TypeVar("T")
 
@@ -80,6 +76,8 @@ class PyBulletSimulator:
         clock: counts the simulated time: the steps that ssduck runs, and in a client of
             the user's those that ticks tell of.
     """
+
+    backend = "pybullet"
 
     def __init__(
         self,
@@ -126,7 +124,7 @@ class PyBulletSimulator:
         if self._described and not self.is_external:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
-        handles = self._call(lambda: _handles(self.client))
+        handles = self._call(lambda: handles_of(self.client))
         tags = self._call(lambda: self._tags_of(handles))
         if self._listed == (handles, tags):
             return None
@@ -355,22 +353,22 @@ class PyBulletSimulator:
 
         self._call(put)
 
-    def are_tied(self, body: Body, other: Body) -> bool:
+    def has_constraint(self, body: Body, other: Body) -> bool:
         """Whether a fixed constraint is between a link of a body and the base of another."""
         return bool(self._call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
-    def tie(self, body: Body, link: int, other: Body) -> None:
+    def add_constraint(self, body: Body, link: int, other: Body) -> None:
         """Make a fixed constraint between a link of a body and the base of another, as they are."""
-        self._call(lambda: tie(self.client, (body.handle, link - 1), other.handle))
+        self._call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
 
-    def untie(self, body: Body, other: Body) -> None:
+    def remove_constraint(self, body: Body, other: Body) -> None:
         """Remove the fixed constraints between links of a body and the base of another."""
 
-        def untie() -> None:
+        def remove() -> None:
             for number in fixed_constraints(self.client, body.handle, other.handle):
                 pybullet.removeConstraint(number, self.client)
 
-        self._call(untie)
+        self._call(remove)
 
     def enable(self, body: Body, on: bool) -> None:
         """Let a body take part in collisions, or not.
@@ -498,12 +496,6 @@ def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
     return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
 
 
-def _handles(client: int) -> list[int]:
-    """The numbers of the client's bodies."""
-    count = pybullet.getNumBodies(client)
-    return list(map(pybullet.getBodyUniqueId, range(count), repeat(client)))
-
-
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
         warn(
@@ -522,88 +514,6 @@ def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[fl
         colours.append((entry[1], shapes[entry[1]], entry[7]))
         shapes[entry[1]] += 1
     return colours
-
-
-# -- the two ways to a simulator --------------------------------------------------------------
-
-
-def load(scene: Scene) -> PyBulletSimulator:
-    """A new PyBullet simulation of a scene.
-
-    Raises:
-        SceneError: a model cannot be loaded: file, key and reason.
-    """
-    with new_client() as client:
-        loaded = load_models(scene, client)
-        return PyBulletSimulator(
-            client, owned=True, names=loaded.names, kinds=loaded.kinds, loaded=loaded
-        )
-
-
-@contextmanager
-def new_client() -> Iterator[int]:
-    """A new client, that is disconnected again if what is done with it fails.
-
-    Raises:
-        SimulatorError: there are as many as PyBullet can have.
-    """
-    client = _connected()
-    if client < 0:
-        # Worlds that nobody has any more may wait to be collected, and hold theirs so long.
-        gc.collect()
-        client = _connected()
-    if client < 0:
-        raise SimulatorError("PyBullet could not make another client; close worlds")
-    try:
-        yield client
-    except BaseException:
-        pybullet.disconnect(client)
-        raise
-
-
-def _connected() -> int:
-    try:
-        return int(pybullet.connect(pybullet.DIRECT))
-    except pybullet.error:
-        return -1
-
-
-def attach(
-    client: Any,
-    names: Mapping[int, str] | None,
-    kinds: Mapping[int, Kind] | None,
-    shapes: ShapesByBody | None = None,
-) -> PyBulletSimulator:
-    """The user's own client: its number, or an object that holds it as `_client`.
-
-    Raises:
-        SimulatorError: the client is not connected.
-        SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
-    """
-    number = getattr(client, "_client", client)
-    if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
-        raise SimulatorError(f"{client!r} is no connected PyBullet client")
-    number = int(number)
-    handles = _handles(number)
-    for own, what in ((names, "names"), (kinds, "kinds")):
-        if not isinstance(own, Mapping | None):
-            raise ArgumentError(
-                f"attach: {what}: {short_repr(own)} is no dict by the bodies' numbers"
-            )
-    for handle in (*(names or {}), *(kinds or {})):
-        if not validation.is_integer(handle) or handle not in handles:
-            known = ", ".join(map(str, handles)) or "none"
-            raise SelectScriptError(
-                f"PyBullet has no body {short_repr(handle)}; its bodies: {known}"
-            )
-    for handle, kind in (kinds or {}).items():
-        if kind not in ("robot", "kinbody"):
-            raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
-    for handle, name in (names or {}).items():
-        if not isinstance(name, str):
-            raise ArgumentError(f"attach: names: body {handle}: {short_repr(name)} is no text")
-    given = given_shapes(number, handles, shapes)
-    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 
 
 def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:
