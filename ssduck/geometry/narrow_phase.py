@@ -26,7 +26,7 @@ from ssduck.geometry.batch import (
     matching_pairs,
     of_known_entities,
 )
-from ssduck.geometry.contact_support import UPRIGHT
+from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.containment import (
     Box,
     WorldHull,
@@ -267,7 +267,7 @@ class NarrowPhase:
             near = self._near(a, b, TOUCHES + self._margins_of(a, b))
             if not near or not self._is_over(a, b):
                 return False
-            return any(push[2] >= UPRIGHT for push in self.pushes(a, b))
+            return any(push[2] >= MIN_UP for push in self.pushes(a, b))
 
     def _is_over(self, a: int, b: int) -> bool:
         """Whether the middle of b's box is over the hull of a's footprint."""

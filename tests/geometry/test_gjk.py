@@ -141,7 +141,7 @@ def test_parts_of_all_pairs_are_as_all(monkeypatch):
     random = np.random.default_rng(3)
     two = [pairs.pair(kinds, int(random.integers(1000))) for kinds in COMBINATIONS * 3]
     together = pairs.verdicts(two, 0.01)
-    monkeypatch.setattr(gjk, "TOGETHER", 7)
+    monkeypatch.setattr(gjk, "PAIRS_AT_ONCE", 7)
     monkeypatch.setattr(gjk, "MOST_POINTS", 20)
     for found, expected in zip(pairs.verdicts(two, 0.01), together, strict=True):
         assert found.tolist() == expected.tolist()

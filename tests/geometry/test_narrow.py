@@ -541,7 +541,7 @@ def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
         assert tick.penetration(0, 1) == pytest.approx(0.29, abs=0.02)
         assert tick.calls.calls < 300
         assert sum(looked) < 30 * corners
-        assert max(looked) <= surfaces.TOGETHER
+        assert max(looked) <= surfaces.PAIRS_AT_ONCE
 
 
 def test_an_answer_does_not_depend_on_the_one_before():
@@ -1081,7 +1081,7 @@ def test_large_meshes_are_compared_where_they_meet(monkeypatch):
         assert two(a, b, (0.9, 0.1, 0.05)).inside(0, 1) == pytest.approx(expected, abs=3e-3)
         count = sum(len(solid_of(one).closed_surface.faces) for one in (a, b))
         assert sum(kept) <= 12 * count
-        assert max(kept) <= 2 * volumes.TOGETHER
+        assert max(kept) <= 2 * volumes.PAIRS_AT_ONCE
 
 
 def test_hulls_of_half_spaces():
