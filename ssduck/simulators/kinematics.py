@@ -15,7 +15,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError, UnknownNameError, nearest
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose, cross, invert, multiply, rotate, rotation_matrices
 from ssduck.simulators.interface import SETTABLE, Body, Joint, LinkPoses, MotorTarget
@@ -92,10 +92,7 @@ def motors_of(
 ) -> dict[int, MotorTarget]:
     """What motors are to do, by the numbers of the links that they move; see `Entity.drive`."""
     for values, what in ((velocities, "velocities"), (efforts, "efforts")):
-        if not isinstance(values, Mapping | None):
-            raise ArgumentError(
-                f"{name}: {what} are given by the joints' names, in a dict, not as {shown(values)}"
-            )
+        validation.mapping(values, f"{name}: {what} are given by the joints' names, in a dict")
     joints = {joint.name: joint for joint in body.joints}
     places = positions_of(positions, body, name) if positions is not None else {}
     speeds = {
@@ -129,7 +126,7 @@ def _check_sequence(values: Any, name: str) -> None:
     if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
         raise ArgumentError(
             f"{name}: joint values are given in a list, or by the joints' names in a dict, not as "
-            f"{shown(values)}"
+            f"{short_repr(values)}"
         )
 
 

@@ -54,7 +54,7 @@ class ManipulableSimulation(SteppedSimulation):
         """Tie a body to a link that touches it, and take a tick; see `Entity.hold`."""
         with self.lock:
             self._check_not_held()
-            touching = validation.whole(touching, "hold: touching", least=1)
+            touching = validation.integer(touching, "hold: touching", minimum=1)
             body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
             number = 0 if link is None else link_of(body, link, entity.name)
             if self._simulator.are_tied(body, held):
@@ -93,12 +93,12 @@ class ManipulableSimulation(SteppedSimulation):
 
     def enable(self, entity: Entity, on: bool) -> None:
         """Let a body take part in collisions, or not, and take a tick."""
-        on = validation.flag(on, "enabled")
+        on = validation.boolean(on, "enabled")
         self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
 
     def show(self, entity: Entity, on: bool) -> None:
         """Let a body be drawn, or not, and take a tick."""
-        on = validation.flag(on, "visible")
+        on = validation.boolean(on, "visible")
         self._change(entity, "show", lambda body: self._simulator.show(body, on))
 
     def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:

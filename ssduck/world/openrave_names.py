@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import quaternion_of, rotation_matrices
 from ssduck.simulators.interface import SETTABLE
@@ -102,16 +102,17 @@ class OpenRaveEntity:
         if dofindices is None:
             self.move(joints=values)
             return
-        if not (validation.numbers(values) and validation.numbers(dofindices)):
-            told = f"{shown(dofindices)} and {shown(values)}"
+        if not (validation.are_numbers(values) and validation.are_numbers(dofindices)):
+            told = f"{short_repr(dofindices)} and {short_repr(values)}"
             raise ArgumentError(f"{self.name}: indices and values are numbers in lists, not {told}")
         names = [joint.name for joint in _settable(self)]
         if len(dofindices) != len(values):
             raise ArgumentError(f"{self.name}: {len(dofindices)} indices, {len(values)} values")
         for index in dofindices:
-            if not validation.is_whole(index) or not 0 <= index < len(names):
+            if not validation.is_integer(index) or not 0 <= index < len(names):
                 raise ArgumentError(
-                    f"{self.name} has no joint {shown(index)}; it has {len(names)}, counted from 0"
+                    f"{self.name} has no joint {short_repr(index)}; it has {len(names)}, counted "
+                    "from 0"
                 )
         self.move(joints={names[i]: value for i, value in zip(dofindices, values, strict=True)})
 
@@ -192,7 +193,7 @@ class OpenRaveWorld:
 
     def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
         """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
-        options = validation.whole(options, "CloneSelf: options", least=0)
+        options = validation.integer(options, "CloneSelf: options", minimum=0)
         world: World = self.excerpt(self if options & CLONE_BODIES else ())
         return world
 

@@ -23,7 +23,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.backends import ShapesByBody, backend
@@ -208,7 +208,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             UnsupportedError: it is a what-if world, or a recorded one.
         """
         width, height = validation.picture_size(width, height, "render")
-        shadow = validation.flag(shadow, "render: shadow")
+        shadow = validation.boolean(shadow, "render: shadow")
         with self.lock:
             return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
 
@@ -406,9 +406,9 @@ class World(ManipulableSimulation, OpenRaveWorld):
         Raises:
             UnknownNameError: there is none of that id.
         """
-        row = self.snapshot.rows.get(id) if validation.is_whole(id) else None
+        row = self.snapshot.rows.get(id) if validation.is_integer(id) else None
         if row is None:
-            raise UnknownNameError(f"world {self.name!r} has no entity of the id {shown(id)}")
+            raise UnknownNameError(f"world {self.name!r} has no entity of the id {short_repr(id)}")
         member = self.snapshot.members[row]
         return HANDLES[member.kind](self, id, member.name, member.kind)
 
@@ -488,7 +488,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             self._check_not_held()
             if sensor not in self:
                 raise sensor.removed()
-            on = validation.flag(on, "power: on")
+            on = validation.boolean(on, "power: on")
             if on != self.snapshot.sensing.is_on(sensor.id):
                 self.snapshot.switch(sensor.id, on=on)
 

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 
 from ssduck.errors import SimulatorError, warn
-from ssduck.formatting import listed
+from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
@@ -376,4 +376,4 @@ class _Copier:
         if self.source is None:
             self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
         for what, names in self.guessed.items():
-            warn(f"{listed(names)}: {what}" if names else what)
+            warn(f"{joined_names(names)}: {what}" if names else what)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
-from ssduck.formatting import listed, shown
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
 from ssduck.simulators.backends import ShapesByBody
@@ -505,7 +505,7 @@ def _handles(client: int) -> list[int]:
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
         warn(
-            f"{listed([body.name for body in bodies])}: PyBullet does not give back "
+            f"{joined_names([body.name for body in bodies])}: PyBullet does not give back "
             "all shapes (a height field is such a shape); bounding boxes are used instead, which "
             "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
             "the shapes themselves",
@@ -579,23 +579,27 @@ def attach(
         SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
     """
     number = getattr(client, "_client", client)
-    if not validation.is_whole(number) or not pybullet.isConnected(int(number)):
+    if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
     number = int(number)
     handles = _handles(number)
     for own, what in ((names, "names"), (kinds, "kinds")):
         if not isinstance(own, Mapping | None):
-            raise ArgumentError(f"attach: {what}: {shown(own)} is no dict by the bodies' numbers")
+            raise ArgumentError(
+                f"attach: {what}: {short_repr(own)} is no dict by the bodies' numbers"
+            )
     for handle in (*(names or {}), *(kinds or {})):
-        if not validation.is_whole(handle) or handle not in handles:
-            listed = ", ".join(map(str, handles)) or "none"
-            raise SelectScriptError(f"PyBullet has no body {shown(handle)}; its bodies: {listed}")
+        if not validation.is_integer(handle) or handle not in handles:
+            known = ", ".join(map(str, handles)) or "none"
+            raise SelectScriptError(
+                f"PyBullet has no body {short_repr(handle)}; its bodies: {known}"
+            )
     for handle, kind in (kinds or {}).items():
         if kind not in ("robot", "kinbody"):
             raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
     for handle, name in (names or {}).items():
         if not isinstance(name, str):
-            raise ArgumentError(f"attach: names: body {handle}: {shown(name)} is no text")
+            raise ArgumentError(f"attach: names: body {handle}: {short_repr(name)} is no text")
     given = given_shapes(number, handles, shapes)
     return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 
