@@ -18,7 +18,7 @@ from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.line_of_sight import are_blocked
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.geometry.raster import ROUNDED, Raster
+from ssduck.geometry.raster import CELL_TOLERANCE, Raster
 from ssduck.geometry.rasterize import Rasterizer
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
@@ -84,7 +84,7 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
         ground = lower[2] + layer * size
-        cells[:, :, layer] = slicer.cells(raster, ground, ground + size, reach=ROUNDED)
+        cells[:, :, layer] = slicer.cells(raster, ground, ground + size, reach=CELL_TOLERANCE)
     return VoxelGrid(cells, lower, size)
 
 

@@ -68,12 +68,14 @@ def _triangles(solid: Solid) -> Any:
             ball.apply_translation(solid.core[0])
             return ball
         case "capsule":
-            tube = creation.capsule(height=2.0 * solid.half, radius=solid.radius)
+            tube = creation.capsule(height=2.0 * solid.half_length, radius=solid.radius)
             # trimesh has had its middle at the one end and in between.
             tube.apply_translation((0.0, 0.0, -tube.bounds[:, 2].mean()))
             return tube
         case "cylinder":
-            return creation.cylinder(radius=solid.disc, height=2.0 * solid.half, sections=64)
+            return creation.cylinder(
+                radius=solid.disc_radius, height=2.0 * solid.half_length, sections=64
+            )
     return trimesh.Trimesh(solid.core, solid.faces, process=False)
 
 

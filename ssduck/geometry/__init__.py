@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 from ssduck.lazy import exports
 
 if TYPE_CHECKING:
-    from ssduck.geometry.bounds import Boxer
+    from ssduck.geometry.bounds import BoundingBoxes
     from ssduck.geometry.line_of_sight import are_blocked
     from ssduck.geometry.queries import ShapeQueries
     from ssduck.geometry.rasterize import Rasterizer
     from ssduck.geometry.shapes import Geometry, PlacedGeometry
 
 __all__ = [
-    "Boxer",
+    "BoundingBoxes",
     "Geometry",
     "PlacedGeometry",
     "Rasterizer",
@@ -32,7 +32,7 @@ __getattr__, __dir__ = exports(
         "line_of_sight": ("are_blocked",),
         "queries": ("ShapeQueries",),
         "rasterize": ("Rasterizer",),
-        "bounds": ("Boxer",),
+        "bounds": ("BoundingBoxes",),
         "shapes": ("Geometry", "PlacedGeometry"),
     },
 )

@@ -47,7 +47,7 @@ class _Core:
             yield replace(self, points=self.points[some])
 
 
-class Boxer:
+class BoundingBoxes:
     """Exact world boxes of groups of rigid frames' shapes, for many poses one after another.
 
     What does not depend on the poses is worked out once.

@@ -41,7 +41,7 @@ _AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 _BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
 
 
-def meeting(boxes: Array, apart: float = 0.0) -> Pairs:
+def overlapping_pairs(boxes: Array, apart: float = 0.0) -> Pairs:
     """The pairs of boxes that meet, or are no farther apart along any axis than asked.
 
     Args:

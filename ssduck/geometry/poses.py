@@ -20,10 +20,10 @@ IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 def rotation_matrices(orientations: Array) -> Array:
     """(n, 4) unit quaternions to (n, 3, 3) rotation matrices."""
-    return np.ascontiguousarray(turns_of(orientations).T).reshape(-1, 3, 3)
+    return np.ascontiguousarray(flat_rotation_matrices(orientations).T).reshape(-1, 3, 3)
 
 
-def turns_of(orientations: Array) -> Array:
+def flat_rotation_matrices(orientations: Array) -> Array:
     """As `rotation_matrices`, one row an entry: (n, 4) to (9, n)."""
     # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed). In few
     # operations, each on several rows: in a tick of a small world these cost more than the sums.
@@ -114,7 +114,7 @@ def invert(positions: Array, orientations: Array) -> tuple[Array, Array]:
     return -rotate(rotation_matrices(inverse), positions), inverse
 
 
-def quaternion_of(matrix: Array) -> Array:
+def quaternion_from_matrix(matrix: Array) -> Array:
     """A rotation matrix (3, 3) as a unit quaternion."""
     from scipy.spatial.transform import Rotation
 

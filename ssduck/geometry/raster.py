@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ssduck.geometry.arrays import Array, Indices
 
 # What is as near to a boundary is on it, m.
-ROUNDED = 1e-9
+CELL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from ssduck.simulators.scenes import Camera
 
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
 # The types of joints whose position is one number.
-SETTABLE = ("revolute", "prismatic")
+SCALAR_JOINTS = ("revolute", "prismatic")
 
 
 @dataclass(frozen=True)

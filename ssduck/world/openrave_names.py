@@ -18,9 +18,9 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.poses import quaternion_of, rotation_matrices
-from ssduck.simulators.interface import SETTABLE
-from ssduck.simulators.kinematics import pose_of
+from ssduck.geometry.poses import quaternion_from_matrix, rotation_matrices
+from ssduck.simulators.interface import SCALAR_JOINTS
+from ssduck.simulators.kinematics import parse_pose
 
 if TYPE_CHECKING:
     from ssduck.world.entities import Entity, JointState
@@ -84,7 +84,7 @@ class OpenRaveEntity:
         if given.shape == (4, 4):
             self.move(given[:3, 3], _quaternion(given[:3, :3], self.name))
         else:
-            position, orientation = pose_of(cast("Sequence[float]", transform), self.name)
+            position, orientation = parse_pose(cast("Sequence[float]", transform), self.name)
             self.move(position, orientation)
 
     def GetDOFValues(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
@@ -208,14 +208,14 @@ class OpenRaveWorld:
 
 
 def _settable(entity: Entity) -> list[JointState]:
-    return [joint for joint in entity.joints if joint.type in SETTABLE]
+    return [joint for joint in entity.joints if joint.type in SCALAR_JOINTS]
 
 
 def _quaternion(matrix: Array, name: str) -> Array:
     """A rotation matrix as w, x, y, z."""
     if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 0.0:
         raise StateError(f"{name}: the matrix turns nothing: {matrix.tolist()}")
-    return quaternion_of(matrix)
+    return quaternion_from_matrix(matrix)
 
 
 def _named(world: World, name: str, *kinds: str) -> Entity | None:

@@ -30,8 +30,8 @@ from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.simulators.interface import Body, Kind, Simulator
 from ssduck.simulators.kinematics import (
     JointValues,
-    pose_of,
-    positions_of,
+    joint_positions,
+    parse_pose,
 )
 from ssduck.simulators.scenes import Camera, Scene, SensorSpec, variable_name
 from ssduck.world.entities import HANDLES, Entity, Sensor
@@ -257,10 +257,10 @@ class World(ManipulableSimulation, OpenRaveWorld):
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
         with self.held((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
             places = {
-                body: pose_of(pose, name) for name, body, pose in self._bodies_of(poses or {})
+                body: parse_pose(pose, name) for name, body, pose in self._bodies_of(poses or {})
             }
             positions = {
-                body: positions_of(values, body, name)
+                body: joint_positions(values, body, name)
                 for name, body, values in self._bodies_of(joints or {})
             }
             posed, snapshot = imagined(self.snapshot, places, positions)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ssduck.geometry import mesh_files
-from ssduck.geometry.bounds import Boxer
+from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_hulls, load_mesh
 from ssduck.geometry.poses import (
     IDENTITY,
@@ -155,7 +155,7 @@ def coarseness(shape):
 
 def boxed(shapes, groups, count, positions, orientations):
     """The boxes as (groups, 2, 3): lower and upper corners."""
-    boxes = Boxer(shapes, groups, count).boxes(positions, rotation_matrices(orientations))
+    boxes = BoundingBoxes(shapes, groups, count).boxes(positions, rotation_matrices(orientations))
     return boxes.T.reshape(-1, 2, 3)
 
 
@@ -231,9 +231,9 @@ def test_box_of_a_group_is_that_of_its_shapes(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_same_boxes_for_one_pose_after_another(seed):
-    """What a Boxer works out once does not depend on the poses it saw."""
+    """The results of a `BoundingBoxes` do not depend on the poses that it saw before."""
     shapes, groups, positions, orientations = scattered(seed)
-    boxer = Boxer(shapes, groups, 5)
+    boxer = BoundingBoxes(shapes, groups, 5)
     boxer.boxes(positions + 7.0, rotation_matrices(turned(9, 3)))
     again = boxer.boxes(positions, rotation_matrices(orientations)).T.reshape(-1, 2, 3)
     assert again.tolist() == boxed(shapes, groups, 5, positions, orientations).tolist()

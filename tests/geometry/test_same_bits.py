@@ -8,7 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.geometry import poses
-from ssduck.geometry.bounds import Boxer
+from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
@@ -164,7 +164,9 @@ def test_a_row_has_the_same_bits_in_any_company(count):
     alone = poses.compose(places[:1], turns[:1], points[:1], turns[-1:])
     together = poses.compose(places, turns, points, np.repeat(turns[-1:], count, axis=0))
     assert all(np.array_equal(one, all_[:1]) for one, all_ in zip(alone, together, strict=True))
-    assert np.allclose(poses.turns_of(turns).T.reshape(-1, 3, 3), matrices, atol=0, rtol=0)
+    assert np.allclose(
+        poses.flat_rotation_matrices(turns).T.reshape(-1, 3, 3), matrices, atol=0, rtol=0
+    )
     assert np.allclose(np.einsum("nij,nkj->nik", matrices, matrices), np.eye(3), atol=1e-14)
     crossed = np.cross(places, points)
     assert np.array_equal(poses.cross(places, points), crossed)
@@ -185,7 +187,7 @@ def test_boxes_have_the_same_bits_in_any_company():
     ]
     places = random.normal(size=(40, 3))
     matrices = poses.rotation_matrices(poses.unit_quaternions(random.normal(size=(40, 4))))
-    together = Boxer(shapes, range(40), 40).boxes(places, matrices)
+    together = BoundingBoxes(shapes, range(40), 40).boxes(places, matrices)
     for n in range(40):
-        alone = Boxer(shapes[n : n + 1], [0], 1).boxes(places, matrices)
+        alone = BoundingBoxes(shapes[n : n + 1], [0], 1).boxes(places, matrices)
         assert np.array_equal(alone[:, 0], together[:, n])

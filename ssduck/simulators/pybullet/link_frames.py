@@ -100,6 +100,6 @@ def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
     return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
-def frames_of(client: int, body: Body, com: Pose) -> LinkPoses:
+def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:
     """The frames of one body as they are now."""
     return LinkPosesReader([body], [com]).read(client, links_move=True)

@@ -46,7 +46,7 @@ from ssduck.simulators.pybullet.bodies import (
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import margins_of
 from ssduck.simulators.pybullet.console import captured, pybullet
-from ssduck.simulators.pybullet.constraints import tie, ties_of
+from ssduck.simulators.pybullet.constraints import fixed_constraints, tie
 from ssduck.simulators.pybullet.given_shapes import given_shapes
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
@@ -182,9 +182,11 @@ class PyBulletSimulator:
         """How many bodies the client has now."""
         return self._call(lambda: int(pybullet.getNumBodies(self.client)))
 
-    def colours_of(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
+    def visual_colours(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
         """What a body is drawn in, or would be: link, number among its visual shapes, colour."""
-        return self._colours.get(body) or self._call(lambda: colours_of(self.client, body.handle))
+        return self._colours.get(body) or self._call(
+            lambda: visual_colours(self.client, body.handle)
+        )
 
     def _forget(self, gone: Sequence[Body]) -> None:
         if not self.disabled.isdisjoint(gone):
@@ -355,7 +357,7 @@ class PyBulletSimulator:
 
     def are_tied(self, body: Body, other: Body) -> bool:
         """Whether a fixed constraint is between a link of a body and the base of another."""
-        return bool(self._call(lambda: ties_of(self.client, body.handle, other.handle)))
+        return bool(self._call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
     def tie(self, body: Body, link: int, other: Body) -> None:
         """Make a fixed constraint between a link of a body and the base of another, as they are."""
@@ -365,7 +367,7 @@ class PyBulletSimulator:
         """Remove the fixed constraints between links of a body and the base of another."""
 
         def untie() -> None:
-            for number in ties_of(self.client, body.handle, other.handle):
+            for number in fixed_constraints(self.client, body.handle, other.handle):
                 pybullet.removeConstraint(number, self.client)
 
         self._call(untie)
@@ -395,7 +397,7 @@ class PyBulletSimulator:
         """Draw a body in the colours that it had, or do not."""
         if on == (body not in self.hidden):
             return
-        colours = self.colours_of(body)
+        colours = self.visual_colours(body)
 
         def put() -> None:
             for link, shape, (*rgb, alpha) in colours:
@@ -512,7 +514,7 @@ def _warn_of_guesses(bodies: Sequence[Body]) -> None:
         )
 
 
-def colours_of(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
+def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
     """What a body is drawn in: link, number among its visual shapes, colour."""
     shapes: Counter[int] = Counter()
     colours = []

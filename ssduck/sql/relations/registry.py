@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import sqlglot
 
-from ssduck.geometry.batch import Asked
+from ssduck.geometry.batch import PredicateKind
 from ssduck.sql.relations.contacts import OF_CONTACTS
 from ssduck.sql.relations.entities import OF_ENTITIES
 from ssduck.sql.relations.joints import OF_JOINTS
@@ -90,7 +90,7 @@ JOINTS: dict[str, tuple[str, ...]] = {
 # Those over many ticks: of a world, the first and the last tick, the ids of two entities (0 for
 # any), and a distance. They yield [tick, a, b, 1] of each pair of which it holds, with a 0 at the
 # end where it is not known.
-THEN: dict[str, Asked] = {
+THEN: dict[str, PredicateKind] = {
     "then colliding": "colliding",
     "then within": "within",
     "then touching": "touching",
