@@ -1,7 +1,8 @@
 """Write the manual's pages that come from the code: `python tools/write_reference.py [--check]`.
 
-`docs/relations.md` comes from the registry of relations and functions, `docs/tables.md` from the
-tables' columns. With `--check` nothing is written, and the exit status is 1 if a page differs.
+`docs/reference/relations.md` comes from the registry of relations and functions,
+`docs/reference/tables.md` from the declarations of the tables. With `--check` nothing is written,
+and the exit status is 1 if a page differs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ssduck.schema import ROWS, TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = Path(__file__).resolve().parent.parent / "docs" / "reference"
 
 RELATIONS_HEAD = '''# Relations and functions
 

@@ -18,7 +18,7 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
-from ssduck.geometry.batch import Asked, PairPredicate
+from ssduck.geometry.batch import PairPredicate, PredicateKind
 from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
@@ -247,7 +247,9 @@ def _if_any(
         return None
 
 
-def _then(worlds: Mapping[str, BoundWorld], of: Asked, *arguments: pa.ChunkedArray) -> pa.ListArray:
+def _then(
+    worlds: Mapping[str, BoundWorld], of: PredicateKind, *arguments: pa.ChunkedArray
+) -> pa.ListArray:
     """The narrow phase over many ticks, of columns of what is asked for."""
 
     def found(world: str, first: int, last: int, a: int, b: int, distance: float) -> pa.StructArray:

@@ -17,9 +17,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
 Pairs: TypeAlias = tuple[Indices, Indices]
 Cells: TypeAlias = npt.NDArray[np.int64]
 
@@ -42,7 +41,7 @@ _AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 _BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
 
 
-def meeting(boxes: Array, apart: float = 0.0) -> Pairs:
+def overlapping_pairs(boxes: Array, apart: float = 0.0) -> Pairs:
     """The pairs of boxes that meet, or are no farther apart along any axis than asked.
 
     Args:

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 
 # A triangle whose shadow is smaller, as a share of its longest edge squared, casts none.
 UPRIGHT = 1e-13
@@ -134,18 +133,18 @@ def _lowered(first: Array, second: Array, areas: Array) -> Array:
     rows = np.arange(len(first))
     for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, -1.0)):
         heights = polygons[:, :, :2] @ np.array(side) + (sum(side) < 0.0)
-        polygons, some = cut(polygons, heights)
+        polygons, some = clip_polygons(polygons, heights)
         rows = rows[some]
     over = np.einsum("nki,ni->nk", polygons[:, :, :2], edges[rows, :, 2]) + origin[rows, :, 2]
     polygons[:, :, 2] -= over
-    polygons, some = cut(polygons, -polygons[:, :, 2])
+    polygons, some = clip_polygons(polygons, -polygons[:, :, 2])
     rows = rows[some]
     found = np.zeros(len(first))
     found[rows] = _integrals(polygons) * np.abs(areas[rows])
     return found
 
 
-def cut(polygons: Array, heights: Array) -> tuple[Array, Indices]:
+def clip_polygons(polygons: Array, heights: Array) -> tuple[Array, Indices]:
     """The parts of convex polygons (n, k, d) where heights (n, k), linear over each, are not < 0.
 
     Returns:

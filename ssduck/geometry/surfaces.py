@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices, Triangles, cross
+from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
+from ssduck.geometry.poses import cross
 
 # Points times boxes of triangles that are looked at together.
 TOGETHER = 20_000
@@ -32,18 +32,18 @@ class Surface:
         return self.vertices[self.faces]
 
     @cached_property
-    def tree(self) -> Any:
+    def bvh(self) -> Any:
         """FCL's bounding volume hierarchy. A triangle may be a segment or a point."""
         import fcl
 
-        tree = fcl.BVHModel()
-        tree.beginModel(len(self.vertices), len(self.faces))
-        tree.addSubModel(self.vertices, self.faces)
-        tree.endModel()
-        return tree
+        bvh = fcl.BVHModel()
+        bvh.beginModel(len(self.vertices), len(self.faces))
+        bvh.addSubModel(self.vertices, self.faces)
+        bvh.endModel()
+        return bvh
 
     @cached_property
-    def closed(self) -> bool:
+    def is_closed(self) -> bool:
         """Whether every edge is run through as often one way as the other."""
         edges = self._edges.tolist()
         ways = Multiset((a, b) for a, b in edges)
@@ -63,8 +63,8 @@ class Surface:
         """The same with its faces outward, if it can be closed that way."""
         if not len(self.faces):
             return self
-        surface = self if self.closed else Surface(self.vertices, self._turned())
-        if not surface.closed:
+        surface = self if self.is_closed else Surface(self.vertices, self._turned())
+        if not surface.is_closed:
             return self
         if enclosed_volume(surface.triangles) < 0:
             return Surface(surface.vertices, np.ascontiguousarray(surface.faces[:, ::-1]))
@@ -97,7 +97,7 @@ class Surface:
         return np.array(faces, np.int32)
 
     @cached_property
-    def representatives(self) -> Array:
+    def component_vertices(self) -> Array:
         """A vertex of each connected part."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
@@ -206,6 +206,6 @@ def enclosed_volume(triangles: Array) -> float:
     return float(np.einsum("ij,ij->", a, cross(b, c)) / 6.0)
 
 
-def without_copies(points: Array) -> Array:
+def unique_points(points: Array) -> Array:
     """Points (n, 3) without equal ones; -0 is 0."""
     return np.unique(points + 0.0, axis=0) if len(points) else points

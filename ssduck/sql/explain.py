@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-from ssduck.formatting import listed
+from ssduck.formatting import joined_names
 from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, UnresolvedName
 from ssduck.sql.plan import Plan
 from ssduck.sql.relations.registry import RELATIONS
@@ -93,7 +93,7 @@ def _inexact(query: Query, stand_ins: StandIns) -> list[str]:
         return []
     return [
         f"-- not exact: {', '.join(names)} where boxes stand in for shapes: "
-        f"{listed(entities)} of {world}"
+        f"{joined_names(entities)} of {world}"
         for world, entities in stand_ins.items()
         if entities
     ]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.schema import Column, ColumnType
 
 _ARROW: dict[ColumnType, pa.DataType] = {

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ssduck.geometry.batch import Asked
+from ssduck.geometry.batch import PredicateKind
 from ssduck.geometry.queries import ShapeQueries
 
 # The largest distance of two shapes of a world that touch by their margins alone, metres.
@@ -129,7 +129,7 @@ class PairSearch:
     function: Callable[..., list[int]]
     is_exact: bool = True
     takes_distance: bool = True
-    predicate: Asked | None = None
+    predicate: PredicateKind | None = None
     uses_margins: bool = False
 
     @property
