@@ -28,11 +28,11 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from ssduck.broad import Flags
 from ssduck.geometry import Array, Indices
 from ssduck.separation import ROUND, TOUCH
 from ssduck.solids import Solid
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 
 BELOW, ABOVE, UNDECIDED = 1, -1, 0
