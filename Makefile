@@ -2,7 +2,7 @@
 PYTHON ?= .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test lint bench docs scenes
+.PHONY: help setup test check lint bench docs scenes
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -11,13 +11,17 @@ setup: ## make .venv with everything that development needs
 	python3 -m venv .venv
 	$(PYTHON) -m pip install --quiet -e '.[dev]'
 
-test: ## run the tests
+test: ## run the tests but for the slow ones
+	$(PYTHON) -m pytest -m "not slow"
+
+check: ## run all tests
 	$(PYTHON) -m pytest
 
-lint: ## check style and types, and that what is generated is up to date
+lint: ## check style, types and layers, and that what is generated is up to date
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
+	$(PYTHON) -c "from importlinter.cli import lint_imports_command as lint; lint()" --no-cache
 	$(PYTHON) -m tools.build_kitchen --check
 	$(PYTHON) -m tools.build_hall --check
 	$(PYTHON) -m tools.build_chaos --check

@@ -15,8 +15,8 @@ import numpy as np
 import pybullet
 from scipy.spatial.transform import Rotation
 
-from ssduck.broad import meeting
-from ssduck.geometry import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.broad_phase import meeting
 
 NEIGHBOURS = 7.0
 # So many different shapes of each kind are shared by the bodies.

@@ -24,8 +24,8 @@ from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, PIECES, Crowd, bodies_of
 from benchmarks.peers import COLLIDES, Coal, Fcl, Pairs, coal_or_none, pybullet_loop
 from benchmarks.referee import may_touch, verdict
 from benchmarks.timing import Way, minima, printed, shown
-from ssduck.shapes import Statistics
-from ssduck.simulators.pybullet import PyBulletSimulator
+from ssduck.geometry.queries import Statistics
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 SIZES = (50, 300, 1000, 3000, 10000)
 # More bodies are too many to ask FCL, or PyBullet, about all of their pairs.

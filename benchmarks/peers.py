@@ -17,7 +17,7 @@ import pybullet
 from scipy.spatial import ConvexHull
 
 from benchmarks.crowds import Crowd, Piece
-from ssduck.geometry import Array, Triangles
+from ssduck.geometry.arrays import Array, Triangles
 
 Pairs: TypeAlias = list[tuple[int, int]]
 # What is deeper, metres, collides, as ssduck has it.

@@ -11,7 +11,7 @@ from functools import partial
 
 import ssduck
 from benchmarks.timing import medians, shown
-from ssduck.tree import Query
+from ssduck.language.tree import Query
 
 QUESTIONS = {
     "robots": "SELECT id, position, type FROM kitchen WHERE isRobot(this);",

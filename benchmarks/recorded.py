@@ -29,12 +29,12 @@ import ssduck
 from benchmarks.ticks import kitchen
 from benchmarks.timing import Way, minima, printed, shown, shown_finely
 from ssduck import Recording
-from ssduck.geometry import Array
-from ssduck.memory import Memory
-from ssduck.recorder import RING_TICKS, Recorder
-from ssduck.rings import STORED
-from ssduck.simulators.pybullet import PyBulletSimulator
-from ssduck.storing import Storing
+from ssduck.geometry.arrays import Array
+from ssduck.recording.background_writer import BackgroundWriter
+from ssduck.recording.buffers import STORED
+from ssduck.recording.recorder import RING_TICKS, Recorder
+from ssduck.recording.stores.memory import MemoryStore
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 Scene: TypeAlias = Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]
 Numbers: TypeAlias = npt.NDArray[Any]
@@ -110,7 +110,7 @@ def _ticked(world: ssduck.World, ticks: int) -> None:
         world.tick()
 
 
-def _begun(world: ssduck.World, storing: Storing) -> None:
+def _begun(world: ssduck.World, storing: BackgroundWriter) -> None:
     """Take ticks until some are being stored, as at the end of what is timed."""
     for _ in range(RING_TICKS + 1):
         if storing.is_busy:
@@ -189,7 +189,7 @@ def _used(ss: ssduck.Interpreter, place: Path) -> int:
     if place.name == "run":
         return sum(f.stat().st_size for f in place.rglob("*") if f.is_file())
     store = _recorder(ss)._store
-    kept = store._kept.values() if isinstance(store, Memory) else ()
+    kept = store._kept.values() if isinstance(store, MemoryStore) else ()
     parts = [part for table in kept for part in table.parts]
     ((of_tables,),) = ss.sql("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchall()
     return int(of_tables + sum(part.nbytes for part in parts))

@@ -14,8 +14,8 @@ import pybullet
 
 import ssduck
 from benchmarks.timing import medians, shown
-from ssduck.scenes import find_scene
-from ssduck.simulators.pybullet import PyBulletSimulator
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.simulators.scenes import find_scene
 
 
 def bodies(client: int) -> list[int]:

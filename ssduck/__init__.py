@@ -4,22 +4,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ssduck.adapters import Selection, adapter
-    from ssduck.changes import Changed
-    from ssduck.entities import Entity, KinBody, Robot, Sensor
-    from ssduck.episode import Episode
+    from ssduck.adapters.grid_values import OccupancyGrid
+    from ssduck.adapters.registry import Selection, adapter
     from ssduck.errors import ProgramWarning, SelectScriptError
-    from ssduck.grids import OccupancyGrid
-    from ssduck.height_fields import height_field
-    from ssduck.interpreter import Interpreter
+    from ssduck.geometry.height_fields import height_field
+    from ssduck.interpreter.archives import episodes
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.interpreter.opening import load
+    from ssduck.interpreter.opening import open_record as open  # noqa: A004
+    from ssduck.interpreter.triggers.diff import Changed
+    from ssduck.interpreter.triggers.trigger import TriggerWarning
     from ssduck.limits import Limits
-    from ssduck.opened import episodes
-    from ssduck.opening import load
-    from ssduck.opening import open_record as open  # noqa: A004
-    from ssduck.past import Past
-    from ssduck.recording import Recording
-    from ssduck.trigger import TriggerWarning
-    from ssduck.world import World
+    from ssduck.recording.episode import Episode
+    from ssduck.recording.replay.past import PastTicks
+    from ssduck.recording.spec import Recording
+    from ssduck.world.entities import Entity, KinBody, Robot, Sensor
+    from ssduck.world.world import World
 
 __all__ = [
     "Changed",
@@ -29,7 +29,7 @@ __all__ = [
     "KinBody",
     "Limits",
     "OccupancyGrid",
-    "Past",
+    "PastTicks",
     "ProgramWarning",
     "Recording",
     "Robot",
@@ -46,27 +46,27 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Changed": "changes",
-    "Entity": "entities",
-    "Episode": "episode",
-    "Interpreter": "interpreter",
-    "KinBody": "entities",
+    "Changed": "interpreter.triggers.diff",
+    "Entity": "world.entities",
+    "Episode": "recording.episode",
+    "Interpreter": "interpreter.interpreter",
+    "KinBody": "world.entities",
     "Limits": "limits",
-    "OccupancyGrid": "grids",
-    "Past": "past",
+    "OccupancyGrid": "adapters.grid_values",
+    "PastTicks": "recording.replay.past",
     "ProgramWarning": "errors",
-    "Recording": "recording",
-    "Robot": "entities",
+    "Recording": "recording.spec",
+    "Robot": "world.entities",
     "SelectScriptError": "errors",
-    "Selection": "adapters",
-    "Sensor": "entities",
-    "TriggerWarning": "trigger",
-    "World": "world",
-    "adapter": "adapters",
-    "episodes": "opened",
-    "height_field": "height_fields",
-    "load": "opening",
-    "open": "opening",
+    "Selection": "adapters.registry",
+    "Sensor": "world.entities",
+    "TriggerWarning": "interpreter.triggers.trigger",
+    "World": "world.world",
+    "adapter": "adapters.registry",
+    "episodes": "interpreter.archives",
+    "height_field": "geometry.height_fields",
+    "load": "interpreter.opening",
+    "open": "interpreter.opening",
 }
 # What is called otherwise there: Python has a function of that name.
 _ORIGINALS = {"open": "open_record"}

@@ -1,5 +1,5 @@
 """`python -m ssduck`: the command `ssduck`."""
 
-from ssduck.cli import main
+from ssduck.cli.app import main
 
 main()

@@ -1,4 +1,4 @@
-"""Errors: what is wrong, where, the nearest right name, and what to do about it.
+"""Errors and warnings: what is wrong, where, the nearest right name, and what to do about it.
 
 Every error that ssduck raises on purpose is a `SelectScriptError`; each kind is also the
 builtin exception that a Python user expects (`LookupError` for an unknown name, and so on).
@@ -7,6 +7,8 @@ builtin exception that a Python user expects (`LookupError` for an unknown name,
 from __future__ import annotations
 
 import difflib
+import sys
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -16,10 +18,13 @@ MOST_OF_LINE = 160
 _BEFORE = 60
 # A longer name is compared with others by its beginning.
 _MOST_OF_NAME = 200
+_PACKAGE = __name__.partition(".")[0]
+# Frames of decorators, context managers and cached properties stand between those of the package.
+_BETWEEN = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
 
 
 @dataclass(frozen=True)
-class Span:
+class SourceSpan:
     """A part of a program's text: `text[start:end]`, in characters."""
 
     start: int
@@ -54,7 +59,7 @@ class SelectScriptError(Exception):
         message: str,
         *,
         text: str | None = None,
-        span: Span | None = None,
+        span: SourceSpan | None = None,
         suggestions: Iterable[str] = (),
         instead: Callable[[str], str] | None = None,
     ) -> None:
@@ -184,3 +189,20 @@ class SqlError(SelectScriptError, RuntimeError):
         super().__init__(message)
         self.is_final = is_final
         self.is_refused = is_refused
+
+
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warn of the innermost line that is not ssduck's own.
+
+    Args:
+        message: the text of the warning.
+        category: the class of the warning.
+    """
+    frame, level = sys._getframe(), 1  # noqa: SLF001  # warnings counts frames, too
+    while frame.f_back is not None and _package(frame.f_globals) in _BETWEEN:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
+
+
+def _package(names: dict[str, object]) -> str:
+    return str(names.get("__name__", "")).partition(".")[0]

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ssduck import checks
+from ssduck import validation
 from ssduck.errors import LimitError, NumberError
-from ssduck.messages import shown
+from ssduck.formatting import shown
 
 # So many rows, calls or paths are counted before the clock is looked at.
 _STRIDE = 8
@@ -41,14 +41,14 @@ class Limits:
             value = getattr(self, name)
             if value is None and name != "depth":
                 continue
-            is_one = checks.is_real(value) if name == "seconds" else checks.is_whole(value)
+            is_one = validation.is_real(value) if name == "seconds" else validation.is_whole(value)
             if not is_one or not value > 0:
                 kind = "" if name == "seconds" else ", and a whole number"
                 raise NumberError(f"limits: {name} is to be more than 0{kind}, not {shown(value)}")
         if self.seconds is not None:
-            object.__setattr__(self, "seconds", checks.as_float(self.seconds))
+            object.__setattr__(self, "seconds", validation.as_float(self.seconds))
         for name in ("eval", "files"):
-            object.__setattr__(self, name, checks.flag(getattr(self, name), f"limits: {name}"))
+            object.__setattr__(self, name, validation.flag(getattr(self, name), f"limits: {name}"))
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
@@ -65,7 +65,7 @@ class Limits:
         )
 
 
-class Meter:
+class Usage:
     """How much of its limits a running program has used.
 
     Args:

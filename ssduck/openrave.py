@@ -1,230 +1,118 @@
-"""OpenRAVE's spellings, so that programs written for SelectScript's OpenRAVE dialect still run.
+"""The module that stands for `openravepy`: SelectScript's tutorial runs with it.
 
-Only what its tutorial uses and what goes with that: names, boxes, transforms, joints, and the
-getters of an environment.
+It has the classes of handles, and the modules that the tutorial talks to: the occupancy grid of
+its filter plugin. A module is made by `RaveCreateModule` and takes commands as texts. What the
+plugin has is a part of ssduck, so that there is nothing to load.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
+import math
+from collections.abc import Callable
 
-import numpy as np
-import numpy.typing as npt
+from ssduck.adapters.grid_values import MOST_CELLS
+from ssduck.adapters.shapes import placed_shapes
+from ssduck.errors import ArgumentError, nearest
+from ssduck.formatting import shown
+from ssduck.geometry.raster import Raster
+from ssduck.geometry.rasterize import Rasterizer
+from ssduck.world.entities import KinBody, Robot, Sensor
+from ssduck.world.openrave_names import AABB, CLONE_BODIES, SensorCommand
+from ssduck.world.world import World
 
-from ssduck import checks
-from ssduck.errors import ArgumentError, StateError
-from ssduck.geometry import Array, quaternion_of, rotation_matrices
-from ssduck.kinematics import pose_of
-from ssduck.messages import shown
-from ssduck.simulators import SETTABLE
-
-if TYPE_CHECKING:
-    from ssduck.entities import Entity, JointState
-    from ssduck.world import World
-
-
-# What of `CloneSelf`'s options matters: there are no viewers and no controllers.
-CLONE_BODIES = 1
-
-
-def __getattr__(name: str) -> Any:
-    """What is built on these spellings: the classes of handles, and modules."""
-    if name in ("KinBody", "Robot", "Sensor"):
-        return getattr(import_module("ssduck.entities"), name)
-    if name in ("RaveCreateModule", "RaveInitialize", "RaveLoadPlugin"):
-        return getattr(import_module("ssduck.openrave_modules"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__all__ = [
+    "AABB",
+    "CLONE_BODIES",
+    "MODULES",
+    "KinBody",
+    "OccupancyGridMap",
+    "RaveCreateModule",
+    "RaveInitialize",
+    "RaveLoadPlugin",
+    "Robot",
+    "Sensor",
+    "SensorCommand",
+]
 
 
-@dataclass(frozen=True, eq=False)
-class AABB:
-    """An axis-aligned box by its centre and its half-extents, metres."""
+class OccupancyGridMap:
+    """The cells that the bodies of a world occupy at a height.
 
-    centre: Array
-    half_extents: Array
+    Commands: `SetTranslation x y z`, the grid's corner and its height, m; `SetSize nx ny size`,
+    how many cells there are and how wide they are, m; `Scan`, which gives a byte a cell, 1 for
+    occupied, x by x and along y within; `SetLineWidth` and `Render`, which draw nothing here.
 
-    def pos(self) -> Array:
-        """The centre, (3,)."""
-        return self.centre
+    Args:
+        world: whose bodies they are, as they are when `Scan` is sent.
+    """
 
-    def extents(self) -> Array:
-        """The half-extents, (3,)."""
-        return self.half_extents
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._corner = (0.0, 0.0, 0.0)
+        self._size = (0, 0, 0.0)
 
-
-class EntitySpellings:
-    """OpenRAVE's names of what an `Entity` has."""
-
-    def GetName(self: Any) -> str:  # noqa: N802  # OpenRAVE's name
-        """Its name."""
-        return str(self.name)
-
-    def GetEnv(self: Any) -> World:  # noqa: N802  # OpenRAVE's name
-        """The world that it is in."""
-        world: World = self.world
-        return world
-
-    def ComputeAABB(self: Any) -> AABB:  # noqa: N802  # OpenRAVE's name
-        """Its axis-aligned box in the world frame."""
-        low, high = (np.array(corner) for corner in self.aabb)
-        return AABB((low + high) / 2, (high - low) / 2)
-
-    def GetTransform(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
-        """Its pose as a (4, 4) homogeneous matrix, from its link frame to the world."""
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotation_matrices(np.array([self.orientation]))[0]
-        matrix[:3, 3] = self.position
-        return matrix
-
-    def SetTransform(self: Any, transform: npt.ArrayLike) -> None:  # noqa: N802  # OpenRAVE's name
-        """Move it: a (4, 4) homogeneous matrix, or a pose [w, x, y, z, x, y, z].
+    def SendCommand(self, command: str) -> bytes | str:  # noqa: N802  # OpenRAVE's name
+        """Run a command; what it gives, or nothing.
 
         Raises:
-            StateError: it is neither.
+            ArgumentError: there is no such command, or it does not take these numbers.
         """
+        name, *given = command.split() or [""]
+        commands: dict[str, Callable[..., bytes | str]] = {
+            "SetTranslation": self._set_translation,
+            "SetSize": self._set_size,
+            "SetLineWidth": lambda _: "",
+            "Scan": self._scan,
+            "Render": lambda: "",
+        }
+        if name not in commands:
+            raise ArgumentError(
+                f"occupancygridmap has no command {shown(name)}",
+                suggestions=nearest(name, commands),
+            )
         try:
-            given = np.asarray(transform, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
-            given = np.zeros(0)
-        if given.shape == (4, 4):
-            self.move(given[:3, 3], _quaternion(given[:3, :3], self.name))
-        else:
-            position, orientation = pose_of(cast("Sequence[float]", transform), self.name)
-            self.move(position, orientation)
+            return commands[name](*map(float, given))
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"occupancygridmap: {shown(command)}: {error}") from error
 
-    def GetDOFValues(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
-        """The positions of its revolute and prismatic joints, rad or m."""
-        return np.array([joint.position for joint in _settable(self)])
+    def _set_translation(self, x: float, y: float, z: float) -> str:
+        if not all(map(math.isfinite, (x, y, z))):
+            raise ValueError("a corner has finite coordinates")
+        self._corner = (x, y, z)
+        return ""
 
-    def SetDOFValues(  # noqa: N802  # OpenRAVE's name
-        self: Any, values: Sequence[float], dofindices: Sequence[int] | None = None
-    ) -> None:
-        """Set its revolute and prismatic joints, or those of these indices among them.
+    def _set_size(self, nx: float, ny: float, size: float) -> str:
+        if not (nx >= 1 and ny >= 1 and 0.0 < size < math.inf):
+            raise ValueError("there is a cell at least, and it is wider than 0 m")
+        if not (nx * ny <= MOST_CELLS and nx.is_integer() and ny.is_integer()):
+            raise ValueError(f"there are whole numbers of cells, {MOST_CELLS:,} at most")
+        self._size = (int(nx), int(ny), size)
+        return ""
 
-        Raises:
-            ArgumentError: an index is none's, or there are too many values or too few.
-        """
-        if dofindices is None:
-            self.move(joints=values)
-            return
-        if not (checks.numbers(values) and checks.numbers(dofindices)):
-            told = f"{shown(dofindices)} and {shown(values)}"
-            raise ArgumentError(f"{self.name}: indices and values are numbers in lists, not {told}")
-        names = [joint.name for joint in _settable(self)]
-        if len(dofindices) != len(values):
-            raise ArgumentError(f"{self.name}: {len(dofindices)} indices, {len(values)} values")
-        for index in dofindices:
-            if not checks.is_whole(index) or not 0 <= index < len(names):
-                raise ArgumentError(
-                    f"{self.name} has no joint {shown(index)}; it has {len(names)}, counted from 0"
-                )
-        self.move(joints={names[i]: value for i, value in zip(dofindices, values, strict=True)})
-
-    def Enable(self: Any, enable: bool) -> None:  # noqa: N802  # OpenRAVE's name
-        """Let it take part in collisions, or not."""
-        self.enabled = enable
-
-    def IsEnabled(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Whether it takes part in collisions."""
-        return bool(self.enabled)
-
-    def SetVisible(self: Any, visible: bool) -> None:  # noqa: N802  # OpenRAVE's name
-        """Let it be drawn, or not."""
-        self.visible = visible
-
-    def IsVisible(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Whether it is drawn."""
-        return bool(self.visible)
+    def _scan(self) -> bytes:
+        (x, y, z), (nx, ny, size) = self._corner, self._size
+        if not nx:
+            raise ValueError("SetSize comes first")
+        with self._world.held(("shapes",)):
+            placed = placed_shapes(self._world, self._world.GetBodies())
+        return Rasterizer(placed).cells(Raster((x, y), size, (nx, ny)), z, z).tobytes()
 
 
-class SensorCommand(Enum):
-    """What OpenRAVE tells a sensor to do; drawing is told, and nothing is drawn."""
-
-    PowerOn = 0x10
-    PowerOff = 0x11
-    PowerCheck = 0x12
-    RenderDataOn = 0x20
-    RenderDataOff = 0x21
-    RenderDataCheck = 0x23
+MODULES: dict[str, Callable[[World], OccupancyGridMap]] = {"occupancygridmap": OccupancyGridMap}
 
 
-class SensorSpellings:
-    """OpenRAVE's names of what a `Sensor` has."""
-
-    __slots__ = ()
-
-    ConfigureCommand = SensorCommand
-
-    def Configure(self: Any, command: SensorCommand) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Switch it on or off, or tell whether it is on."""
-        match command:
-            case SensorCommand.PowerOn | SensorCommand.PowerOff:
-                self.power(command is SensorCommand.PowerOn)
-                return True
-            case SensorCommand.PowerCheck:
-                return bool(self.powered)
-            case SensorCommand.RenderDataOn | SensorCommand.RenderDataOff:
-                return True
-        return False
+def RaveCreateModule(  # noqa: N802  # OpenRAVE's name
+    env: World, name: str
+) -> OccupancyGridMap | None:
+    """A module of that name for a world; None if there is none, as there."""
+    make = MODULES.get(name.lower())
+    return None if make is None else make(env)
 
 
-class WorldSpellings:
-    """OpenRAVE's names of what a `World` has; an unknown name gives None, as there."""
-
-    def GetRobots(self: Any) -> list[Entity]:  # noqa: N802  # OpenRAVE's name
-        """The robots in load order."""
-        return [entity for entity in self if entity.kind == "robot"]
-
-    def GetSensors(self: Any) -> list[Entity]:  # noqa: N802  # OpenRAVE's name
-        """The sensors in load order."""
-        return [entity for entity in self if entity.kind == "sensor"]
-
-    def GetBodies(self: Any) -> list[Entity]:  # noqa: N802  # OpenRAVE's name
-        """Robots and kinbodies in load order."""
-        return [entity for entity in self if entity.kind != "sensor"]
-
-    def GetRobot(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
-        """The robot of that name."""
-        return _named(self, name, "robot")
-
-    def GetKinBody(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
-        """The robot or kinbody of that name: there, robots are kinbodies."""
-        return _named(self, name, "robot", "kinbody")
-
-    def GetSensor(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
-        """The sensor of that name."""
-        return _named(self, name, "sensor")
-
-    def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
-        """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
-        options = checks.whole(options, "CloneSelf: options", least=0)
-        world: World = self.excerpt(self if options & CLONE_BODIES else ())
-        return world
-
-    def Remove(self: Any, entity: Entity) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Take an entity out."""
-        self.remove(entity)
-        return True
-
-    def Destroy(self: Any) -> None:  # noqa: N802  # OpenRAVE's name
-        """Give up the simulation."""
-        self.close()
+def RaveInitialize() -> None:  # noqa: N802  # OpenRAVE's name
+    """Do nothing: there is nothing to begin with."""
 
 
-def _settable(entity: Entity) -> list[JointState]:
-    return [joint for joint in entity.joints if joint.type in SETTABLE]
-
-
-def _quaternion(matrix: Array, name: str) -> Array:
-    """A rotation matrix as w, x, y, z."""
-    if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 0.0:
-        raise StateError(f"{name}: the matrix turns nothing: {matrix.tolist()}")
-    return quaternion_of(matrix)
-
-
-def _named(world: World, name: str, *kinds: str) -> Entity | None:
-    return next((e for e in world if e.name == name and e.kind in kinds), None)
+def RaveLoadPlugin(path: str) -> bool:  # noqa: N802  # OpenRAVE's name
+    """Whether a plugin is there: of the file's name, only `filter`, which is a part of ssduck."""
+    return path.replace("\\", "/").rpartition("/")[2].partition(".")[0] == "filter"

@@ -10,7 +10,7 @@ import argparse
 import sys
 import time
 
-from tests.grammar import Evaluators, evaluators, program, seeded, shrunk
+from tests.support.grammar import Evaluators, evaluators, program, seeded, shrunk
 
 EACH = 500
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import ssduck
 from ssduck.demos.cleanup import ALLOWED, Outcome, clean
-from ssduck.world import World
+from ssduck.world.world import World
 
 CUPS = ("cup_905a", "cup_58a2", "cup_b6af", "cup_d441")
 # Where cups are put: within this of the table, m from its edges and each other.

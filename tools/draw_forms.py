@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 import ssduck
-from ssduck.scenes import Camera
+from ssduck.simulators.scenes import Camera
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 BOUNDS = "bounds=[[-1.75, -2.5], [2.45, 2.7]]"

@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from tests import hollows, pairs
+from tests.support import hollows, pairs
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "shapes.md"
 # What a gap may be off, metres; with a cylinder against something that is not a sphere or plane.

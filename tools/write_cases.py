@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 import ssduck
-from ssduck import queries
+from ssduck.interpreter import query_runner as queries
 
 CASES = Path(__file__).resolve().parent.parent / "tests" / "data" / "language.toml"
 PREPARATION = """

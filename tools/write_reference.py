@@ -11,11 +11,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from ssduck.adapters import forms
-from ssduck.functions import BUILTINS
-from ssduck.relations import Relation
-from ssduck.tables import ROWS, TABLES, Column
-from ssduck.udfs import RELATIONS
+from ssduck.adapters.registry import forms
+from ssduck.language.builtins import BUILTINS
+from ssduck.schema import ROWS, TABLES, Column
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.relations.relation import Relation
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from ssduck.entities import Entity
 from ssduck.errors import ArgumentError
-from ssduck.rows import Rows
-from ssduck.tree import Query
+from ssduck.language.clauses import Rows
+from ssduck.language.tree import Query
+from ssduck.world.entities import Entity
 
 if TYPE_CHECKING:
-    from ssduck.world import World
+    from ssduck.world.world import World
 
 _ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 # What an adapter reads: rows; columns by their names; entities; the query, and rows if it asks.

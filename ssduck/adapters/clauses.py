@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ssduck.adapters.base import Selection
-from ssduck.dependencies import aliases_of, free_aliases
 from ssduck.errors import ArgumentError
-from ssduck.tree import Call, ListOf, Literal, Name, Node, Query, This
+from ssduck.language.analysis import aliases_of, free_aliases
+from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, This
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def _with_arguments(item: Node, query: Query) -> Node:
                 "to(…, 'name')",
                 span=span,
             )
-    return Call(span, "to", (ListOf(span, (*arguments, value)), name), span)
+    return Call(span, "to", (ListLiteral(span, (*arguments, value)), name), span)
 
 
 def _arguments(value: Node, query: Query) -> tuple[Node, ...] | None:

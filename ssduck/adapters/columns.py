@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.adapters.base import Selection
-from ssduck.entities import Entity
 from ssduck.errors import ArgumentError
-from ssduck.messages import kind_of, reason, shown
-from ssduck.types import EXACT
-from ssduck.world import World
+from ssduck.formatting import kind_of, reason, shown
+from ssduck.sql.types import EXACT
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
 
 # What 64 and 128 bits hold; DuckDB's HUGEINT travels as such decimals, too.
 _MOST = 2**63

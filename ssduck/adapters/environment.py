@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ssduck.adapters.base import Adapter, Selection
-from ssduck.world import World
+from ssduck.world.world import World
 
 
 def environment(selection: Selection) -> World:

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 from ssduck.adapters.base import Selection
 from ssduck.errors import ArgumentError
-from ssduck.messages import shown
+from ssduck.formatting import shown
 
 
 def check_file(selection: Selection, file: Any) -> Path:

@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from ssduck.adapters.arguments import number, numbers, positive, whole
 from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.grid_values import MOST_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
-from ssduck.entities import Entity, Sensor
 from ssduck.errors import ArgumentError
-from ssduck.geometry import Array, rotation_matrices
-from ssduck.grids import MOST_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
-from ssduck.messages import shown
-from ssduck.rasters import ROUNDED, Raster
-from ssduck.sensors import SENSOR_TYPES
-from ssduck.sightlines import are_blocked
-from ssduck.slicing import Slicer
-from ssduck.solids import PlacedSolids
-from ssduck.tree import Bare, Call, Name, Query, This
+from ssduck.formatting import shown
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.line_of_sight import are_blocked
+from ssduck.geometry.poses import rotation_matrices
+from ssduck.geometry.raster import ROUNDED, Raster
+from ssduck.geometry.rasterize import Rasterizer
+from ssduck.geometry.solids import PlacedSolids
+from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
+from ssduck.simulators.sensor_types import SENSOR_TYPES
+from ssduck.validation import length_argument, number_argument, numbers_argument, whole_argument
+from ssduck.world.entities import Entity, Sensor
 
 # Cells that sensors look at together.
 _TOGETHER = 1_000_000
@@ -42,10 +43,10 @@ def _occupancy(
     heights = z_pos if isinstance(z_pos, list | tuple) else [z_pos, z_pos]
     if len(heights) != 2:
         raise ArgumentError(f"z_pos is a height or [lowest, highest], not {shown(z_pos)}")
-    low, high = (number(height, "z_pos") for height in heights)
+    low, high = (number_argument(height, "z_pos") for height in heights)
     if low > high:
         raise ArgumentError(f"z_pos: the lowest height {low:g} is above the highest, {high:g}")
-    size = positive(grid_size, "the size of a cell")
+    size = length_argument(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 2)
     counts = _counts(lower, upper, size)
@@ -53,7 +54,7 @@ def _occupancy(
 
 
 def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025) -> OccupancyGrid:
-    z, size = number(z_pos, "z_pos"), positive(grid_size, "the size of a cell")
+    z, size = number_argument(z_pos, "z_pos"), length_argument(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(None, placed, 2)
     # The tutorial's module is asked for one cell more than the bounds have.
@@ -69,17 +70,17 @@ def _sliced(
     heights: tuple[float, float],
 ) -> OccupancyGrid:
     raster = Raster((lower[0], lower[1]), size, (counts[0], counts[1]))
-    cells = Slicer(placed).cells(raster, *heights)
+    cells = Rasterizer(placed).cells(raster, *heights)
     z = heights[0] if heights[0] == heights[1] else heights
     return OccupancyGrid(cells, raster.origin, size, z)
 
 
 def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGrid:
-    size = positive(grid_size, "the size of a cell")
+    size = length_argument(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 3)
     nx, ny, nz = _counts(lower, upper, size)
-    raster, slicer = Raster((lower[0], lower[1]), size, (nx, ny)), Slicer(placed)
+    raster, slicer = Raster((lower[0], lower[1]), size, (nx, ny)), Rasterizer(placed)
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
         ground = lower[2] + layer * size
@@ -93,7 +94,7 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
 def _sensor_grid(
     selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
 ) -> SensorGrid:
-    z, size = number(z_pos, "z_pos"), positive(grid_size, "the size of a cell")
+    z, size = number_argument(z_pos, "z_pos"), length_argument(grid_size, "the size of a cell")
     sensors = [entity for entity in selection.entities if isinstance(entity, Sensor)]
     if not sensors and selection.entities:
         raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
@@ -136,13 +137,13 @@ def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 
     plane = axes.upper() if isinstance(axes, str) else ""
     if plane not in _PLANES:
         raise ArgumentError(f"axes are 'XY', 'XZ' or 'YZ', not {shown(axes)}")
-    lower = np.array(numbers(origin, 2, "origin", "[first, second]"))
-    *counts, side = numbers(size, 3, "size", "[cells along first, along second, m a cell]")
-    side = positive(side, "the size of a cell")
+    lower = np.array(numbers_argument(origin, 2, "origin", "[first, second]"))
+    *counts, side = numbers_argument(size, 3, "size", "[cells along first, along second, m a cell]")
+    side = length_argument(side, "the size of a cell")
     if any(count < 1 or count != int(count) for count in counts):
         raise ArgumentError(f"size: there are whole numbers of cells, not {shown(size)}")
     nx, ny = map(int, counts)
-    whole(blur, "blur", 1, max(nx, ny))
+    whole_argument(blur, "blur", 1, max(nx, ny))
     _check_count((nx + 2 * blur, ny + 2 * blur))
     weights = _pyramid(blur)
     cells = np.zeros((nx + 2 * blur, ny + 2 * blur))
@@ -202,7 +203,9 @@ def _with_entity(query: Query) -> Query:
 
 
 def _is_entity(item: Any) -> bool:
-    return isinstance(item, This) or (isinstance(item, Name | Bare | Call) and item.name == "obj")
+    return isinstance(item, This) or (
+        isinstance(item, Name | UnresolvedName | Call) and item.name == "obj"
+    )
 
 
 # -- bounds ---------------------------------------------------------------------------------------
@@ -234,7 +237,9 @@ def _given_bounds(given: Any, count: int) -> tuple[tuple[float, ...], tuple[floa
     if not isinstance(given, list | tuple) or len(given) != 2:
         raise ArgumentError(f"bounds are {form}, not {shown(given)}")
     lower, upper = (
-        tuple(numbers(c[:count] if isinstance(c, list | tuple) else c, count, "bounds", form))
+        tuple(
+            numbers_argument(c[:count] if isinstance(c, list | tuple) else c, count, "bounds", form)
+        )
         for c in given
     )
     return lower, upper

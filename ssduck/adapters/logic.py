@@ -11,7 +11,7 @@ from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.clauses import Clause, clauses, with_arguments
 from ssduck.adapters.columns import plain_value
 from ssduck.errors import ArgumentError
-from ssduck.messages import kind_of, shown
+from ssduck.formatting import kind_of, shown
 
 Term: TypeAlias = Callable[[Any], str]
 

@@ -9,12 +9,12 @@ from typing import Any, TypeAlias
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.clauses import Clause, clauses, with_arguments
 from ssduck.adapters.columns import distinct, plain_value
+from ssduck.adapters.display import readable
 from ssduck.adapters.optional import library
-from ssduck.answers import readable
-from ssduck.entities import Entity
 from ssduck.errors import ArgumentError
-from ssduck.messages import shown
-from ssduck.tree import Call, ListOf, Name, Node, Query, This
+from ssduck.formatting import shown
+from ssduck.language.tree import Call, ListLiteral, Name, Node, Query, This
+from ssduck.world.entities import Entity
 
 # None, or of several edges between two nodes the relation or the number of the row.
 Key: TypeAlias = str | int | None
@@ -91,7 +91,7 @@ _ENTITIES = frozenset(("obj", "robot", "kinbody", "sensor"))
 
 def _is_of_relations(query: Query) -> bool:
     match query.items:
-        case (Call(name="to", arguments=(ListOf(), _)), *_):
+        case (Call(name="to", arguments=(ListLiteral(), _)), *_):
             return not any(map(_is_entity, query.items))
     return False
 

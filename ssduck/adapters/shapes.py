@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ssduck.adapters.base import Selection
-from ssduck.entities import Entity, Sensor
 from ssduck.errors import ArgumentError
-from ssduck.solids import PlacedSolids
-from ssduck.world import World
+from ssduck.geometry.solids import PlacedSolids
+from ssduck.world.entities import Entity, Sensor
+from ssduck.world.world import World
 
 # What such a form reads of the tick.
 SHAPES = frozenset(("shapes",))

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ssduck.adapters.arguments import positive, whole
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.files import check_file, replace_file
+from ssduck.adapters.highlight import highlighted
+from ssduck.adapters.point_cloud import PointCloud, sampled
 from ssduck.adapters.shapes import SHAPES, shapes_of
-from ssduck.checks import MOST_PIXELS
 from ssduck.errors import ArgumentError
-from ssduck.highlight import highlighted
-from ssduck.point_cloud import PointCloud, sampled
-from ssduck.solids import Solid
+from ssduck.geometry.solids import Solid
+from ssduck.validation import MOST_PIXELS, length_argument, whole_argument
 
 if TYPE_CHECKING:
     import trimesh
@@ -30,8 +29,8 @@ _COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
     placed = shapes_of(selection)
     ids = {entity.id: entity.name for entity in selection.entities}
-    spread = positive(spacing, "spacing")
-    return sampled(placed, ids, spread, whole(seed, "seed", 0, sys.maxsize))
+    spread = length_argument(spacing, "spacing")
+    return sampled(placed, ids, spread, whole_argument(seed, "seed", 0, sys.maxsize))
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
@@ -90,7 +89,10 @@ def _glb(selection: Selection, path: Any) -> str:
 
 
 def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.Image:
-    size = whole(width, "width", 1, MOST_PIXELS), whole(height, "height", 1, MOST_PIXELS)
+    size = (
+        whole_argument(width, "width", 1, MOST_PIXELS),
+        whole_argument(height, "height", 1, MOST_PIXELS),
+    )
     return highlighted(selection.world, selection.entities, *size)
 
 

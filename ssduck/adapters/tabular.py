@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.adapters.arguments import whole
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.columns import distinct, plain_value, table_of
+from ssduck.adapters.display import as_json
 from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.optional import library
-from ssduck.answers import as_json
-from ssduck.result import Result, values_of
-from ssduck.types import EXACT
+from ssduck.adapters.result import Result, values_of
+from ssduck.sql.types import EXACT
+from ssduck.validation import whole_argument
 
 # What numpy's integers of 64 bits hold.
 _MOST = 2**63
@@ -58,7 +58,7 @@ def _polars(selection: Selection) -> Any:
 
 def _json(selection: Selection, indent: int | None = None) -> str:
     if indent is not None:
-        whole(indent, "indent", 0, _MOST_INDENT)
+        whole_argument(indent, "indent", 0, _MOST_INDENT)
     names = distinct(selection.columns)
     rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
     return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)

@@ -17,8 +17,8 @@ import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck import ctrl_c
-from ssduck.database.writer import Writer
+from ssduck.database import interrupts as ctrl_c
+from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     EvaluationError,
     LimitError,
@@ -28,11 +28,11 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.limits import Limits, Meter
-from ssduck.messages import shown
-from ssduck.paths import given_path
-from ssduck.recorder import Recorder
-from ssduck.relations import TOLD_BY
+from ssduck.formatting import shown
+from ssduck.limits import Limits, Usage
+from ssduck.recording.paths import given_path
+from ssduck.recording.recorder import Recorder
+from ssduck.sql.relations.relation import TOLD_BY
 
 T = TypeVar("T")
 
@@ -79,7 +79,7 @@ class Connection:
         # Left open until Python ends, it would print complaints there.
         self._finalizer = weakref.finalize(self, _finish, self._connection, recorders, os.getpid())
         self._tracer = tracer
-        self.meter = Meter(limits)
+        self.meter = Usage(limits)
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
         # What a function raised while SQL called it: DuckDB keeps but its words.
@@ -126,9 +126,9 @@ class Connection:
         """
         self._finalizer()
 
-    def writer(self) -> Writer:
+    def writer(self) -> WriterConnection:
         """A connection of its own, for what is kept of a world."""
-        return Writer(self._connection, Path(self._path) if self.is_file else None)
+        return WriterConnection(self._connection, Path(self._path) if self.is_file else None)
 
     def attach(self, path: Path) -> str:
         """Let a DuckDB file be read; tells what it is called here.
@@ -244,7 +244,7 @@ class Connection:
         self._raised.clear()
         for begin in self._at_start.values():
             begin()
-        listening = ctrl_c.Listening(self._interrupt)
+        listening = ctrl_c.InterruptListener(self._interrupt)
         try:
             result = self._in_time(work, listening, self._timer() if timed else None)
         except Exception as error:
@@ -256,7 +256,10 @@ class Connection:
         return result
 
     def _in_time(
-        self, work: Callable[[], T], listening: ctrl_c.Listening, timer: threading.Timer | None
+        self,
+        work: Callable[[], T],
+        listening: ctrl_c.InterruptListener,
+        timer: threading.Timer | None,
     ) -> T:
         try:
             listening.enter()
@@ -342,7 +345,7 @@ def _is_duckdbs(error: Exception) -> bool:
     return isinstance(error, duckdb.Error)
 
 
-def _end(listening: ctrl_c.Listening, timer: threading.Timer | None) -> None:
+def _end(listening: ctrl_c.InterruptListener, timer: threading.Timer | None) -> None:
     listening.leave()
     if timer is not None:
         timer.cancel()

@@ -14,26 +14,35 @@ from typing import Any, TypeVar
 import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 
-from ssduck.colliding import Asked, Question
-from ssduck.database.bound import Bound
+from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
+from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
-from ssduck.functions import Function
-from ssduck.history import Near
-from ssduck.joints import JointError, Joints
-from ssduck.memo import Memo
-from ssduck.record import PAIR, Record
-from ssduck.relations import ANY, CHECKED_TICK
-from ssduck.shapes import ANSWERS, depth
-from ssduck.types import Converter, Signature, Tag, converter, is_exactly
-from ssduck.udfs import BY_MARGINS, JOINTS, MARGINS, NARROW, OF_WHOLE_TICK, THEN, THEN_TOLD
+from ssduck.geometry.batch import Asked, PairPredicate
+from ssduck.geometry.queries import ANSWERS, depth
+from ssduck.language.builtins import Function
+from ssduck.language.memo import Memo
+from ssduck.recording.replay.record import PAIR, Record
+from ssduck.recording.stores.duckdb import PairRequest
+from ssduck.simulators.joints import EntityJoints, JointError
+from ssduck.sql.relations.registry import (
+    BY_MARGINS,
+    JOINTS,
+    MARGINS,
+    NARROW,
+    OF_WHOLE_TICK,
+    THEN,
+    THEN_TOLD,
+)
+from ssduck.sql.relations.relation import ANY, CHECKED_TICK
+from ssduck.sql.types import Signature, SqlType
 
 
 def add_users(
     connection: Connection,
     signature: Signature,
     function: Function,
-    worlds: Mapping[str, Bound],
+    worlds: Mapping[str, BoundWorld],
 ) -> None:
     """Make a user's function one of SQL; replaces one of that signature."""
     converters = [converter_of(tag, worlds) for tag in signature.parameters]
@@ -56,7 +65,7 @@ def add_users(
     )
 
 
-def converter_of(tag: Tag, worlds: Mapping[str, Bound]) -> Converter | None:
+def converter_of(tag: SqlType, worlds: Mapping[str, BoundWorld]) -> Converter | None:
     """What makes values of those that SQL gives back; it keeps no world.
 
     Args:
@@ -77,7 +86,7 @@ class _Parts(Mapping[str, T]):
         part: gives it.
     """
 
-    def __init__(self, worlds: Mapping[str, Bound], part: Callable[[Bound], T]) -> None:
+    def __init__(self, worlds: Mapping[str, BoundWorld], part: Callable[[BoundWorld], T]) -> None:
         self._worlds = worlds
         self._part = part
 
@@ -91,19 +100,19 @@ class _Parts(Mapping[str, T]):
         return len(self._worlds)
 
 
-def _record_of(bound: Bound) -> Record:
+def _record_of(bound: BoundWorld) -> Record:
     assert bound.kept is not None
     return bound.kept.record
 
 
-def _usable(value: Any, tag: Tag) -> Any:
+def _usable(value: Any, tag: SqlType) -> Any:
     """A value that SQL gives back as it is: it would make 3.0 of 3, and nothing of a NaN."""
     if not is_exactly(value, tag):
         raise ValueError("no value for SQL")
     return value
 
 
-def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
+def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
     """Make the functions of shapes and of recorded ticks some of SQL.
 
     Args:
@@ -128,7 +137,7 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
         null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
     )
     for (name, more), prefix in product(JOINTS.items(), ("", ANY)):
-        call = partial(_of_joints, worlds, getattr(Joints, name.removeprefix("joints ")))
+        call = partial(_of_joints, worlds, getattr(EntityJoints, name.removeprefix("joints ")))
         connection.add_function(
             prefix + name,
             partial(_if_any, worlds, call) if prefix else call,
@@ -156,7 +165,7 @@ def add_own(connection: Connection, worlds: Mapping[str, Bound]) -> None:
     )
 
 
-def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
+def _narrow(name: str, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
     """A function of the narrow phase, of a world's name and of entities."""
     entities = NARROW[name][0].count("BIGINT")  # twice as many: of each its tick and its id
     answer = ANSWERS[name]
@@ -182,13 +191,13 @@ def _narrow(name: str, worlds: Mapping[str, Bound]) -> Callable[..., Any]:
     return call
 
 
-def _margins(worlds: Mapping[str, Bound], world: str) -> float:
+def _margins(worlds: Mapping[str, BoundWorld], world: str) -> float:
     """How far apart shapes may be that touch by their margins, metres."""
     return worlds[world].margins if world in worlds else 0.0
 
 
 def _checked_tick(
-    worlds: Mapping[str, Bound],
+    worlds: Mapping[str, BoundWorld],
     world: str,
     run: int | None,
     tick: int | None,
@@ -205,7 +214,7 @@ def _checked_tick(
 
 
 def _of_joints(
-    worlds: Mapping[str, Bound],
+    worlds: Mapping[str, BoundWorld],
     answer: Callable[..., float | None],
     world: str,
     *arguments: Any,
@@ -220,7 +229,7 @@ def _of_joints(
 
 
 def _if_any(
-    worlds: Mapping[str, Bound],
+    worlds: Mapping[str, BoundWorld],
     call: Callable[..., float | None],
     world: str,
     tick: int,
@@ -242,18 +251,18 @@ def _if_any(
         return None
 
 
-def _then(worlds: Mapping[str, Bound], of: Asked, *arguments: pa.ChunkedArray) -> pa.ListArray:
+def _then(worlds: Mapping[str, BoundWorld], of: Asked, *arguments: pa.ChunkedArray) -> pa.ListArray:
     """The narrow phase over many ticks, of columns of what is asked for."""
 
     def found(world: str, first: int, last: int, a: int, b: int, distance: float) -> pa.StructArray:
         kept = worlds[world].kept
         if kept is None:
             raise EvaluationError(f"the ticks of {world!r} are not recorded")
-        question = Question(of, depth(distance) if of == "colliding" else distance)
+        question = PairPredicate(of, depth(distance) if of == "colliding" else distance)
         apart = 0.0 if of == "colliding" else distance
         if of == "touching":
             worlds[world].note_margins(first)
-        pairs = kept.record.pairs(Near(first, last, a, b, apart), question)
+        pairs = kept.record.pairs(PairRequest(first, last, a, b, apart), question)
         return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PAIR)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)
@@ -264,7 +273,7 @@ def _then(worlds: Mapping[str, Bound], of: Asked, *arguments: pa.ChunkedArray) -
 
 
 def _told(
-    worlds: Mapping[str, Bound], world: str, what: str, tick: int, a: int, b: int
+    worlds: Mapping[str, BoundWorld], world: str, what: str, tick: int, a: int, b: int
 ) -> list[float]:
     """What contacts and sensors told at a recorded tick."""
     return worlds[world].told(what, tick, a, b)

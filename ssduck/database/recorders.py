@@ -5,17 +5,17 @@ from __future__ import annotations
 from itertools import count
 from pathlib import Path
 
-from ssduck.database.bound import Bound, Kept
+from ssduck.database.binding import BoundWorld, WorldRecording
 from ssduck.database.connection import Connection
 from ssduck.errors import UnsupportedError
-from ssduck.history import History
-from ssduck.memory import Memory
-from ssduck.record import Record
-from ssduck.recorded_world import RecordedWorld
-from ssduck.recorder import MEMORY_TICKS, RING_TICKS, Recorder
-from ssduck.recording import Recording, check_names
-from ssduck.sealed import PART_TICKS, Folder, FolderRecording
-from ssduck.world import World
+from ssduck.recording.recorder import MEMORY_TICKS, RING_TICKS, Recorder
+from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.spec import Recording, check_names
+from ssduck.recording.stores.duckdb import DuckDBStore
+from ssduck.recording.stores.memory import MemoryStore
+from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording, ParquetWriter
+from ssduck.world.world import World
 
 
 class Recorders:
@@ -30,12 +30,12 @@ class Recorders:
         self._connection = connection
         self.running = running
 
-    def start(self, bound: Bound, recording: Recording, name: str) -> None:
+    def start(self, bound: BoundWorld, recording: Recording, name: str) -> None:
         """Keep the ticks of a world in a history, called after such a name."""
         world, is_file = bound.world, self._connection.is_file
         check_names(recording, world.snapshot.members)
         in_memory = not is_file and not recording.changed
-        make = Memory if in_memory else History
+        make = MemoryStore if in_memory else DuckDBStore
         history = make(self._free_schema(name), self._connection.writer(), recording, name)
         if is_file:
             history.show()
@@ -51,7 +51,7 @@ class Recorders:
             recorder.near,
             reweighed=recorder.reweighed,
         )
-        bound.kept = Kept(history, record, recorder, (*history.shown, *recorder.shown))
+        bound.kept = WorldRecording(history, record, recorder, (*history.shown, *recorder.shown))
         self.running.append(recorder)
         try:
             world.record(recorder)
@@ -65,7 +65,7 @@ class Recorders:
         names = (f"{world}_record_{number}" for number in count())
         return next(name for name in names if name.casefold() not in taken)
 
-    def stop(self, bound: Bound) -> None:
+    def stop(self, bound: BoundWorld) -> None:
         """Keep no more ticks of a world in its history; what waits is stored."""
         if bound.kept is None:
             return
@@ -87,7 +87,7 @@ class Recorders:
             if bound.versions.pop(name, None) is not None:
                 self._connection.unshow(name)
 
-    def _forget(self, bound: Bound, recorder: Recorder) -> None:
+    def _forget(self, bound: BoundWorld, recorder: Recorder) -> None:
         """Let a recorder keep no more ticks, without storing what waits."""
         world = bound.reference()
         if world is not None:
@@ -97,9 +97,9 @@ class Recorders:
 
     def to_folder(
         self, world: World, recording: Recording, path: Path, name: str
-    ) -> FolderRecording:
+    ) -> ParquetRecording:
         """Write the ticks of a world to a folder, too, under such a name."""
-        folder = Folder(path, name, recording)
+        folder = ParquetWriter(path, name, recording)
         recorder = Recorder(recording, folder, waits=PART_TICKS)
         self.running.append(recorder)
         try:
@@ -109,12 +109,12 @@ class Recorders:
             self.running.remove(recorder)
             folder.discard()
             raise
-        return FolderRecording(world, recorder, folder, self.running)
+        return ParquetRecording(world, recorder, folder, self.running)
 
 
 def check_runs(world: World) -> None:
     """Complain of a world that has no ticks to come."""
-    if isinstance(world, RecordedWorld):
+    if isinstance(world, ReplayedWorld):
         raise UnsupportedError(
             f"{world.name!r} is a record itself, with no ticks to come; export(…) copies it"
         )

@@ -6,14 +6,20 @@ from collections.abc import Collection, Sequence
 
 from sqlglot import exp
 
-from ssduck.catalog import described, dropped, formulas
-from ssduck.database.asked import behind_a_schema
-from ssduck.database.bound import Bound, Kept
+from ssduck.database.binding import BoundWorld, WorldRecording
 from ssduck.database.connection import Connection
-from ssduck.history import History, history_name, model_name, not_recorded, quoted
-from ssduck.models import MODELS
-from ssduck.recording import RECORDABLE
-from ssduck.tables import TABLES, second_names
+from ssduck.database.macros import described, dropped, formulas
+from ssduck.database.referenced_tables import behind_a_schema
+from ssduck.recording.spec import RECORDABLE
+from ssduck.recording.static_tables import MODELS
+from ssduck.recording.stores.duckdb import (
+    DuckDBStore,
+    history_name,
+    model_name,
+    not_recorded,
+    quoted,
+)
+from ssduck.schema import TABLES, second_names
 
 _HISTORIES = {history_name(table): table for table in ("ticks", *RECORDABLE)}
 _MODELS = tuple(map(model_name, MODELS))
@@ -43,7 +49,7 @@ class Schemas:
         self._formulas: dict[str, set[str]] = {}
         self._is_searched = False
 
-    def make(self, name: str, bound: Bound) -> None:
+    def make(self, name: str, bound: BoundWorld) -> None:
         """Make that of a world, or make it anew, with views of its tables."""
         schema = exp.table_(name, quoted=True)
         self._connection.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
@@ -54,7 +60,7 @@ class Schemas:
             self._make_view(name, table, _told_twice(table, rows.sql("duckdb")))
         self.make_history(name, bound)
 
-    def make_history(self, name: str, bound: Bound) -> None:
+    def make_history(self, name: str, bound: BoundWorld) -> None:
         """Make the views of what is kept of a world, instead of those that were there."""
         if self._told_of is not None:
             self._told_of.discard(name)
@@ -111,7 +117,7 @@ class Schemas:
                 self._connection.run(statement)
             known |= called
 
-    def drop(self, schema: str, kept: Kept | None) -> None:
+    def drop(self, schema: str, kept: WorldRecording | None) -> None:
         """Drop one whose world is gone; in a file what was kept of it stays."""
         if self._connection.is_file:
             self.leave(schema, kept)
@@ -121,7 +127,7 @@ class Schemas:
         if self._told_of is not None:
             self._told_of.discard(schema)
 
-    def leave(self, schema: str, kept: Kept | None) -> None:
+    def leave(self, schema: str, kept: WorldRecording | None) -> None:
         """Leave one without what needs ssduck."""
         described = schema in (self._told_of or ())
         own = self._formulas.pop(schema, ())
@@ -130,7 +136,7 @@ class Schemas:
         if not self._connection.is_file:
             return
         history = kept.history if kept is not None else None
-        if not isinstance(history, History):
+        if not isinstance(history, DuckDBStore):
             history = None
         for name in (*_HISTORIES, *_MODELS):
             if history is not None and name in history.views:

@@ -12,10 +12,11 @@ from sqlglot import exp
 
 from ssduck.database.connection import Connection
 from ssduck.errors import SelectScriptError
-from ssduck.history import history_name
-from ssduck.recording import RECORDABLE
-from ssduck.rings import FRAMES
-from ssduck.tables import TABLES, Column, LiveTable
+from ssduck.recording.buffers import FRAMES
+from ssduck.recording.spec import RECORDABLE
+from ssduck.recording.stores.duckdb import history_name
+from ssduck.schema import TABLES, Column
+from ssduck.world.live_tables import LiveTable
 
 # What our prepared statements are called, in front of a number and of the tables that they read.
 _OURS = "ssduck statement "
@@ -25,7 +26,7 @@ _KNOWN = frozenset((*TABLES, *map(history_name, ("ticks", *RECORDABLE, FRAMES)))
 _PARAMETERS = "the parameters"
 
 
-class Plans:
+class PreparedPlans:
     """The plans that DuckDB keeps for prepared statements.
 
     Args:
@@ -78,7 +79,7 @@ class Statement:
 
     def __init__(
         self,
-        plans: Plans,
+        plans: PreparedPlans,
         select: exp.Select,
         types: Mapping[str, Literal["real", "integer"]],
     ) -> None:

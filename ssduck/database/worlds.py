@@ -8,22 +8,22 @@ from itertools import chain, count
 
 from sqlglot import exp
 
-from ssduck.database.bound import Bound, Kept
+from ssduck.database.binding import BoundWorld, WorldRecording
 from ssduck.database.connection import Connection
 from ssduck.database.recorders import Recorders
 from ssduck.database.schemas import Schemas
-from ssduck.database.statement import Plans
+from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
-from ssduck.history import ABOUT
-from ssduck.recorded_world import RecordedWorld
-from ssduck.recording import Recording
-from ssduck.world import UNNAMED, World
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.spec import Recording
+from ssduck.recording.stores.duckdb import ABOUT
+from ssduck.world.world import UNNAMED, World
 
 # Schemas that DuckDB has already.
 _TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
 
 
-class Worlds:
+class WorldRegistry:
     """The worlds in a database.
 
     Args:
@@ -42,7 +42,7 @@ class Worlds:
     def __init__(
         self,
         connection: Connection,
-        plans: Plans,
+        plans: PreparedPlans,
         schemas: Schemas,
         recorders: Recorders,
         recording: Recording | None,
@@ -52,8 +52,8 @@ class Worlds:
         self._schemas = schemas
         self._recorders = recorders
         self._recording = recording
-        self.bound: list[Bound] = []
-        self.by_schema: dict[str, Bound] = {}
+        self.bound: list[BoundWorld] = []
+        self.by_schema: dict[str, BoundWorld] = {}
         self._numbers = count(1)
 
     def bind(self, name: str, world: World) -> None:
@@ -71,7 +71,7 @@ class Worlds:
         bound.held = world
         self._name(bound, name)
 
-    def _name(self, bound: Bound, name: str) -> None:
+    def _name(self, bound: BoundWorld, name: str) -> None:
         """Make the schema of that name that of a world's tables."""
         if name not in bound.schemas:
             bound.schemas.append(name)
@@ -148,16 +148,16 @@ class Worlds:
             path = exp.Literal.string(f"main,{name}").sql("duckdb")
             self._connection.run(f"SET search_path = {path}")
 
-    def entry(self, world: World, name: str | None = None) -> Bound:
+    def entry(self, world: World, name: str | None = None) -> BoundWorld:
         """What is known of a world; its ticks are recorded under the name that it gets first."""
         for bound in self.bound:
             if bound.reference() is world:
                 return bound
-        bound = Bound(weakref.ref(world), f"world {next(self._numbers)}")
+        bound = BoundWorld(weakref.ref(world), f"world {next(self._numbers)}")
         self.bound.append(bound)
         try:
-            if isinstance(world, RecordedWorld):
-                bound.kept = Kept(world.archive, world.own_record)
+            if isinstance(world, ReplayedWorld):
+                bound.kept = WorldRecording(world.archive, world.own_record)
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)
             self.show(bound)
@@ -166,7 +166,7 @@ class Worlds:
             raise
         return bound
 
-    def record(self, bound: Bound, recording: Recording | None) -> None:
+    def record(self, bound: BoundWorld, recording: Recording | None) -> None:
         """Keep the ticks of a world in a new history, and none in that before; None keeps none."""
         with bound.world.held():
             self._recorders.stop(bound)
@@ -194,7 +194,7 @@ class Worlds:
                     return name
         raise AssertionError(wanted)
 
-    def show(self, bound: Bound) -> None:
+    def show(self, bound: BoundWorld) -> None:
         """Let DuckDB see the buffers that were made anew; the others it sees already."""
         new = [
             entry for entry in bound.buffers() if bound.versions.get(entry[1]) != entry[2].version

@@ -20,7 +20,7 @@ LONG_LOG = 1 << 26
 _INCOMING = "rows to be stored"
 
 
-class Writer:
+class WriterConnection:
     """A connection of its own to the same database, for what is kept of a world.
 
     It writes whatever other connections do, and reads on another one, which sees nothing of a

@@ -30,16 +30,16 @@ NAMES = (
 )
 
 
-class Run(Protocol):
+class DemoFunction(Protocol):
     """How a demonstration is run."""
 
     def __call__(self, folder: Path, say: Callable[[str], None], *, seed: int) -> bool:
         """Show it; whether it found what it is to find."""
 
 
-def run_of(name: str) -> Run:
+def run_of(name: str) -> DemoFunction:
     """What runs the demonstration of that name, one of `NAMES`."""
-    run: Run = import_module(f"{__name__}.{name}").run
+    run: DemoFunction = import_module(f"{__name__}.{name}").run
     return run
 
 

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ssduck.answers import Answer, lines_of
+from ssduck.adapters.display import DisplayTable, lines_of
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
-    from ssduck.geometry import Array
-    from ssduck.interpreter import Interpreter
-    from ssduck.scenes import Scene
+    from ssduck.geometry.arrays import Array
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.simulators.scenes import Scene
 
 Second: TypeAlias = tuple[int, int, int, float]
 Overlap: TypeAlias = tuple[int, int, int]
@@ -73,10 +73,10 @@ ESCAPED = "SELECT id FROM chaos{} WHERE mass(this) > 0 AND NOT fitsBox(this, low
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = SECONDS) -> bool:
     """Let the bodies fly, count, compare with the shapes, draw."""
-    from ssduck.interpreter import Interpreter
-    from ssduck.recording import Recording
-    from ssduck.scenes import find_scene
-    from ssduck.world import World
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.recording.spec import Recording
+    from ssduck.simulators.scenes import find_scene
+    from ssduck.world.world import World
 
     scene = find_scene("chaos")
     draw = random.Random(seed)  # noqa: S311  # no secret
@@ -98,7 +98,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
             for second, bodies, sides in ss.sql(COUNTED).fetchall()
             if second in energies
         ]
-        told = Answer(["second", "body and body", "body and side", "energy, J"], rows)
+        told = DisplayTable(["second", "body and body", "body and side", "energy, J"], rows)
         say("\n".join(lines_of(told)))
         say(
             f"What the camera in the western side sees changed {len(seen) - 1} times: "

@@ -18,13 +18,13 @@ import numpy as np
 from ssduck.demos.kitchen import on
 from ssduck.demos.motion import Cleaner, Failed
 from ssduck.demos.results import keep_picture
-from ssduck.entities import Entity
-from ssduck.geometry import Array
-from ssduck.interpreter import Interpreter
-from ssduck.opening import load
-from ssduck.recording import Recording
-from ssduck.scenes import Camera
-from ssduck.world import World
+from ssduck.geometry.arrays import Array
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import load
+from ssduck.recording.spec import Recording
+from ssduck.simulators.scenes import Camera
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
 
 ROBOT = "barrett_4918"
 JOB = """\

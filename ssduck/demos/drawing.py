@@ -12,10 +12,10 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from ssduck.errors import SelectScriptError
-from ssduck.scenes import Camera
+from ssduck.simulators.scenes import Camera
 
 if TYPE_CHECKING:
-    from ssduck.world import World
+    from ssduck.world.world import World
 
 Point: TypeAlias = tuple[float, float]
 Colour: TypeAlias = tuple[int, int, int]

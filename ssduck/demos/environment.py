@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ssduck.demos.results import keep, keep_picture
-from ssduck.scenes import Camera
+from ssduck.simulators.scenes import Camera
 
 if TYPE_CHECKING:
-    from ssduck.world import World
+    from ssduck.world.world import World
 
 NEAR = """\
 roomba = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;
@@ -35,7 +35,7 @@ CAMERA = Camera(eye=(2.9, -1.9, 1.9), target=(1.0, 0.0, 0.3), fov=45)
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
     """Cut it out, let both go on, compare, draw."""
-    from ssduck.opening import load
+    from ssduck.interpreter.opening import load
 
     with load("kitchen") as ss:
         kitchen: World = ss.call_variable("kitchen")

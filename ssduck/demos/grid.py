@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 if TYPE_CHECKING:
-    from ssduck.entities import Entity
-    from ssduck.interpreter import Interpreter
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.world.entities import Entity
 
 Cell: TypeAlias = tuple[int, int]
 Place: TypeAlias = tuple[float, float]
@@ -27,7 +27,7 @@ AS list;"""
 
 
 @dataclass(frozen=True)
-class Grid:
+class SearchGrid:
     """Square cells on the floor.
 
     Attributes:
@@ -58,7 +58,7 @@ class Grid:
 
 
 def free_cells(
-    ss: Interpreter, robot: Entity, grid: Grid, apart: float, ignored: Collection[str]
+    ss: Interpreter, robot: Entity, grid: SearchGrid, apart: float, ignored: Collection[str]
 ) -> set[Cell]:
     """The cells in which a robot, as it is turned, is nowhere too near to anything.
 

@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssduck.answers import answer_of, console_of_answers, fitted, readable
+from ssduck.adapters.display import answer_of, console_of_answers, fitted, readable
 from ssduck.demos.drawing import save
 from ssduck.demos.results import keep_picture
-from ssduck.scenes import Scene, find_scene, shipped_scenes
+from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
-    from ssduck.interpreter import Interpreter
+    from ssduck.interpreter.interpreter import Interpreter
 
 # Of both languages, and of Python's as far as the demonstration uses them.
 _KEYWORDS = (
@@ -46,7 +46,7 @@ class Addition:
 
 
 @dataclass(frozen=True)
-class Question:
+class DemoQuestion:
     """One step of the demonstration; variables stay from one to the next.
 
     Attributes:
@@ -84,12 +84,12 @@ WHERE above(a, b) AND a.kind <> 'sensor' AND b.kind <> 'sensor'
 ORDER BY a.id, b.id"""
 
 KITCHEN = (
-    Question("What is 1 + 2 * 3 - 4 / 5?", "1+2*3-4/5.;"),
-    Question(
+    DemoQuestion("What is 1 + 2 * 3 - 4 / 5?", "1+2*3-4/5.;"),
+    DemoQuestion(
         "Which robots are there, and where?",
         "SELECT id, position, type FROM kitchen WHERE isRobot(this);",
     ),
-    Question(
+    DemoQuestion(
         "How large are the small things above the table?",
         """\
 table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;
@@ -97,22 +97,22 @@ SELECT volume FROM kitchen
 WHERE above(table, this) AND volume(this) < 0.001
 AS list;""",
     ),
-    Question(
+    DemoQuestion(
         "What is below the table?",
         "SELECT obj, volume FROM kitchen WHERE below(table, this) AS dict;",
     ),
-    Question(
+    DemoQuestion(
         "What is within the microwave?",
         """\
 microwave = SELECT obj FROM kitchen WHERE id(this) == 'microwave' AS value;
 SELECT obj, position FROM kitchen WHERE within(microwave, this) AS list;""",
     ),
-    Question(
+    DemoQuestion(
         "Can a Python function be a relation, too? This one is added as onX, with a help text.",
         "help('onX');",
         addition=_ON,
     ),
-    Question(
+    DemoQuestion(
         "What is on the table, and less than 1.3 m away from the robot that is to clean up?",
         """\
 barrett = SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS value;
@@ -120,7 +120,7 @@ cleanUp = SELECT obj FROM kitchen
           WHERE onX(table, this) AND distance(barrett, this) < 1.3
           AS list;""",
     ),
-    Question(
+    DemoQuestion(
         "What is above what? The same database, asked in SQL.",
         _ABOVE_EACH_OTHER + ";",
         sql=True,
@@ -128,21 +128,21 @@ cleanUp = SELECT obj FROM kitchen
 )
 
 
-def questions(scene: Scene) -> tuple[Question, ...]:
+def questions(scene: Scene) -> tuple[DemoQuestion, ...]:
     """The tutorial's questions for the kitchen that comes with ssduck, else general ones."""
     if scene.path == shipped_scenes().get("kitchen"):
         return KITCHEN
     # The name of a scene is an identifier: nothing can be injected.
     return (
-        Question(
+        DemoQuestion(
             "Which robots are there, and where?",
             f"SELECT id, position, type FROM {scene.name} WHERE isRobot(this);",  # noqa: S608
         ),
-        Question(
+        DemoQuestion(
             "What are the ten highest things?",
             f"SELECT id, type, z FROM {scene.name} ORDER BY z DESC LIMIT 10;",  # noqa: S608
         ),
-        Question(
+        DemoQuestion(
             "What is above what? The first ten pairs, in SQL.",
             _ABOVE_EACH_OTHER + " LIMIT 10;",
             sql=True,
@@ -177,7 +177,7 @@ def ask(
     Raises:
         SelectScriptError: the scene cannot be loaded, or the picture not be written.
     """
-    from ssduck.opening import load
+    from ssduck.interpreter.opening import load
 
     console = console_of_answers()
     asked = questions(scene)
@@ -199,7 +199,9 @@ def ask(
         say(f"The scene is drawn in {picture}")
 
 
-def _demonstrate(ss: Interpreter, question: Question, console: Console, with_sql: bool) -> float:
+def _demonstrate(
+    ss: Interpreter, question: DemoQuestion, console: Console, with_sql: bool
+) -> float:
     """Ask a question and show all of it; how long the answer took, in seconds."""
     from rich.table import Table
 

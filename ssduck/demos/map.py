@@ -16,7 +16,7 @@ import numpy as np
 from ssduck.demos.results import keep, keep_picture
 
 if TYPE_CHECKING:
-    from ssduck.grids import OccupancyGrid
+    from ssduck.adapters.grid_values import OccupancyGrid
 
 ALL = "SELECT obj FROM kitchen AS roombaGrid;"
 NEAR = """\
@@ -30,7 +30,7 @@ LEGS = ((0.0, -1.6), (1.6, 0.95))
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
     """Make the maps, save and load them, and check them."""
-    from ssduck.opening import load
+    from ssduck.interpreter.opening import load
 
     found, pictures = True, []
     with load("kitchen") as ss:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ssduck.entities import Entity
-    from ssduck.world import World
+    from ssduck.world.entities import Entity
+    from ssduck.world.world import World
 
 
 class Placing:

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from ssduck.demos.results import keep
 from ssduck.errors import SelectScriptError
-from ssduck.messages import reason
+from ssduck.formatting import reason
 
 if TYPE_CHECKING:
-    from ssduck.interpreter import Interpreter
+    from ssduck.interpreter.interpreter import Interpreter
 
 Question: TypeAlias = tuple[str, str, str, str]
 Engine: TypeAlias = "Callable[[Interpreter, Path, Question], Sequence[str]]"
@@ -58,7 +58,7 @@ SCALE = 1_000_000
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
     """Write the clauses, ask, and compare; without an engine only SelectScript is asked."""
-    from ssduck.opening import load
+    from ssduck.interpreter.opening import load
 
     with load("kitchen") as ss:
         say(CLAUSES.format("prolog"))

@@ -21,15 +21,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ssduck.demos.drawing import TopView
-from ssduck.demos.grid import Cell, Grid, free_cells, shortest_way
+from ssduck.demos.grid import Cell, SearchGrid, free_cells, shortest_way
 from ssduck.demos.placing import Placing
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
-    from ssduck.entities import Entity
-    from ssduck.interpreter import Interpreter
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.world.entities import Entity
 
-GRID = Grid(first=(0.6, 0.6), side=0.4, counts=(28, 18))
+GRID = SearchGrid(first=(0.6, 0.6), side=0.4, counts=(28, 18))
 # The robot is within this distance of its axis. Between two cells it is nowhere nearer to
 # anything than at one of them, less this: sqrt(r² + (side / 2)²) - r, of a disc that moves
 # straight by a side.
@@ -55,7 +55,7 @@ WHERE collides(rover, this) AND id(this) != 'floor' AND id(this) != 'goal';"""
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
     """Find the way, check and draw it; nothing of it is by chance."""
-    from ssduck.opening import load
+    from ssduck.interpreter.opening import load
 
     with load("hall") as ss:
         hall = ss.call_variable("hall")

@@ -23,15 +23,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ssduck.answers import Answer, lines_of
+from ssduck.adapters.display import DisplayTable, lines_of
 from ssduck.demos.drawing import Colour, TopView
-from ssduck.demos.grid import Cell, Grid, Place, free_cells, shortest_way
+from ssduck.demos.grid import Cell, Place, SearchGrid, free_cells, shortest_way
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
-    from ssduck.entities import Entity
-    from ssduck.interpreter import Interpreter
-    from ssduck.world import World
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.world.entities import Entity
+    from ssduck.world.world import World
 
 Sight: TypeAlias = tuple[str, str]
 
@@ -40,7 +40,7 @@ TRIPS = 3
 # How each robot is drawn.
 ROBOTS: dict[str, Colour] = {"barrett_4918": (190, 40, 140), "roomba_625x": (20, 110, 200)}
 # The floor between the cabinets, metres.
-GRID = Grid(first=(-1.05, -2.05), side=0.15, counts=(21, 25))
+GRID = SearchGrid(first=(-1.05, -2.05), side=0.15, counts=(21, 25))
 # Half of a diagonal step, and what the vacuum cleaner needs to turn: it is not quite round.
 APART = GRID.side * math.sqrt(2) / 2 + 0.02
 # Metres a second; seconds a step.
@@ -91,7 +91,7 @@ class Watch:
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRIPS) -> bool:
     """Let both robots drive, tell what was seen, check the record, draw their ways."""
-    from ssduck.recording import Recording
+    from ssduck.recording.spec import Recording
 
     free = tried()
     for name, cells in free.items():
@@ -106,7 +106,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
         kitchen.run(0.5)
         say(f"{kitchen.time:.1f} s; the trigger fired {len(watch.told)} times:")
         rows = [[f"{a:.1f}", f"{b:.1f}", *sight] for a, b, *sight in watch.spans()]
-        say("\n".join(lines_of(Answer(["from", "until", "sensor", "sees robot"], rows))))
+        say("\n".join(lines_of(DisplayTable(["from", "until", "sensor", "sees robot"], rows))))
         hits = checked(ss, say)
         agrees = told_by_record(ss, watch)
         word = "the same at each of these ticks" if agrees else "something else"
@@ -118,9 +118,9 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
 
 def still_kitchen() -> Interpreter:
     """The kitchen without gravity, its robots just above the floor."""
-    from ssduck.interpreter import Interpreter
-    from ssduck.scenes import find_scene
-    from ssduck.world import World
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.simulators.scenes import find_scene
+    from ssduck.world.world import World
 
     scene = replace(find_scene("kitchen"), gravity=(0.0, 0.0, 0.0), timestep=STEP)
     ss = Interpreter()

@@ -8,16 +8,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from ssduck.broad import Flags
 from ssduck.demos.motion.driving import Mover
 from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import Held, Surroundings, Wall, hull_in, walls_of
+from ssduck.demos.motion.obstacles import Held, Obstacles, Wall, hull_in, walls_of
 from ssduck.demos.motion.planning import plan, shortened
 from ssduck.demos.motion.spaces import ARM_APART, ARM_SPACING, BASE_APART, ArmSpace, BaseSpace
-from ssduck.entities import Entity
 from ssduck.errors import StateError
-from ssduck.geometry import Array, Indices
-from ssduck.world import World
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
 
 T = TypeVar("T")
 
@@ -495,17 +494,17 @@ class Cleaner:
             found += self._fixed[entity.id]
         return found
 
-    def _around(self, walls: Sequence[Wall]) -> Surroundings:
-        return Surroundings(self.chain, self.robot, walls, self.held, self.chain.beyond("arm7"))
+    def _around(self, walls: Sequence[Wall]) -> Obstacles:
+        return Obstacles(self.chain, self.robot, walls, self.held, self.chain.beyond("arm7"))
 
-    def _near(self, base: Array, but: Entity | None = None) -> Surroundings:
+    def _near(self, base: Array, but: Entity | None = None) -> Obstacles:
         """What the arm may reach on a base that stands there."""
         low, high = base[:3, 3] - REACH, base[:3, 3] + REACH
         return self._around(
             [w for w in self._walls(but) if (w.low <= high).all() and (w.high >= low).all()]
         )
 
-    def _arm_space(self, base: Array, around: Surroundings, apart: float = ARM_APART) -> ArmSpace:
+    def _arm_space(self, base: Array, around: Obstacles, apart: float = ARM_APART) -> ArmSpace:
         _, angles = self.chain.now(self.robot)
         return ArmSpace(self.chain, around, base, angles, self.arm, LEVERS, apart)
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ssduck.demos.motion.kinematics import KinematicChain
 from ssduck.demos.motion.spaces import BaseSpace, wrapped
-from ssduck.entities import Entity
-from ssduck.geometry import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.world.entities import Entity
 
 # Steps of the simulation between two commands.
 EVERY = 8

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.broad import Flags
-from ssduck.entities import Entity
-from ssduck.geometry import Array, Indices, rotation_matrices
-from ssduck.simulators import Body
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.poses import rotation_matrices
+from ssduck.simulators.interface import Body
+from ssduck.world.entities import Entity
 
 # Rounds of the inverse kinematics, its damping, and the longest step of a joint, rad.
 ROUNDS = 40

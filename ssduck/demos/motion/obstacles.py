@@ -1,7 +1,7 @@
 """Whether a robot is clear of what is around it, and of itself, for many postures at once.
 
 The shapes are those of the world's tick, compared by the batched narrow phase of relations
-(`ssduck.gjk`); what it leaves undecided counts as too near.
+(`ssduck.geometry.gjk`); what it leaves undecided counts as too near.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.broad import Flags, Pairs
 from ssduck.demos.motion.kinematics import KinematicChain, poses
-from ssduck.entities import Entity
-from ssduck.geometry import Array, Geometry, Indices, PlacedGeometry
-from ssduck.gjk import ABOVE, Bodies, Cores, compare
-from ssduck.solids import Solid, solid_of
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.broad_phase import Pairs
+from ssduck.geometry.gjk import ABOVE, ConvexCores, PlacedCores, compare
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.geometry.solids import Solid, solid_of
+from ssduck.world.entities import Entity
 
 # Postures that are looked at together.
 TOGETHER = 64
@@ -25,7 +26,7 @@ PAD = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ObstacleShape:
     """A convex shape: its solid, and its pose (4, 4) in its link's frame, or in the world."""
 
     solid: Solid
@@ -39,26 +40,26 @@ class Held:
 
     link: int
     entity: Entity
-    shape: Shape
+    shape: ObstacleShape
 
 
-def shapes_of(entity: Entity) -> list[Shape]:
+def shapes_of(entity: Entity) -> list[ObstacleShape]:
     """The shapes of an entity in its links' frames, at its world's tick."""
     snapshot = entity.world.snapshot
     body = entity.body_of(snapshot.members[snapshot.rows[entity.id]], "look at")
     return [_shape(placed) for placed in body.shapes]
 
 
-def _shape(placed: PlacedGeometry) -> Shape:
+def _shape(placed: PlacedGeometry) -> ObstacleShape:
     pose = poses(placed.position[None], placed.orientation[None])[0]
-    return Shape(solid_of(placed.geometry), pose, placed.frame)
+    return ObstacleShape(solid_of(placed.geometry), pose, placed.frame)
 
 
 @dataclass(frozen=True, eq=False)
 class Wall:
     """A shape in the world, and its box."""
 
-    shape: Shape
+    shape: ObstacleShape
     low: Array
     high: Array
 
@@ -74,27 +75,27 @@ def walls_of(entity: Entity) -> list[Wall]:
             np.array([link.position for link in links]),
             np.array([link.orientation for link in links]),
         )
-    return [_wall(Shape(shape.solid, frames[shape.link] @ shape.pose)) for shape in shapes]
+    return [_wall(ObstacleShape(shape.solid, frames[shape.link] @ shape.pose)) for shape in shapes]
 
 
-def _wall(shape: Shape) -> Wall:
+def _wall(shape: ObstacleShape) -> Wall:
     points = _points(shape)
     return Wall(shape, points.min(axis=0) - PAD, points.max(axis=0) + PAD)
 
 
-def hull_in(frame: Array, entity: Entity) -> Shape:
+def hull_in(frame: Array, entity: Entity) -> ObstacleShape:
     """The convex hull of an entity's shapes, in the frame of a pose (4, 4)."""
     points = np.concatenate([_points(wall.shape) for wall in walls_of(entity)])
     local = (points - frame[:3, 3]) @ frame[:3, :3]
-    return Shape(solid_of(Geometry.hull(local)), np.eye(4))
+    return ObstacleShape(solid_of(Geometry.hull(local)), np.eye(4))
 
 
-def _points(shape: Shape) -> Array:
+def _points(shape: ObstacleShape) -> Array:
     points: Array = shape.solid.points @ shape.pose[:3, :3].T + shape.pose[:3, 3]
     return points
 
 
-class Surroundings:
+class Obstacles:
     """What a robot has to keep clear of, at a tick.
 
     Args:
@@ -117,7 +118,7 @@ class Surroundings:
         self.shapes = shapes_of(robot)
         self.hand = list(hand)
         if held is not None:
-            self.shapes.append(Shape(held.shape.solid, held.shape.pose, held.link))
+            self.shapes.append(ObstacleShape(held.shape.solid, held.shape.pose, held.link))
         self.walls = [wall.shape for wall in walls]
         self._low = np.array([wall.low for wall in walls]).reshape(-1, 3)
         self._high = np.array([wall.high for wall in walls]).reshape(-1, 3)
@@ -129,7 +130,7 @@ class Surroundings:
         numbers = np.concatenate(
             (np.arange(walls), walls + np.tile(np.arange(count), TOGETHER))
         ).astype(np.intp)
-        self._cores = Cores(solids, numbers)
+        self._cores = ConvexCores(solids, numbers)
         self._links = np.array([shape.link for shape in self.shapes], dtype=np.intp)
         self._local = np.array([shape.pose for shape in self.shapes])
         self._centre = _homogeneous([shape.solid.centre for shape in self.shapes])
@@ -194,10 +195,10 @@ class Surroundings:
             is_free[posture[verdicts != ABOVE]] = False
         return is_free
 
-    def _bodies(self, placed: Array, centres: Array) -> Bodies:
+    def _bodies(self, placed: Array, centres: Array) -> PlacedCores:
         inner = (placed @ self._inner[:, :, None])[..., :3, 0]
         turns = placed[..., :3, :3].reshape(-1, 9).T
-        return Bodies(
+        return PlacedCores(
             self._cores,
             np.ascontiguousarray(np.concatenate((self._wall_turns, turns), axis=1)),
             np.concatenate((self._wall_centres, centres.reshape(-1, 3).T), axis=1),

@@ -13,8 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ssduck.broad import Flags
-from ssduck.geometry import Array
+from ssduck.geometry.arrays import Array, Flags
 
 # How often a tree grows towards the other in turn.
 MOST_STEPS = 50

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.broad import Flags
 from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import Surroundings
-from ssduck.geometry import Array, Indices
+from ssduck.demos.motion.obstacles import Obstacles
+from ssduck.geometry.arrays import Array, Flags, Indices
 
 # Of an arm: how far anything moves between two postures of a path, m, and what is kept free.
 ARM_SPACING = 0.03
@@ -35,7 +34,7 @@ class ArmSpace:
     """
 
     chain: KinematicChain
-    around: Surroundings
+    around: Obstacles
     base: Array
     others: Array
     arm: Indices
@@ -94,7 +93,7 @@ class BaseSpace:
     """
 
     chain: KinematicChain
-    around: Surroundings
+    around: Obstacles
     positions: Array
     height: float
     axle: float

@@ -1,0 +1,20 @@
+"""The command `ssduck`: `app` has its subcommands, `records` those of recorded ticks."""
+
+from typing import TYPE_CHECKING
+
+from ssduck.lazy import exports
+
+if TYPE_CHECKING:
+    from ssduck.cli.app import app, main
+
+__all__ = [
+    "app",
+    "main",
+]
+
+__getattr__, __dir__ = exports(
+    __name__,
+    {
+        "app": ("app", "main"),
+    },
+)

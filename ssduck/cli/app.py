@@ -1,0 +1,398 @@
+"""The command `ssduck`: demo, query, record, export, episodes, scenes, functions.
+
+Standard output carries answers only; warnings, errors and what programs print go to standard
+error. What is slow to import (the simulator, the database) is imported by the commands that
+need it, so that help is there at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import signal
+import sys
+import warnings
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from ssduck.adapters.display import (
+    WRITERS,
+    DisplayTable,
+    print_line,
+    print_table,
+)
+from ssduck.cli.records import episodes, export, is_record, opened_or_loaded, record, whole_steps
+from ssduck.errors import SelectScriptError, UnknownNameError, nearest
+
+if TYPE_CHECKING:
+    pass
+
+
+class Format(StrEnum):
+    """How `ssduck query` writes an answer."""
+
+    TABLE = "table"
+    JSON = "json"
+    CSV = "csv"
+
+
+class _Commands(TyperGroup):
+    """The commands; what they raise on purpose becomes a message and an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            with _warnings_in_one_line():
+                result = super().invoke(ctx)
+        except SelectScriptError as error:
+            _complain(str(error))
+            raise typer.Exit(1) from error
+        sys.stdout.flush()  # here typer still sees that the reader has gone, and ends quietly
+        return result
+
+
+app = typer.Typer(
+    cls=_Commands,
+    add_completion=False,
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """The entry point of the command `ssduck`."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
+    _prepare_streams()
+    sys.set_int_max_str_digits(0)  # an integer of the language may be longer than 4300 digits
+    try:
+        app(prog_name="ssduck")
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        # The output cannot be written (a full disk, say), and must not be tried again at the end.
+        sys.stdout = io.StringIO()
+        _complain(str(error))
+        sys.exit(1)
+
+
+def _interrupted(*_: object) -> NoReturn:
+    """End at once on Ctrl-C.
+
+    Python's KeyboardInterrupt does not always arrive: libraries that are being imported swallow
+    it, and DuckDB turns it into another exception.
+    """
+    os._exit(130)
+
+
+def _prepare_streams() -> None:
+    """Closed streams lead nowhere; names are shown in any locale, if need be as escapes."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _complain(message: str) -> None:
+    """Tell of an error; what it underlines stays above its mark: nothing is folded."""
+    from rich.console import Console
+
+    Console(stderr=True).print("error:", style="bold red", end=" ")
+    sys.stderr.write(f"{message}\n")
+
+
+@contextlib.contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Warnings as one line each, and each once."""
+    told: set[str] = set()
+
+    def tell(message: Warning | str, *_: Any, **__: Any) -> None:
+        text = " ".join(str(message).split())
+        if text not in told:
+            told.add(text)
+            sys.stderr.write(f"warning: {text}\n")
+
+    with warnings.catch_warnings():
+        warnings.showwarning = tell
+        yield
+
+
+# -- commands -----------------------------------------------------------------------------
+
+
+def _version(asked: bool) -> None:
+    if not asked:
+        return
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        typer.echo(f"ssduck {version('ssduck')}")
+    except PackageNotFoundError:
+        typer.echo("ssduck (not installed, run from its source)")
+    raise typer.Exit
+
+
+@app.callback()
+def _ssduck(
+    context: typer.Context,
+    version: Annotated[  # noqa: ARG001  # its callback answers
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Ask a robot simulation questions, in SelectScript or in SQL.
+
+    SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
+    or the path of a scene file (.toml) or of a model (.urdf, .sdf, .mjcf, .xml).
+    RECORD is a folder or a DuckDB file that was recorded into.
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command()
+def demo(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="The demonstration (see --list), or a scene: a name or a path."
+        ),
+    ] = "kitchen",
+    listed: Annotated[
+        bool, typer.Option("--list", help="List the demonstrations, and show none.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            help="The folder that pictures and files go to, beside what is there.",
+            show_default="demo-NAME; of a scene this folder",
+        ),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Decides what is drawn by chance.")
+    ] = 0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Of a scene, the file of its picture.",
+            show_default="SCENE.png in that folder",
+        ),
+    ] = None,
+    picture: Annotated[
+        bool, typer.Option("--picture/--no-picture", help="Whether to draw a scene.")
+    ] = True,
+    sql: Annotated[
+        bool,
+        typer.Option("--sql/--no-sql", help="Whether to show the SQL of a scene's questions."),
+    ] = True,
+) -> None:
+    """Show what ssduck does: the tutorial's questions, or another demonstration.
+
+    A scene is asked general questions: each program, its SQL and its answer. The kitchen is
+    asked those of SelectScript's tutorial.
+    """
+    from ssduck.demos import NAMES, description_of, run_of
+
+    if listed:
+        told = [(each, description_of(each)) for each in NAMES]
+        print_table(DisplayTable(["demo", "what it shows"], told))
+        return
+    if output is not None and (out is not None or not picture):
+        other = "--no-picture" if out is None else "--out"
+        raise typer.BadParameter(f"--output and {other} exclude each other")
+    if name not in NAMES or name == "kitchen":
+        folder = _made(out or Path()) if picture else None
+        _ask_scene(name, folder, output, with_sql=sql)
+        return
+    if output is not None or not picture or not sql:
+        raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
+    if not run_of(name)(_made(out or Path(f"demo-{name}")), print_line, seed=seed):
+        raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
+
+
+def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql: bool) -> None:
+    """Show a scene by questions; its picture goes into a folder, if at all, or to a file.
+
+    Raises:
+        UnknownNameError: it is neither a scene nor, as it seems, meant to be one.
+    """
+    from ssduck.demos import NAMES
+    from ssduck.demos.kitchen import ask
+    from ssduck.simulators.scenes import find_scene
+
+    try:
+        scene = find_scene(name)
+    except UnknownNameError as error:
+        message = f"there is no demonstration {name!r}: {', '.join(NAMES)}; and {error.message}"
+        names = dict.fromkeys((*nearest(name, NAMES), *error.suggestions))
+        raise UnknownNameError(message, suggestions=tuple(names)) from error
+    ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
+
+
+def _made(folder: Path) -> Path:
+    """The folder, made if it is not there.
+
+    Raises:
+        SelectScriptError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SelectScriptError(f"{folder} cannot be made: {error.strerror}") from error
+    return folder
+
+
+@app.command()
+def query(
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE", help="What is asked: a scene's name or path, or a record's path."
+        ),
+    ],
+    program: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="PROGRAM", help="What is asked; standard input if it is - or missing."
+        ),
+    ] = None,
+    file: Annotated[
+        Path | None, typer.Option("--file", "-f", help="Read the program from a file.")
+    ] = None,
+    format: Annotated[
+        Format, typer.Option("--format", "-F", help="How the answer is written.")
+    ] = Format.TABLE,
+    sql: Annotated[bool, typer.Option("--sql", help="The program is SQL.")] = False,
+    steps: Annotated[
+        int | None, typer.Option(min=0, help="Simulate that many steps first.")
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Simulate that long first, in whole steps of the scene."),
+    ] = None,
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="Of a record, the number of the episode.", show_default="the last one"
+        ),
+    ] = None,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="Refuse what is probably a mistake, and do not only warn."),
+    ] = False,
+) -> None:
+    """Run a program on a scene, or on a record, and write its answer to standard output.
+
+    A program that begins with a minus goes behind two of them:
+    ssduck query kitchen -- '-1;'
+    """
+    if steps is not None and seconds is not None:
+        raise typer.BadParameter("--steps and --seconds exclude each other")
+    text = _program(program, file)
+
+    from ssduck.simulators.scenes import find_scene
+
+    if steps is not None or seconds is not None:
+        if is_record(scene):
+            raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
+        description = find_scene(scene)
+        steps = steps if seconds is None else whole_steps(seconds, description.timestep)
+    # What a program prints is not its answer.
+    with opened_or_loaded(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
+        ss.strict = strict
+        if steps:
+            ss.call_variable(description.name).step(steps)
+        value = ss.sql(text) if sql else ss.eval(text)
+    WRITERS[format](value)
+
+
+for command in (record, export, episodes):
+    app.command()(command)
+
+
+@app.command()
+def scenes() -> None:
+    """List the scenes that come with ssduck."""
+    from ssduck.simulators.scenes import read_scene, shipped_scenes
+
+    shipped = [(name, read_scene(path).description) for name, path in shipped_scenes().items()]
+    print_table(DisplayTable(["scene", "description"], shipped))
+
+
+@app.command()
+def functions(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="NAME", help="The function to tell about; by default all."),
+    ] = None,
+) -> None:
+    """List the functions of the language, or tell what one does."""
+    from ssduck.interpreter.interpreter import Interpreter
+
+    with Interpreter() as ss:
+        if name is not None:
+            print_line(ss.help(name))
+            return
+        listed = [_usage_and_gist(ss.help(known)) for known in ss.help()]
+    print_table(DisplayTable(["function", "what it does"], listed))
+
+
+def _usage_and_gist(text: str) -> tuple[str, str]:
+    """The usage and the first sentence of a function's help."""
+    name, *lines = text.splitlines()
+    usage = next((line for line in lines if line.startswith("Usage: ")), name)
+    about = " ".join(line for line in lines if line != usage)
+    return usage.removeprefix("Usage: "), re.split(r"(?<=\.) ", about, maxsplit=1)[0]
+
+
+# -- the program --------------------------------------------------------------------------
+
+
+def _program(program: str | None, file: Path | None) -> str:
+    """The program's text: the argument, the file's, or that of standard input.
+
+    Raises:
+        BadParameter: there is none, or there are two.
+        SelectScriptError: it cannot be read.
+    """
+    if program is not None and file is not None:
+        raise typer.BadParameter("the program is given twice: as an argument, and by --file")
+    if file is not None and str(file) != "-":
+        text = _decoded(_content(file), str(file))
+    elif program is not None and program != "-":
+        text = _decoded(program.encode(errors="surrogateescape"), "the program")
+    elif sys.stdin is None or (program is None and file is None and sys.stdin.isatty()):
+        raise typer.BadParameter("there is no program: give one, or --file, or standard input")
+    else:
+        text = _decoded(sys.stdin.buffer.read(), "standard input")
+    if not text.strip():
+        raise typer.BadParameter("the program is empty")
+    return text
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise SelectScriptError(f"{file} cannot be read: {error.strerror}") from error
+
+
+def _decoded(content: bytes, source: str) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SelectScriptError(
+            f"{source} is not UTF-8: byte {error.start} is 0x{content[error.start]:02x}"
+        ) from error

@@ -1,0 +1,192 @@
+"""The commands `ssduck record`, `export` and `episodes`."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ssduck.adapters.display import DisplayTable, print_line, print_table
+
+if TYPE_CHECKING:
+    from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.recording.episode import Episode
+    from ssduck.world.world import World
+
+# What the name of a DuckDB file ends with, and where it tells that it is one.
+_FILE = ".duckdb"
+_MAGIC = slice(8, 12), b"DUCK"
+
+
+def is_record(place: str) -> bool:
+    """Whether that is a record's folder or file, and not the name of a scene that is shipped."""
+    from ssduck.simulators.scenes import shipped_scenes
+
+    path = Path(place)
+    if place in shipped_scenes():
+        return False
+    if not path.is_file():
+        return path.is_dir()
+    where, magic = _MAGIC
+    with path.open("rb") as file:
+        return file.read(where.stop)[where] == magic
+
+
+def record(
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help="The scene that is simulated: a name or a path.")
+    ],
+    seconds: Annotated[float, typer.Option(min=0.0, help="How long, in whole steps of the scene.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Where to: a folder of Parquet files, or a DuckDB file (.duckdb).",
+        ),
+    ],
+    tables: Annotated[
+        list[str] | None,
+        typer.Option(help="A table that is recorded; may be repeated.", show_default="all"),
+    ] = None,
+    entities: Annotated[
+        list[str] | None,
+        typer.Option(help="The name of what is recorded; may be repeated.", show_default="all"),
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Record each n-th step only.")] = 1,
+) -> None:
+    """Simulate a scene and record each step; Ctrl-C ends it, and what was recorded is kept."""
+    from ssduck.interpreter.opening import load
+    from ssduck.recording.spec import RECORDABLE, Recording
+    from ssduck.simulators.scenes import find_scene
+
+    description = find_scene(scene)
+    steps = whole_steps(seconds, description.timestep)
+    recording = Recording(
+        tables=tuple(tables or RECORDABLE),
+        entities=None if entities is None else tuple(entities),
+        every=every,
+    )
+    is_file = output.suffix == _FILE
+    opened = load(scene, output, recording=recording) if is_file else load(scene, recording=None)
+    with opened as ss, _noting_ctrl_c() as pressed:
+        writing = None if is_file else ss.record_to(output, recording=recording)
+        with writing or nullcontext():
+            _run(ss.call_variable(description.name), steps, pressed)
+    (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
+    print_line(
+        f"{episode.ticks} ticks of {episode.world!r}, from {episode.start:g} s to "
+        f"{episode.end:g} s: episode {episode.number} in {output}"
+    )
+    if pressed.is_set():
+        sys.stderr.write("interrupted: what was recorded until then is whole\n")
+        raise typer.Exit(130)
+
+
+def whole_steps(seconds: float, timestep: float) -> int:
+    """How many steps of a scene that is; `--seconds` is told of if it is too long."""
+    from ssduck.validation import MOST_STEPS
+
+    count = seconds / timestep
+    if not count < MOST_STEPS:
+        raise typer.BadParameter("--seconds: that is too long")
+    return round(count)
+
+
+def _run(world: World, steps: int, pressed: threading.Event) -> None:
+    """Step a world so often, or until Ctrl-C; where somebody looks, with a bar."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
+        for _ in progress.track(range(steps), description=f"Recording {world.name}"):
+            if pressed.is_set():
+                return
+            world.step()
+
+
+@contextmanager
+def _noting_ctrl_c() -> Iterator[threading.Event]:
+    """Whether Ctrl-C was pressed, instead of what it does; a second time it does that."""
+    pressed = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(*_: Any) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def export(
+    path: Annotated[Path, typer.Argument(metavar="RECORD", help="A DuckDB file, or a folder.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Where to: a folder of Parquet files.")
+    ],
+    world: Annotated[
+        str | None, typer.Option(help="The world that is written.", show_default="all")
+    ] = None,
+    episode: Annotated[
+        int | None,
+        typer.Option(min=0, help="The number of the episode.", show_default="the last one"),
+    ] = None,
+    entities: Annotated[
+        list[str] | None,
+        typer.Option(help="The name of what is written; may be repeated.", show_default="all"),
+    ] = None,
+    start: Annotated[float | None, typer.Option(help="Simulated time from which on, s.")] = None,
+    end: Annotated[float | None, typer.Option(help="Simulated time until which, s.")] = None,
+) -> None:
+    """Write an episode of a record as Parquet files, or a part of it."""
+    from ssduck.interpreter.opening import open_record
+
+    with open_record(path, world, episode) as ss:
+        for name, place in ss.export(output, entities=entities, start=start, end=end).items():
+            print_line(f"{name}: {place}")
+
+
+def episodes(
+    path: Annotated[Path, typer.Argument(metavar="RECORD", help="A folder, or a DuckDB file.")],
+) -> None:
+    """List the episodes of a record: how many ticks, of which times, what of them."""
+    columns = ["world", "episode", "started", "ticks", "from", "to", "tables"]
+    rows = [
+        (e.world, e.number, e.started, e.ticks, e.start, e.end, " ".join(e.tables))
+        for e in _episodes(path)
+    ]
+    print_table(DisplayTable(columns, rows))
+
+
+def _episodes(path: Path) -> list[Episode]:
+    from ssduck.interpreter.archives import episodes as found
+
+    return found(path)
+
+
+def opened_or_loaded(place: str, episode: int | None) -> Interpreter:
+    """An interpreter on a record, or on a scene.
+
+    Raises:
+        BadParameter: an episode is asked for of a scene.
+    """
+    from ssduck.interpreter import opening
+
+    if is_record(place):
+        return opening.open_record(place, episode=episode)
+    if episode is not None:
+        raise typer.BadParameter(f"--episode: {place} is no record")
+    return opening.load(place)

@@ -1,0 +1,164 @@
+"""Ctrl-C while something is at work that does not look for it.
+
+Python's own handler waits until its interpreter is given control back. DuckDB looks for a signal
+between the tasks of a query only, and one task may take minutes. A signal is written to a socket
+at once, though; a thread listens to it.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import select
+import selectors
+import signal
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import TypeAlias
+
+Stop: TypeAlias = Callable[[], None]
+
+# What wraps it looks for an enumeration, and takes as long as all else here.
+_handler = inspect.unwrap(signal.getsignal)
+_write_to = partial(signal.set_wakeup_fd, warn_on_full_buffer=False)
+
+
+class _Line:
+    """The socket that signals are written to, and the thread that listens to it.
+
+    What was written is taken under the lock only: by the thread, or by the one who leaves. So it
+    is told to the one that listened as it was written, never to the next.
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.current: InterruptListener | None = None
+        self._receiver, self._sender = socket.socketpair()
+        self._receiver.setblocking(False)
+        self._sender.setblocking(False)
+        self.number = self._sender.fileno()
+        # An error for nothing written takes longer than all else here; Windows has no `poll`.
+        self._poll = select.poll() if hasattr(select, "poll") else None
+        if self._poll is not None:
+            self._poll.register(self._receiver, select.POLLIN)
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._receiver, selectors.EVENT_READ)
+            while True:
+                selector.select()
+                with self.lock:
+                    self.take()
+
+    def close(self) -> None:
+        """Close the socket, in a process where no thread listens."""
+        self._receiver.close()
+        self._sender.close()
+
+    def take(self, *, stops: bool = True) -> None:
+        """Tell of what was written; the lock is held."""
+        if self._poll is not None and not self._poll.poll(0):
+            return
+        try:
+            signals = self._receiver.recv(4096)
+        except BlockingIOError:
+            return
+        if self.current is not None:
+            self.current.hear(signals, stops=stops)
+
+
+class InterruptListener:
+    """Someone who is to be stopped at Ctrl-C, from `enter` to `leave`.
+
+    Python may raise KeyboardInterrupt amid `enter` and `leave`; what was begun is undone by
+    `leave`, which may be called again.
+
+    Args:
+        stop: called at Ctrl-C, from another thread.
+
+    Attributes:
+        pressed: whether Ctrl-C came; certain once `leave` was called.
+    """
+
+    def __init__(self, stop: Stop) -> None:
+        self.pressed = False
+        self._stop = stop
+        self._line: _Line | None = None
+        self._outer: InterruptListener | None = None
+        # Where signals were written before; at most one place.
+        self._before: list[int] = []
+
+    def enter(self) -> None:
+        """Listen; not in another thread than the main one, nor to a handler of the user's."""
+        main = threading.current_thread() is threading.main_thread()
+        if not main or _handler(signal.SIGINT) is not signal.default_int_handler:
+            return
+        self._line = line = _opened()
+        with line.lock:
+            if line.current is not None:
+                line.take()
+            self._outer = line.current
+            line.current = self
+        # In one call of C, amid which nothing is raised that would lose what it gives.
+        self._before.extend(map(_write_to, (line.number,)))
+
+    def leave(self) -> None:
+        """Be as it was before `enter`."""
+        line = self._line
+        if line is None or line.current is not self:
+            return
+        for before in self._before:
+            signal.set_wakeup_fd(before, warn_on_full_buffer=before != line.number)
+        with line.lock:
+            line.take(stops=False)
+            line.current = self._outer
+
+    def hear(self, signals: bytes, *, stops: bool) -> None:
+        """Be told of signals, and hand them on."""
+        if signal.SIGINT in signals:
+            self.pressed = True
+            if stops:
+                self._stop()
+        self.hand_on(signals)
+
+    def hand_on(self, signals: bytes) -> None:
+        """Tell whoever listened before."""
+        assert self._line is not None
+        before = self._before[0] if self._before else self._line.number
+        if before != self._line.number:
+            with suppress(OSError):  # nobody, or one who reads no more
+                os.write(before, signals)
+        elif self._outer is not None:
+            self._outer.hand_on(signals)
+
+
+_line: _Line | None = None
+
+
+def _opened() -> _Line:
+    """The line of this process."""
+    global _line  # noqa: PLW0603
+    if _line is None:
+        _line = _Line()
+    return _line
+
+
+def _close_in_child() -> None:
+    """Let a child of this process not write to its parent's line, whose thread it has not."""
+    global _line
+    if _line is None:
+        return
+    line, _line = _line, None
+    line.current = None
+    before = signal.set_wakeup_fd(-1)
+    if before not in {-1, line.number}:
+        signal.set_wakeup_fd(before)
+    line.close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_close_in_child)

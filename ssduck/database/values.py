@@ -1,0 +1,179 @@
+"""Values on their way to SQL and back: which type they have, and what stands for an entity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
+from operator import itemgetter
+from typing import Any, TypeAlias
+
+from ssduck.recording.replay.record import Record
+from ssduck.sql.types import ANY, EXACT, FLAG, IDS, INTEGER, REAL, TEXT, SqlType, merged
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
+
+# More keys than this make no columns.
+MOST_FIELDS = 200
+
+SchemaOf: TypeAlias = Callable[[World], str]
+
+
+def tag_of(value: Any, schema_of: SchemaOf) -> SqlType:
+    """The type of a value.
+
+    Args:
+        value: any value.
+        schema_of: gives the schema of a world.
+    """
+    match value:
+        case bool():
+            return FLAG
+        case int():
+            return _integer((value,))
+        case float():
+            return _real((value,))
+        case str():
+            return _text((value,))
+        case None:
+            return SqlType("nothing")
+        case Entity() if not value.is_there:  # of one that is gone SQL knows nothing
+            return ANY
+        case Entity():
+            past = value.moment is not None
+            return SqlType("entity", schema=schema_of(value.world), past=past)
+        case list():
+            return _list((value,), schema_of)
+        case dict():
+            return _record((value,), schema_of)
+    return ANY
+
+
+def tag_of_any(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | None:
+    """The type of what is one of many values; None of none.
+
+    Values of one kind are looked at together: there may be millions.
+
+    Args:
+        values: any values.
+        schema_of: gives the schema of a world.
+    """
+    kinds = dict.fromkeys(map(type, values))
+    return merged(
+        _of_kind(kind, values if len(kinds) == 1 else _of(kind, values), schema_of)
+        for kind in kinds
+    )
+
+
+def _of(kind: type, values: Sequence[Any]) -> list[Any]:
+    return [value for value in values if type(value) is kind]
+
+
+def _of_kind(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> SqlType:
+    if kind in _PLAIN:
+        return _PLAIN[kind](values)
+    if kind is list:
+        return _list(values, schema_of)
+    if kind is dict:
+        return _record(values, schema_of)
+    return merged(tag_of(value, schema_of) for value in values) or ANY
+
+
+def _integer(values: Sequence[int]) -> SqlType:
+    return INTEGER if min(values) > -EXACT and max(values) < EXACT else ANY
+
+
+def _real(values: Sequence[float]) -> SqlType:
+    return REAL if all(map(math.isfinite, values)) else ANY
+
+
+def _text(values: Sequence[str]) -> SqlType:
+    odd = [text for text in values if not text.isprintable()]
+    return ANY if any("\0" in text or _is_torn(text) for text in odd) else TEXT
+
+
+def _is_torn(text: str) -> bool:
+    """Whether it has half of a surrogate pair, which UTF-8 has no letters for."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return True
+    return False
+
+
+_PLAIN: dict[type, Callable[[Sequence[Any]], SqlType]] = {
+    bool: lambda _: FLAG,
+    int: _integer,
+    float: _real,
+    str: _text,
+}
+
+
+def _list(values: Sequence[list[Any]], schema_of: SchemaOf) -> SqlType:
+    lists = list({id(value): value for value in values}.values())
+    parts = lists[0] if len(lists) == 1 else list(chain.from_iterable(lists))
+    tag = tag_of_any(parts, schema_of)
+    whole = SqlType("list", tag, 3 if set(map(len, lists)) == {3} else None)
+    return whole if whole.is_sql else ANY
+
+
+def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> SqlType:
+    different = set(map(tuple, values))
+    keys = different.pop()
+    if different or not keys or len(keys) > MOST_FIELDS:
+        return ANY
+    folded = {key.casefold() for key in keys if isinstance(key, str) and key}
+    if len(folded) < len(keys):  # SQL does not tell upper from lower case
+        return ANY
+    parts = [(key, tag_of_any(list(map(itemgetter(key), values)), schema_of)) for key in keys]
+    return SqlType("record", fields=tuple((key, tag or ANY) for key, tag in parts))
+
+
+def is_exactly(value: Any, tag: SqlType) -> bool:
+    """Whether a value is of a type, and SQL gives it back as it is: 3 is no real, 3.0 is.
+
+    Args:
+        value: any value.
+        tag: True or False, a number, a text, or lists of these.
+    """
+    element = tag.element
+    if tag.type == "list":
+        of_lists = type(value) is list
+        return of_lists and (element is None or all(is_exactly(part, element) for part in value))
+    kind = type(value)
+    return kind in _PLAIN and _PLAIN[kind]((value,)).type == tag.type
+
+
+def to_sql(value: Any) -> Any:
+    """A value as SQL takes it: entities by their ids, at a recorded tick by their keys."""
+    if isinstance(value, Entity):
+        if value.moment is not None:
+            return value.moment.tick * IDS + value.id
+        return value.column("id")
+    if isinstance(value, list):
+        return [to_sql(element) for element in value]
+    return value
+
+
+Converter: TypeAlias = Callable[[Any], Any]
+
+
+def converter(
+    tag: SqlType, worlds: Mapping[str, World], records: Mapping[str, Record]
+) -> Converter | None:
+    """What makes values of those that SQL gives back: entities of ids; None if they are.
+
+    Args:
+        tag: the type of the values.
+        worlds: by schema.
+        records: what is kept of those that are recorded.
+    """
+    schema = tag.schema
+    if tag.type == "entity" and schema is not None:
+        if tag.past:
+            return lambda key: None if key is None else records[schema].entity(*divmod(key, IDS))
+        return lambda value: None if value is None else worlds[schema].entity(value)
+    if tag.type == "list" and tag.element is not None:
+        inner = converter(tag.element, worlds, records)
+        return None if inner is None else lambda values: [inner(value) for value in values]
+    return None

@@ -1,1 +1,0 @@
-"""The relations, a module a family; `ssduck.udfs` is the registry."""

@@ -1,0 +1,494 @@
+"""How far two placed solids are apart, or how deep one is in the other.
+
+The gap of a and b is the distance of their nearest points where they are apart, and else minus
+their depth: the length of the shortest translation after which they only touch. It comes with a
+point of each and the unit normal from b to a, so that `point_a - point_b == gap * normal`.
+
+Of what is convex, the gap is that of the cores less the radii (of parallel bodies, Schneider,
+Convex Bodies, 3.1). The cores of spheres and capsules are compared by formula (Ericson,
+Real-Time Collision Detection, 5.1), half-spaces by support functions, all others by FCL's
+distance of triangle surfaces. FCL's own GJK is not asked: on boxes and cylinders whose edges are
+parallel its distances are wrong by their size, and its signed distance ends the process.
+Answers are certified: n separates a from b by as much as the nearest points are apart. Where that
+fails they meet, and the depth is found by expanding a polytope (van den Bergen 2001).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.placed_solid import PlacedSolid, Point
+from ssduck.geometry.poses import cross
+
+# Below this, metres, surfaces touch.
+TOUCH = 1e-9
+# How far the answers for cylinders may be off, metres; of other convex shapes it is rounding.
+ROUND = 1e-7
+# Corners of a face that is as flush, metres, all lie in it.
+FLUSH = 1e-6
+# The same as a share of the sizes, where a cylinder takes part.
+_LEVEL = 2e-5
+ROUNDS = 40
+MOST_POINTS = 400
+STEPS = 100
+_UP: Point = (0.0, 0.0, 1.0)
+_AROUND = np.array(
+    [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z],
+    dtype=np.float64,
+)
+_AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
+
+
+@dataclass
+class CallCounter:
+    """Counts the calls of FCL's collide and distance, and the pairs of entities compared.
+
+    A pair counts once a tick. Of all pairs that are compared at once, those count whose boxes
+    meet, or are as near as was asked for; few of them are calls.
+    """
+
+    calls: int = 0
+    pairs: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SignedDistance:
+    """The gap of a and b: `point_a - point_b == gap * normal`.
+
+    Attributes:
+        gap: metres; the distance, or minus the depth.
+        point_a: on a, in the world frame; where they meet, the point of a that is deepest in b,
+            or one as deep. Where a cylinder is deep in something it may be off by up to 0.005 of
+            their sizes, for the depth hardly depends on it.
+        point_b: on b.
+        normal: unit, from b to a: the way in which a would leave b. None for half-spaces that
+            meet, as no way leads out.
+    """
+
+    gap: float
+    point_a: Point
+    point_b: Point
+    normal: Point | None
+
+    def swapped(self) -> SignedDistance:
+        """The same of b and a."""
+        normal = self.normal
+        turned = None if normal is None else (-normal[0], -normal[1], -normal[2])
+        return SignedDistance(self.gap, self.point_b, self.point_a, turned)
+
+
+Rule: TypeAlias = Callable[[PlacedSolid, PlacedSolid], SignedDistance]
+
+
+def separation(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
+    """The gap of two convex solids, or of a half-space and any solid."""
+    kinds = a.solid.type, b.solid.type
+    rule = _RULES.get(kinds)
+    if rule is not None:
+        return rule(a, b)
+    rule = _RULES.get(kinds[::-1])
+    if rule is not None:
+        return rule(b, a).swapped()
+    if kinds[0] == "plane":
+        return _plane(b, a).swapped()
+    if kinds[1] == "plane":
+        return _plane(a, b)
+    gap, p, q, normal = _core_gap(a, b, calls)
+    return rounded(gap, p, q, normal, a, b)
+
+
+def rounded(
+    gap: float, p: Any, q: Any, normal: Any, a: PlacedSolid, b: PlacedSolid
+) -> SignedDistance:
+    """The separation of two shapes from that of their cores."""
+    ra, rb = a.solid.radius, b.solid.radius
+    x, y, z = float(normal[0]), float(normal[1]), float(normal[2])
+    return SignedDistance(
+        float(gap) - ra - rb,
+        (float(p[0]) - ra * x, float(p[1]) - ra * y, float(p[2]) - ra * z),
+        (float(q[0]) + rb * x, float(q[1]) + rb * y, float(q[2]) + rb * z),
+        (x, y, z),
+    )
+
+
+# -- formulas ---------------------------------------------------------------------------------
+
+
+def _ends(a: PlacedSolid) -> tuple[Point, Point]:
+    """The ends of the core of a sphere or a capsule."""
+    if a.solid.type == "sphere":
+        x, y, z = a.solid.core[0].tolist()
+        centre = a.world(x, y, z)
+        return centre, centre
+    half = a.solid.half
+    return a.world(0.0, 0.0, -half), a.world(0.0, 0.0, half)
+
+
+def _segments(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    """Spheres and capsules: nearest points of two segments."""
+    (p1, p2), (q1, q2) = _ends(a), _ends(b)
+    d1, d2, r = _minus(p2, p1), _minus(q2, q1), _minus(p1, q1)
+    s, t = _nearest_on_segments(d1, d2, r)
+    p = (p1[0] + s * d1[0], p1[1] + s * d1[1], p1[2] + s * d1[2])
+    q = (q1[0] + t * d2[0], q1[1] + t * d2[1], q1[2] + t * d2[2])
+    way = _minus(p, q)
+    length = math.sqrt(_dot(way, way))
+    if length > TOUCH:
+        normal = (way[0] / length, way[1] / length, way[2] / length)
+        return rounded(length, p, q, normal, a, b)
+    return rounded(0.0, p, p, _across(d1, d2), a, b)
+
+
+def _nearest_on_segments(d1: Point, d2: Point, r: Point) -> tuple[float, float]:
+    """Ericson, 5.1.9: how far along each, 0..1, two segments are nearest."""
+    a, e, f = _dot(d1, d1), _dot(d2, d2), _dot(d2, r)
+    if a <= 0.0 and e <= 0.0:
+        return 0.0, 0.0
+    if a <= 0.0:
+        return 0.0, _within(f / e)
+    c = _dot(d1, r)
+    if e <= 0.0:
+        return _within(-c / a), 0.0
+    b = _dot(d1, d2)
+    below = a * e - b * b
+    s = _within((b * f - c * e) / below) if below > 1e-14 * a * e else 0.0
+    t = (b * s + f) / e
+    if t < 0.0:
+        return _within(-c / a), 0.0
+    if t > 1.0:
+        return _within((b - c) / a), 1.0
+    return s, t
+
+
+def _across(u: Point, v: Point) -> Point:
+    """A unit vector across both, whatever their lengths."""
+    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 1e-9 * math.sqrt(_dot(u, u) * _dot(v, v)) and length > 0.0:
+        return x / length, y / length, z / length
+    along = u if _dot(u, u) > 0.0 else v
+    if _dot(along, along) == 0.0:
+        return _UP
+    least = min(range(3), key=lambda k: abs(along[k]))
+    return _across(along, (float(least == 0), float(least == 1), float(least == 2)))
+
+
+def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    centre = _ends(a)[0]
+    x, y, z = point = b.local(centre)
+    halves: Point = tuple(b.solid.core[7].tolist())
+    nearest = [min(max(c, -h), h) for c, h in zip(point, halves, strict=True)]
+    way = _minus((x, y, z), (nearest[0], nearest[1], nearest[2]))
+    length = math.sqrt(_dot(way, way))
+    if length > TOUCH:
+        normal = b.turned(way[0] / length, way[1] / length, way[2] / length)
+        return rounded(length, centre, b.world(*nearest), normal, a, b)
+    axis = min(range(3), key=lambda k: halves[k] - abs(point[k]))
+    side = math.copysign(1.0, point[axis])
+    nearest[axis] = side * halves[axis]
+    normal = b.turned(*(side if k == axis else 0.0 for k in range(3)))
+    return rounded(abs(point[axis]) - halves[axis], centre, b.world(*nearest), normal, a, b)
+
+
+def _sphere_cylinder(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    centre = _ends(a)[0]
+    x, y, z = b.local(centre)
+    off, wide, half = math.hypot(x, y), b.solid.disc, b.solid.half
+    ux, uy = (x / off, y / off) if off > 0.0 else (1.0, 0.0)
+    side, top = off - wide, abs(z) - half
+    up = math.copysign(1.0, z)
+    if max(side, top) > TOUCH:
+        r, h = min(off, wide), min(max(z, -half), half)
+        length = math.hypot(max(side, 0.0), max(top, 0.0))
+        way = (max(side, 0.0) / length * ux, max(side, 0.0) / length * uy, (z - h) / length)
+        return rounded(length, centre, b.world(r * ux, r * uy, h), b.turned(*way), a, b)
+    if side >= top:
+        nearest, normal, gap = (wide * ux, wide * uy, z), (ux, uy, 0.0), side
+    else:
+        nearest, normal, gap = (x, y, up * half), (0.0, 0.0, up), top
+    return rounded(gap, centre, b.world(*nearest), b.turned(*normal), a, b)
+
+
+def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    """Any solid a over the half-space b: the point of a that is farthest in."""
+    normal = b.normals[0]
+    heights = (a.points - b.position) @ normal
+    lowest = float(heights.min())
+    deepest = a.points[heights <= lowest + TOUCH].mean(axis=0)
+    if a.solid.disc:
+        axis = a.matrix[:, 2]
+        down = float(normal @ axis) * axis - normal
+        length = float(np.linalg.norm(down))
+        lowest -= a.solid.disc * length
+        if length > TOUCH:
+            deepest = deepest + a.solid.disc / length * down
+    return rounded(lowest, deepest, deepest - lowest * normal, normal, a, b)
+
+
+def _planes(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    """Half-spaces are apart only if they face away from each other."""
+    n, m = a.normals[0], b.normals[0]
+    p, q = np.array(a.position), np.array(b.position)
+    if float(np.linalg.norm(n + m)) <= TOUCH:
+        gap = float((p - q) @ m)
+        return rounded(gap, q + gap * m, q, m, a, b)
+    # A point that is in both: on the border of both, or of the deeper one of parallel ones.
+    if float(np.linalg.norm(n - m)) <= TOUCH:
+        inside = p if float((p - q) @ n) <= 0.0 else q
+    else:
+        step = m - float(n @ m) * n
+        inside = p + float((q - p) @ m) / float(step @ m) * step
+    x, y, z = inside.tolist()
+    return SignedDistance(-math.inf, (x, y, z), (x, y, z), None)
+
+
+_RULES: dict[tuple[str, str], Rule] = {
+    ("sphere", "sphere"): _segments,
+    ("sphere", "capsule"): _segments,
+    ("capsule", "capsule"): _segments,
+    ("sphere", "box"): _sphere_box,
+    ("sphere", "cylinder"): _sphere_cylinder,
+    ("plane", "plane"): _planes,
+}
+
+
+def _minus(p: Point, q: Point) -> Point:
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+def _dot(p: Point, q: Point) -> float:
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+def _within(share: float) -> float:
+    return min(max(share, 0.0), 1.0)
+
+
+# -- convex cores -----------------------------------------------------------------------------
+
+Core: TypeAlias = tuple[float, Array, Array, Array]
+
+
+def nearest_of_surfaces(a: Any, b: Any, calls: CallCounter) -> tuple[float, Array, Array]:
+    """FCL's distance of two surfaces, 0 where they cross, and their nearest points."""
+    import fcl
+
+    calls.calls += 1
+    result = fcl.DistanceResult()  # a new one each time: FCL only ever lowers what it finds
+    distance = fcl.distance(a, b, fcl.DistanceRequest(enable_nearest_points=True), result)
+    p, q = result.nearest_points
+    return max(0.0, distance), p, q
+
+
+def _core_gap(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
+    distance, p, q = nearest_of_surfaces(a.object, b.object, calls)
+    is_round = bool(a.solid.disc or b.solid.disc)
+    if distance > TOUCH:
+        p, q = _onto(a, q, p), _onto(b, p, q)
+        core = _certified(a, b, p, q, ROUND if is_round else TOUCH)
+        if core is not None:
+            return core
+    deep = _deepest(a, b, ROUND if is_round else TOUCH)
+    return deep or _nearest(a, b, p, q)
+
+
+def _onto(a: PlacedSolid, towards: Array, point: Array) -> Array:
+    """A point of the prism of a cylinder, moved to where the cylinder is nearest to another."""
+    if not a.solid.disc:
+        return point
+    x, y, z = a.local((float(towards[0]), float(towards[1]), float(towards[2])))
+    shrink = min(1.0, a.solid.disc / max(math.hypot(x, y), 1e-300))
+    half = a.solid.half
+    return np.array(a.world(x * shrink, y * shrink, min(max(z, -half), half)))
+
+
+def _certified(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: float) -> Core | None:
+    """The gap if the way from q to p separates by it."""
+    way = p - q
+    length = math.sqrt(float(way @ way))
+    if length <= TOUCH:
+        return None
+    normal = way / length
+    apart = -float((a.reaches(-normal[None]) + b.reaches(normal[None]))[0])
+    scale = a.solid.reach + b.solid.reach
+    if length - apart > max(tolerance, 1e-12 * scale):
+        return None
+    return length, p, q, normal
+
+
+def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
+    """Minus the depth, the least overlap in any direction; None if a direction separates them."""
+    ways = _ways(a, b)
+    overlaps = b.reaches(ways) + a.reaches(-ways)
+    least = int(overlaps.argmin())
+    if overlaps[least] < -TOUCH:
+        return None
+    normal, depth = ways[least], max(0.0, float(overlaps[least]))
+    for first, second in ((a, b), (b, a)):
+        corner = _deepest_corner(first, second, depth)
+        if corner is not None:
+            if first is a:
+                return -depth, corner, corner + depth * normal, normal
+            return -depth, corner - depth * normal, corner, normal
+    if not a.solid.type == b.solid.type == "box":
+        expanded = _expanded(a, b, ways, normal, float(overlaps[least]), tolerance)
+        if expanded is None:
+            return None
+        depth, normal = expanded
+    flush = FLUSH
+    if a.solid.disc or b.solid.disc:
+        # The depth is known up to the tolerance, and the direction by as much for their sizes.
+        flush = max(FLUSH, _LEVEL * (a.solid.reach + b.solid.reach))
+    return _witnesses(depth, normal, a.face(-normal, flush), b.face(normal, flush))
+
+
+def _ways(a: PlacedSolid, b: PlacedSolid) -> Array:
+    """Directions of least overlap: all of two boxes (Gottschalk 1996), some of other shapes."""
+    if a.solid.type == b.solid.type == "box":
+        pairs = np.repeat(a.matrix.T, 3, axis=0), np.tile(b.matrix.T, (3, 1))
+        edges = cross(*pairs)
+        length = np.sqrt((edges * edges).sum(axis=1))
+        sound = length > 1e-6
+        edges = edges[sound] / length[sound, None]
+        return np.concatenate((b.normals, -a.normals, edges, -edges))
+    return np.concatenate((b.normals, -a.normals, _AROUND))
+
+
+def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | None:
+    """A point of a that is as deep in b as the overlap in some direction, if there is one.
+
+    That this point has to leave b bounds the depth from below, the overlap from above.
+    """
+    if b.offsets is None:
+        return None
+    points = a.supports(-b.normals) if a.solid.disc else a.points
+    depths = (b.offsets - points @ b.normals.T).min(axis=1)
+    deepest = depths >= depth - TOUCH
+    if not deepest.any():
+        return None
+    middle: Array = points[deepest].mean(axis=0)
+    return middle
+
+
+def _expanded(
+    a: PlacedSolid, b: PlacedSolid, ways: Array, normal: Array, depth: float, tolerance: float
+) -> tuple[float, Array] | None:
+    """The depth and its direction, by a polytope in the difference that grows where it is thin.
+
+    Args:
+        a: a core.
+        b: another.
+        ways: directions to begin with.
+        normal: the best one of them.
+        depth: the overlap in it.
+        tolerance: how far the result may be off.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    of_a, of_b = a.supports(-ways), b.supports(ways)
+    for _ in range(ROUNDS):
+        try:
+            hull = ConvexHull(of_a - of_b)
+        except QhullError:  # a flat difference: they only touch, across it
+            across = np.linalg.svd((of_a - of_b) - (of_a - of_b)[0])[2][2:]
+            across = np.concatenate((across, -across))
+            overlaps = b.reaches(across) + a.reaches(-across)
+            if overlaps.min() < depth:
+                depth, normal = float(overlaps.min()), across[int(overlaps.argmin())]
+            break
+        outward, inside = hull.equations[:, :3], -hull.equations[:, 3]
+        thin = np.unique(outward[inside < depth - tolerance], axis=0)
+        if not len(thin):
+            break
+        more_a, more_b = a.supports(thin), b.supports(-thin)
+        overlaps = np.einsum("ij,ij->i", thin, more_a - more_b)
+        best = int(overlaps.argmin())
+        if overlaps[best] < depth:
+            depth, normal = float(overlaps[best]), -thin[best]
+        if depth < -TOUCH:
+            return None
+        reached = np.einsum("ij,kj->ik", thin, of_a - of_b).max(axis=1)
+        new = overlaps > reached + tolerance / 4
+        # Where all sides are as thin, as in a cylinder on the axis of another, no one of many
+        # directions is worse than the best.
+        if not new.any() or len(of_a) > MOST_POINTS:
+            break
+        of_a, of_b = np.concatenate((of_a, more_a[new])), np.concatenate((of_b, more_b[new]))
+    return None if depth < -TOUCH else (max(0.0, depth), normal)
+
+
+def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
+    """A point of each for a depth: mixtures of deepest points that are one above the other."""
+    from scipy.optimize import nnls
+
+    middle = (of_a.mean(axis=0) + of_b.mean(axis=0)) / 2
+    scale = max(float(np.abs(of_a - middle).max()), float(np.abs(of_b - middle).max()), TOUCH)
+    count = len(of_a)
+    system = np.zeros((5, count + len(of_b)))
+    system[:3, :count] = ((of_a - middle) / scale).T
+    system[:3, count:] = (-(of_b - middle) / scale).T
+    system[3, :count] = system[4, count:] = 1.0
+    weights, _ = nnls(system, np.concatenate((-depth / scale * normal, (1.0, 1.0))))
+    p, q = weights[:count] @ of_a / weights[:count].sum(), weights[count:] @ of_b
+    q /= weights[count:].sum()
+    # What is left of rounding is shared, so that the points are exactly the depth apart.
+    middle = (p + q) / 2
+    return -depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal
+
+
+def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
+    """The nearest points of cores that are apart: Wolfe's point of least norm (1976)."""
+    of_a, of_b = a.supports((q - p)[None]), b.supports((p - q)[None])
+    if float(np.linalg.norm(p - q)) > TOUCH:
+        of_a, of_b = np.vstack((p, of_a)), np.vstack((q, of_b))
+    weights = np.zeros(len(of_a))
+    weights[0] = 1.0
+    normal, before = np.array(_UP), math.inf
+    for _ in range(STEPS):
+        weights, of_a, of_b = _least(weights, of_a, of_b)
+        p, q = weights @ of_a, weights @ of_b
+        way = p - q
+        length = float(np.linalg.norm(way))
+        if length <= TOUCH:
+            break
+        normal = way / length
+        new_a, new_b = a.supports(-normal[None]), b.supports(normal[None])
+        if length - float((new_a - new_b)[0] @ normal) <= ROUND / 10:
+            break
+        if length > before - TOUCH / 1e4:
+            # Points that are nearly one are worth no more than their mixture.
+            of_a, of_b, weights = p[None], q[None], np.ones(1)
+        before = length
+        of_a, of_b = np.vstack((of_a, new_a)), np.vstack((of_b, new_b))
+        weights = np.append(weights, 0.0)
+    return length, p, q, normal
+
+
+def _least(weights: Array, of_a: Array, of_b: Array) -> tuple[Array, Array, Array]:
+    """The mixture of least norm: step to that of the affine hull, drop what falls out."""
+    while True:
+        points = of_a - of_b
+        # From the first point along the ways to the others: the normal equations would square
+        # what is lost between points that are close together.
+        ways = (points[1:] - points[0]).T
+        length = np.maximum(np.sqrt((ways * ways).sum(axis=0)), 1e-300)
+        shares = -np.linalg.lstsq(ways / length, points[0], rcond=1e-12)[0] / length
+        aim = np.concatenate(([1.0 - shares.sum()], shares))
+        if aim.min() > 1e-14:
+            return aim, of_a, of_b
+        falling = aim <= 1e-14
+        drops = weights[falling] / np.maximum(weights[falling] - aim[falling], 1e-300)
+        step = min(1.0, float(drops.min()))
+        weights = weights + step * (aim - weights)
+        keep = weights > 1e-14
+        if keep.all():
+            keep[int(weights.argmin())] = False
+        if not keep.any():
+            keep[int(weights.argmax())] = True
+        weights, of_a, of_b = weights[keep] / weights[keep].sum(), of_a[keep], of_b[keep]

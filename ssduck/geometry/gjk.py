@@ -1,0 +1,484 @@
+"""Whether the gaps of many pairs of convex shapes are below a bound, found for all pairs at once.
+
+The algorithm of Gilbert, Johnson and Keerthi (1988) as van den Bergen has it (A Fast and Robust
+GJK Implementation, 1999), on the difference of two cores: the set of all `a - b`. It holds up to
+four of its points, and the point v of their hull that is nearest to the origin; the difference's
+farthest point against v is the next. All pairs take a step together, and those that are decided
+are left out of the next one.
+
+What it tells is proved, never guessed:
+
+* the difference is beyond a plane across v, so that the gap is at least the plane's distance
+  from the origin. This holds for any direction, and however badly v is known;
+* v is in the difference, so that the gap is at most its length;
+* between a ball and a point of the difference all smaller and smaller balls are in it, so that the
+  depth is at least how far the origin is inside one of them;
+* if the origin is inside the tetrahedron of four points, the depth is at least the radius of the
+  ball around the origin in it.
+
+What rounding could turn is left undecided: touching shapes, and differences that are flat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.distance import ROUND, TOUCH
+from ssduck.geometry.solids import Solid
+
+Verdicts: TypeAlias = npt.NDArray[np.int8]
+
+BELOW, ABOVE, UNDECIDED = 1, -1, 0
+# Steps of a polytope are few; those towards a cylinder's rim are ever smaller.
+STEPS = 40
+# Rounds in which a tetrahedron is moved around the origin.
+MOVES = 12
+# Pairs that are looked at together, so that their arrays stay in the cache.
+TOGETHER = 4096
+# Of what is larger or farther away, metres, there are no cubes: nothing is decided.
+LARGE = 1e100
+# Numbers of points that are looked at together.
+MOST_POINTS = 1 << 20
+_NEXT = np.array([1, 2, 0])
+# Directions around that are across nothing; how far a direction is moved off a normal, in turn.
+_AROUND = np.array([[1.0, 0.9, 0.8], [-0.9, -0.8, 1.0], [-0.8, 1.0, -0.9], [0.9, -1.0, -0.8]])
+_OFF = np.array([[0, 0, 0], [0.27, 0.11, 0.4], [0, 0, 0], [-0.4, -0.27, -0.11]])
+# The faces of a tetrahedron of points 0..3, and the point across from each.
+_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+class ConvexCores:
+    """The convex hulls of solids' cores around their solids' centres, in the solids' frames.
+
+    Each is a sum: of a box with half extents (a sphere's is a point, a capsule's and a
+    cylinder's a segment), of a disc across z, or it is the hull of points. A half-space is a
+    point here, and means nothing.
+
+    Args:
+        solids: the different solids.
+        of: (n,), which solid each shape is.
+    """
+
+    def __init__(self, solids: Sequence[Solid], of: Indices) -> None:
+        self.half = np.array([_half(solid) for solid in solids]).reshape(-1, 3).T[:, of]
+        self.disc = np.array([solid.disc for solid in solids])[of]
+        self.radius = np.array([solid.radius for solid in solids])[of]
+        reaches = [solid.reach if np.isfinite(solid.reach) else 0.0 for solid in solids]
+        self.reach = np.array(reaches)[of]
+        self.is_thick = np.array([solid.inner_radius > 0.0 for solid in solids], dtype=bool)[of]
+        # Of the ball in the core: round solids have some of theirs around it.
+        self.thick = np.array([solid.inner_radius - solid.radius for solid in solids])[of]
+        hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _is_pointed(solid)}
+        sizes = {n: _room(len(points)) for n, points in hulls.items()}
+        kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
+        self.points: list[Array] = []
+        for kind, size in enumerate(sorted(set(sizes.values()))):
+            alike = [n for n in hulls if sizes[n] == size]
+            kinds[alike], rows[alike] = kind, np.arange(len(alike))
+            self.points.append(np.array([_padded(hulls[n], size) for n in alike]))
+        self.kind, self.row = kinds[of], rows[of]
+
+
+def _half(solid: Solid) -> Array:
+    if solid.type in ("box", "capsule", "cylinder") and len(solid.core):
+        extreme: Array = solid.core.max(axis=0)
+        return extreme
+    return np.zeros(3)
+
+
+def _is_pointed(solid: Solid) -> bool:
+    return solid.type in ("hull", "mesh") and len(solid.core) > 0
+
+
+def _corners(solid: Solid) -> Array:
+    points = solid.rim if solid.type == "mesh" else solid.core
+    around: Array = points - np.array(solid.centre)
+    return around
+
+
+def _padded(points: Array, count: int) -> Array:
+    """(3, count): the last point is there as often as it takes."""
+    return np.ascontiguousarray(points[np.minimum(np.arange(count), len(points) - 1)].T)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedCores:
+    """Cores at poses.
+
+    Attributes:
+        cores: in their own frames.
+        turns: (9, n), their rotations, row by row.
+        centres: (3, n), of the solids, in the world, metres.
+        inner: (3, n), of the balls in them.
+    """
+
+    cores: ConvexCores
+    turns: Array
+    centres: Array
+    inner: Array
+
+    def balls(self, first: Indices, second: Indices) -> tuple[Flags, Array, Array]:
+        """Balls in the differences of cores: whether one is known, its centre (3, m), radius."""
+        cores, inner = self.cores, self.inner
+        known = cores.is_thick.take(first) & cores.is_thick.take(second)
+        centre = inner.take(first, axis=1) - inner.take(second, axis=1)
+        return known, centre, cores.thick.take(first) + cores.thick.take(second)
+
+    def supports(self, which: Indices, ways: Array) -> Array:
+        """The farthest points of cores, (3, m), from their centres, in the world's frame.
+
+        Args:
+            which: (m,), the bodies.
+            ways: (3, m), directions, not all zero; their lengths do not matter.
+        """
+        cores, turns = self.cores, self.turns.take(which, axis=1)
+        x, y, z = ways
+        local = turns[0:3] * x
+        local += turns[3:6] * y
+        local += turns[6:9] * z
+        points = np.copysign(cores.half.take(which, axis=1), local)
+        disc = cores.disc.take(which)
+        if disc.any():
+            length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
+            points[:2] += local[:2] * (disc / length)
+        kinds = cores.kind.take(which)
+        for kind, hulls in enumerate(cores.points):
+            some = np.flatnonzero(kinds == kind)
+            if len(some):
+                points[:, some] = _farthest(hulls, cores.row[which[some]], local[:, some])
+        found: Array = turns[0::3] * points[0]
+        found += turns[1::3] * points[1]
+        found += turns[2::3] * points[2]
+        return found
+
+
+def _farthest(hulls: Array, rows: Indices, ways: Array) -> Array:
+    """Of hulls (h, 3, k) the farthest points (3, m) in directions (3, m); `rows` says which."""
+    found = np.zeros((3, len(rows)))
+    step = max(1, MOST_POINTS // hulls.shape[2])
+    for start in range(0, len(rows), step):
+        some = slice(start, start + step)
+        points = hulls.take(rows[some], axis=0)
+        heights = np.matmul(ways[:, some].T[:, None], points)[:, 0]
+        found[:, some] = points[np.arange(len(points)), :, heights.argmax(axis=1)].T
+    return found
+
+
+# -- the pairs that are not decided yet --------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Pairs, and what is known of the difference of each, first less second.
+
+    Attributes:
+        number: (n,), which of the pairs that are asked for it is.
+        first, second: (n,), the bodies.
+        between: (3, n), from the centre of the second to that of the first.
+        low, high: (n,): gaps of the cores above `high` are above the bound, and below `low` below.
+        simplex: (3, 3, n): three points (point, axis, pair) of the difference.
+        nearest: (3, n), a point of their hull.
+        most: (n,), its distance from the origin.
+    """
+
+    number: Indices
+    first: Indices
+    second: Indices
+    between: Array
+    low: Array
+    high: Array
+    simplex: Array
+    nearest: Array
+    most: Array
+
+    def only(self, which: Indices) -> _Pairs:
+        """Some of them."""
+        return _Pairs(*(getattr(self, name).take(which, axis=-1) for name in _FIELDS))
+
+    def farthest(self, bodies: PlacedCores, ways: Array) -> Array:
+        """The farthest points of the differences in directions (3, n)."""
+        count = len(self.first)
+        both = np.concatenate((self.first, self.second))
+        points = bodies.supports(both, np.concatenate((ways, -ways), axis=1))
+        found: Array = points[:, :count] - points[:, count:]
+        found += self.between
+        return found
+
+
+_FIELDS = tuple(_Pairs.__dataclass_fields__)
+
+
+def _joined(parts: Sequence[_Pairs]) -> _Pairs:
+    fields = (np.concatenate([getattr(p, name) for p in parts], axis=-1) for name in _FIELDS)
+    return _Pairs(*fields)
+
+
+def compare(bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array) -> Verdicts:
+    """Whether the gaps of pairs of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
+
+    The gap is as of `ssduck.geometry.distance`: minus the depth where shapes meet. A verdict leaves
+    room for the errors that are allowed there, so that the exact answer is the same.
+
+    Args:
+        bodies: their cores.
+        first: (n,), bodies.
+        second: (n,), bodies; of those whose cores are hulls of what is not convex, only ABOVE
+            tells of the shapes.
+        bound: metres, of all pairs or (n,) of each.
+    """
+    verdicts = np.zeros(len(first), np.int8)
+    bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
+    for start in range(0, len(first), TOGETHER):
+        some = slice(start, start + TOGETHER)
+        _decide(_begin(bodies, first[some], second[some], bounds[some]), bodies, verdicts[some])
+    return verdicts
+
+
+def slack(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
+    """How near to the bound the gaps of pairs may be for the exact answer to be needed, metres."""
+    cores, centres = bodies.cores, bodies.centres
+    is_round = (cores.disc[first] > 0.0) | (cores.disc[second] > 0.0)
+    far = np.abs(centres).max(axis=0, initial=0.0)
+    farther = np.maximum(far[first], far[second])
+    reach = cores.reach[first] + cores.reach[second]
+    error: Array = np.where(is_round, 2.5 * ROUND, 2.5 * TOUCH) + 4e-12 * reach + 4e-15 * farther
+    error[np.maximum(farther, reach) > LARGE] = np.inf
+    return error
+
+
+def _begin(bodies: PlacedCores, first: Indices, second: Indices, bounds: Array) -> _Pairs:
+    cores = bodies.cores
+    between = bodies.centres[:, first] - bodies.centres[:, second]
+    error = slack(bodies, first, second)
+    core_bound = bounds + cores.radius[first] + cores.radius[second]
+    count = len(first)
+    return _Pairs(
+        np.arange(count),
+        first,
+        second,
+        between,
+        core_bound - error,
+        core_bound + error,
+        np.zeros((3, 3, count)),
+        between,
+        np.full(count, np.inf),
+    )
+
+
+# -- steps -------------------------------------------------------------------------------------
+
+
+def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> None:
+    """Write the verdicts of pairs, by their numbers."""
+    pairs = _first_step(pairs, bodies, verdicts)
+    around = []
+    for step in range(STEPS):
+        if not len(pairs.number):
+            break
+        pairs, shallow = _step(pairs, bodies, verdicts, step)
+        around += [shallow] if shallow else []
+    if around:
+        some = _joined([pairs for pairs, _ in around])
+        corners = np.concatenate([corners for _, corners in around], axis=-1)
+        _move_around(some, corners, bodies, verdicts)
+        left = some.only(np.flatnonzero(verdicts[some.number] == UNDECIDED))
+        if len(left.number):
+            _move_around(left, _tetrahedron(left, bodies), bodies, verdicts)
+
+
+def _first_step(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> _Pairs:
+    """Go from the centres' difference: it separates most of those that are apart.
+
+    Of those that meet, many have the origin in a ball between that in the difference and the
+    point that is found; the others go on from there.
+    """
+    ways = pairs.between.copy()
+    length = _length(ways)
+    ways[0, length == 0.0] = 1.0
+    new = pairs.farthest(bodies, -ways)
+    apart = _dots(ways, new) > pairs.high * np.where(length == 0.0, 1.0, length)
+    verdicts[pairs.number[apart]] = ABOVE
+    known, centre, radius = bodies.balls(pairs.first, pairs.second)
+    centre = np.where(known, centre, new)
+    edge = new - centre
+    share = np.clip(-_dots(centre, edge) / np.maximum(_dots(edge, edge), 1e-300), 0.0, 1.0)
+    nearest = centre + share * edge
+    most = _length(nearest)
+    below = most - np.where(known, (1.0 - share) * radius, 0.0) < pairs.low
+    verdicts[pairs.number[below]] = BELOW
+    pairs = replace(pairs, simplex=np.array((new, centre, centre)), nearest=nearest, most=most)
+    return pairs.only(np.flatnonzero(~(apart | below)))
+
+
+_Around: TypeAlias = tuple[_Pairs, Array]
+
+
+def _step(
+    pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, step: int
+) -> tuple[_Pairs, _Around | None]:
+    """Take a step with each pair.
+
+    Returns:
+        Those that are neither decided nor at an end, and those whose tetrahedron (4, 3, n) has
+        the origin in it or on it, which does not decide them.
+    """
+    new = pairs.farthest(bodies, -pairs.nearest)
+    height = _dots(pairs.nearest, new)
+    apart = height > pairs.high * pairs.most
+    verdicts[pairs.number[apart]] = ABOVE
+    # What is as far as its plane is the nearest point: no step gets any nearer.
+    rest = np.flatnonzero(~apart & (height < pairs.most * pairs.most))
+    pairs, new = pairs.only(rest), new[:, rest]
+    corners = np.concatenate((pairs.simplex, new[None]))
+    simplex, nearest = _closest(pairs.simplex, new)
+    most = _length(nearest)
+    # The first step has no four points.
+    depth = _depths(corners)[0].min(axis=0) if step else np.full(len(rest), -1.0)
+    below = np.where(depth > 0.0, -depth, most) < pairs.low
+    verdicts[pairs.number[below]] = BELOW
+    on = (depth > 0.0) | (most <= 1e-13 * np.abs(corners).max(axis=(0, 1)))
+    shallow = np.flatnonzero(on & ~below)
+    around = (pairs.only(shallow), corners[:, :, shallow]) if len(shallow) else None
+    left = np.flatnonzero(~(below | on) & (most < pairs.most))
+    return replace(pairs, simplex=simplex, nearest=nearest, most=most).only(left), around
+
+
+def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:
+    """The point of a tetrahedron's faces at its newest corner that is nearest to the origin.
+
+    The other three have it no nearer. Corners may be equal.
+
+    Args:
+        simplex: (3, 3, n), the older corners (point, axis, pair).
+        new: (3, n).
+
+    Returns:
+        The corners of the face of which it is, (3, 3, n), the newest one first; the point, (3, n).
+    """
+    edges = simplex - new
+    after = edges[_NEXT]
+    square = np.einsum("ecn,ecn->en", edges, edges)
+    mixed = np.einsum("ecn,ecn->en", edges, after)
+    ahead = -np.einsum("cn,ecn->en", new, edges)
+    # Along the edges, and in the faces by the normal equations; what falls out is on an edge.
+    share = np.clip(ahead / np.maximum(square, 1e-300), 0.0, 1.0)
+    along = new + share[:, None] * edges
+    area = square * square[_NEXT] - mixed * mixed
+    sound = area > 1e-14 * square * square[_NEXT]
+    area = np.where(sound, area, 1.0)
+    first = (ahead * square[_NEXT] - ahead[_NEXT] * mixed) / area
+    second = (ahead[_NEXT] * square - ahead * mixed) / area
+    sound &= (first > 0.0) & (second > 0.0) & (first + second < 1.0)
+    flat = new + first[:, None] * edges + second[:, None] * after
+    points = np.concatenate((along, flat))
+    away = np.einsum("ecn,ecn->en", points, points)
+    away[3:][~sound] = np.inf
+    best, every = away.argmin(axis=0), np.arange(new.shape[1])
+    face = best % 3
+    corners = np.array((new, simplex[face, :, every].T, simplex[_NEXT[face], :, every].T))
+    return corners, points[best, :, every].T
+
+
+def _depths(corners: Array) -> tuple[Array, Array]:
+    """How far the origin is inside the faces of tetrahedra, (4, n), less what may be rounding.
+
+    It is below 0 for the faces that it is outside of, and for all faces of a flat tetrahedron.
+
+    Args:
+        corners: (4, 3, n).
+
+    Returns:
+        The depths, and the outward normals (4, 3, n), not of unit length.
+    """
+    of_face, one, other = (corners[_FACES[:, k]] for k in range(3))
+    normals = _cross(one - of_face, other - of_face)
+    volume = np.einsum("fcn,fcn->fn", normals, corners - of_face)
+    normals *= np.where(volume > 0.0, -1.0, 1.0)[:, None]
+    length = np.maximum(np.sqrt(np.einsum("fcn,fcn->fn", normals, normals)), 1e-300)
+    heights = np.einsum("fcn,fcn->fn", normals, of_face) / length
+    cube = np.abs(corners).max(axis=(0, 1)) ** 3
+    flat = np.abs(volume).min(axis=0) <= 1e-12 * cube
+    return np.where(flat, -np.inf, heights - 1e-13 * cube / length), normals
+
+
+def _move_around(pairs: _Pairs, corners: Array, bodies: PlacedCores, verdicts: Verdicts) -> None:
+    """Decide pairs whose tetrahedra have the origin in or on them, by the face nearest to it.
+
+    Either the difference ends there, or its farthest point beyond the face takes the place of
+    the corner that leaves the origin deepest in the tetrahedron. Every other time the direction
+    is off the face's normal: else what is symmetric goes round in circles.
+    """
+    for move in range(MOVES):
+        depths, normals = _depths(corners)
+        every = np.arange(len(pairs.number))
+        ways = _unit(normals[_face(depths, normals), :, every].T)
+        ways += _OFF[move % len(_OFF)][:, None]
+        new = pairs.farthest(bodies, ways)
+        above = -_dots(ways, new) > pairs.high * _length(ways)
+        verdicts[pairs.number[above]] = ABOVE
+        moved, depth = _deepest(corners, new)
+        below = ~above & (-depth < pairs.low)
+        verdicts[pairs.number[below]] = BELOW
+        left = np.flatnonzero(~(above | below))
+        if not len(left):
+            return
+        pairs, corners = pairs.only(left), moved[:, :, left]
+
+
+def _tetrahedron(pairs: _Pairs, bodies: PlacedCores) -> Array:
+    """Points of the differences in four directions around, of the frame of the first, (4, 3, n)."""
+    turns = bodies.turns.take(pairs.first, axis=1).reshape(3, 3, -1)
+    ways = np.einsum("ijn,dj->din", turns, _AROUND)
+    return np.array([pairs.farthest(bodies, way) for way in ways])
+
+
+def _face(depths: Array, normals: Array) -> Indices:
+    """The face that the origin is nearest to; of flat tetrahedra the largest one."""
+    flat = ~np.isfinite(depths).all(axis=0)
+    area = np.einsum("fcn,fcn->fn", normals, normals)
+    found: Indices = np.where(flat, area.argmax(axis=0), depths.argmin(axis=0))
+    return found
+
+
+def _deepest(corners: Array, new: Array) -> tuple[Array, Array]:
+    """With which corner replaced by a new one the origin is deepest inside, and how deep."""
+    every = np.arange(new.shape[1])
+    choices = np.repeat(corners[None], 4, axis=0)
+    choices[np.arange(4), np.arange(4)] = new
+    together = choices.transpose(1, 2, 0, 3).reshape(4, 3, -1)
+    depths = _depths(together)[0].min(axis=0).reshape(4, -1)
+    best = depths.argmax(axis=0)
+    return choices[best, :, :, every].transpose(1, 2, 0), depths[best, every]
+
+
+def _length(vectors: Array) -> Array:
+    length: Array = np.sqrt(np.einsum("cn,cn->n", vectors, vectors))
+    return length
+
+
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.maximum(_length(vectors), 1e-300)
+    return unit
+
+
+def _dots(first: Array, second: Array) -> Array:
+    dots: Array = np.einsum("cn,cn->n", first, second)
+    return dots
+
+
+def _cross(first: Array, second: Array) -> Array:
+    """Of (m, 3, n), along the second axis."""
+    a, b, c = first[:, 0], first[:, 1], first[:, 2]
+    x, y, z = second[:, 0], second[:, 1], second[:, 2]
+    return np.stack((b * z - c * y, c * x - a * z, a * y - b * x), axis=1)
+
+
+def _room(count: int) -> int:
+    """How many points as many are padded to, so that there are few sizes: 8, 16, 32, …."""
+    return 1 << max(3, (count - 1).bit_length())

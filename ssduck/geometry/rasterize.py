@@ -1,0 +1,240 @@
+"""Which cells of a raster shapes occupy between two heights.
+
+Of a convex solid S and a strip of cells a <= x <= b, the part of S in the strip and between the
+heights is convex, so that its shadow on the y axis is one interval: the cells of the strip that
+meet it are those that S occupies, exactly. The ends of the interval are on the surface of S, for
+the strip and the heights do not bound y. So a polyhedron is worked out by the edges of its faces,
+cut at the two heights; of a sphere there is a formula; of a cylinder the ends are among a few
+points where so many of its bounds meet; a capsule is a cylinder and two spheres. A surface is its
+triangles one by one. A closed mesh is its surface, and the cells between that it winds around.
+
+A solid occupies a cell that it reaches into by more than `ROUNDED`: one that it only touches is
+free. What has no inside (an open mesh, a flat hull) occupies each cell that it touches.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.common_volume import cut
+from ssduck.geometry.raster import ROUNDED, Raster, StripIntervals
+from ssduck.geometry.rasterize_round import RoundShape, round_parts
+from ssduck.geometry.solids import PlacedSolids, Solid
+
+# Pairs of an edge and a strip that are looked at together.
+TOGETHER = 2_000_000
+
+
+class Rasterizer:
+    """Shapes that are cut at heights, as often as one likes.
+
+    Args:
+        placed: the shapes; all known.
+    """
+
+    def __init__(self, placed: PlacedSolids) -> None:
+        triangles: list[Array] = [np.zeros((0, 3, 3))]
+        groups: list[Indices] = [np.zeros(0, np.intp)]
+        thin: list[Flags] = [np.zeros(0, bool)]
+        count = 0
+        self._round: list[RoundShape] = []
+        self._meshes: list[Array] = []
+        self._planes: list[tuple[Array, float]] = []
+        for solid, position, matrix in placed:
+            if solid.type == "plane":
+                normal = matrix @ solid.normals[0]
+                self._planes.append((normal, float(normal @ position)))
+            elif solid.radius or solid.disc:
+                self._round += round_parts(solid, position, matrix)
+            elif len(solid.core):
+                surface = solid.surface
+                corners = (surface.vertices @ matrix.T + position)[surface.faces]
+                apart = np.arange(len(corners)) if not _is_full_hull(solid) else 0
+                groups.append(np.zeros(len(corners), np.intp) + apart + count)
+                count = int(groups[-1][-1]) + 1
+                triangles.append(corners)
+                thin.append(np.full(len(corners), solid.volume == 0.0))
+                if solid.type == "mesh" and solid.closed:
+                    self._meshes.append(corners)
+        self._triangles = np.concatenate(triangles)
+        self._groups = np.concatenate(groups)
+        self._thin = np.concatenate(thin)
+        heights = self._triangles[:, :, 2]
+        self._low, self._high = heights.min(axis=1), heights.max(axis=1)
+
+    def cells(
+        self, raster: Raster, low: float, high: float, *, reach: float = -ROUNDED
+    ) -> npt.NDArray[np.bool_]:
+        """The cells that the shapes occupy anywhere between two heights.
+
+        Args:
+            raster: the cells.
+            low: m.
+            high: m; the same for a slice.
+            reach: how far a solid has to reach in between the heights, m.
+
+        Returns:
+            (along x, along y)
+        """
+        changes = np.zeros((raster.shape[0], raster.shape[1] + 1), dtype=np.int32)
+        for spans in self._spans(raster, low, high, reach):
+            spans.count(raster, changes)
+        occupied = np.cumsum(changes, axis=1, out=changes)[:, :-1] > 0
+        if low + reach <= high - reach:
+            for corners in self._meshes:
+                _fill(raster, corners, (low + high) / 2, occupied)
+            for normal, offset in self._planes:
+                _add_half_space(raster, normal, offset, (low + reach, high - reach), occupied)
+        return occupied
+
+    def _spans(
+        self, raster: Raster, low: float, high: float, reach: float
+    ) -> Iterator[StripIntervals]:
+        for shape in self._round:
+            found = shape.spans(raster, low + reach, high - reach)
+            if found is not None:
+                yield found
+        for thin in (False, True):
+            within = -ROUNDED if thin else reach
+            bottom, top = low + within, high - within
+            some = np.flatnonzero(
+                (self._low <= top) & (self._high >= bottom) & (self._thin == thin)
+            )
+            if len(some) and bottom <= top:
+                polygons, rows = cut(self._triangles[some], self._triangles[some][:, :, 2] - bottom)
+                polygons, left = cut(polygons, top - polygons[:, :, 2])
+                groups = self._groups[some[rows[left]]]
+                yield from _of_polygons(raster, polygons, groups, -ROUNDED if thin else ROUNDED)
+
+
+def _is_full_hull(solid: Solid) -> bool:
+    return solid.is_convex and solid.volume > 0.0
+
+
+# -- polyhedra and surfaces -----------------------------------------------------------------------
+
+
+def _of_polygons(
+    raster: Raster, polygons: Array, groups: Indices, within: float
+) -> Iterator[StripIntervals]:
+    """The intervals of sets of convex polygons (n, k, 3), each set a number in `groups`."""
+    if not len(polygons):
+        return
+    order = np.argsort(groups, kind="stable")
+    polygons, groups = polygons[order, :, :2], groups[order]
+    start, end = polygons, np.roll(polygons, -1, axis=1)
+    used = (start != end).any(axis=2)
+    used[:, 0] = True  # of a point
+    start, end = start[used], end[used]
+    owners = np.repeat(groups, used.sum(axis=1))
+    left, right = np.minimum(start[:, 0], end[:, 0]), np.maximum(start[:, 0], end[:, 0])
+    first, last = raster.reached(left, right, within, 0)
+    counts = np.maximum(last - first + 1, 0)
+    for part in _bunches(owners, counts):
+        strips = _runs(first[part], counts[part])
+        edges = np.repeat(np.arange(part.start, part.stop), counts[part])
+        if not len(strips):
+            continue
+        low, high = _heights(raster, start[edges], end[edges], strips, within)
+        keys = (owners[edges] - owners[edges[0]]) * raster.shape[0] + strips
+        order = np.argsort(keys, kind="stable")
+        keys, begin = np.unique(keys[order], return_index=True)
+        yield StripIntervals(
+            keys % raster.shape[0],
+            np.minimum.reduceat(low[order], begin),
+            np.maximum.reduceat(high[order], begin),
+            within,
+        )
+
+
+def _bunches(owners: Indices, counts: Indices) -> Iterator[slice]:
+    """Runs of edges with some `TOGETHER` strips, no set of edges in two of them."""
+    begins = np.flatnonzero(np.diff(owners, prepend=-1))
+    total = np.cumsum(counts)
+    bunch = total[begins] // TOGETHER
+    cuts = begins[np.flatnonzero(np.diff(bunch, prepend=-1))].tolist()
+    for first, stop in itertools.pairwise([*cuts, len(owners)]):
+        yield slice(first, stop)
+
+
+def _runs(first: Indices, counts: Indices) -> Indices:
+    """first, first + 1, … (count of them), of each."""
+    ends = np.cumsum(counts)
+    total = int(ends[-1]) if len(ends) else 0
+    found: Indices = np.arange(total) + np.repeat(first - (ends - counts), counts)
+    return found
+
+
+def _heights(
+    raster: Raster, start: Array, end: Array, strips: Indices, within: float
+) -> tuple[Array, Array]:
+    """The least and the greatest y of edges (n, 2) in strips (n,) that they reach."""
+    side = raster.origin[0] + strips * raster.size
+    run = end[:, 0] - start[:, 0]
+    is_across = run == 0.0
+    slope = np.where(is_across, 1.0, run)
+    at = [
+        start[:, 1] + np.clip((x - start[:, 0]) / slope, 0.0, 1.0) * (end[:, 1] - start[:, 1])
+        for x in (side + within, side + raster.size - within)
+    ]
+    at[0][is_across], at[1][is_across] = start[is_across, 1], end[is_across, 1]
+    return np.minimum(*at), np.maximum(*at)
+
+
+def _fill(raster: Raster, corners: Array, height: float, occupied: Flags) -> None:
+    """Occupy the cells whose centres a closed surface winds around at a height.
+
+    Those that the surface reaches are occupied already; all others are inside or outside as their
+    centres are. An edge and its end are the same numbers in both triangles that share them.
+    """
+    above = corners[:, :, 2] > height
+    corners = corners[above.any(axis=1) & ~above.all(axis=1)]
+    above = corners[:, :, 2] > height
+    rows = np.arange(len(corners))
+    met = []
+    for rising in (True, False):
+        # the edge behind corner k goes up, or down, through the height
+        after = np.roll(above, -1, axis=1)
+        k = ((~above & after) if rising else (above & ~after)).argmax(axis=1)
+        one, two = corners[rows, k], corners[rows, (k + 1) % 3]
+        lower, upper = (one, two) if rising else (two, one)
+        share = (height - lower[:, 2]) / (upper[:, 2] - lower[:, 2])
+        met.append(lower[:, :2] + share[:, None] * (upper[:, :2] - lower[:, :2]))
+    up, down = met
+    way = np.where(down[:, 0] > up[:, 0], 1, -1)  # seen from within, y runs out of it, or in
+    left, right = np.minimum(up[:, 0], down[:, 0]), np.maximum(up[:, 0], down[:, 0])
+    # strips with left <= centre < right
+    centre = raster.origin[0] + raster.size / 2
+    first = np.clip(np.ceil((left - centre) / raster.size), 0, raster.shape[0]).astype(np.intp)
+    stop = np.clip(np.ceil((right - centre) / raster.size), 0, raster.shape[0]).astype(np.intp)
+    counts = np.maximum(stop - first, 0)
+    strips, edges = _runs(first, counts), np.repeat(rows, counts)
+    if not len(strips):
+        return
+    begin, run = up[edges], down[edges] - up[edges]
+    share = (centre + strips * raster.size - begin[:, 0]) / run[:, 0]
+    y = begin[:, 1] + share * run[:, 1]
+    below = np.ceil((y - raster.origin[1]) / raster.size - 0.5)
+    below = np.clip(below, 0, raster.shape[1]).astype(np.intp)
+    near = slice(int(strips.min()), int(strips.max()) + 1), slice(0, int(below.max(initial=0)))
+    turns = np.zeros((near[0].stop - near[0].start, near[1].stop + 1), dtype=np.int32)
+    np.add.at(turns, (strips - near[0].start, below), way[edges])
+    winding = turns[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
+    occupied[near] |= winding > 0
+
+
+def _add_half_space(
+    raster: Raster, normal: Array, offset: float, heights: tuple[float, float], occupied: Flags
+) -> None:
+    """Occupy the cells that a half-space `normal @ x <= offset` reaches into."""
+    least = min(normal[2] * height for height in heights)
+    sums = [np.zeros(0), np.zeros(0)]
+    for axis in (0, 1):
+        near = raster.origin[axis] + np.arange(raster.shape[axis]) * raster.size + ROUNDED
+        sums[axis] = np.minimum(normal[axis] * near, normal[axis] * (near + raster.size - 2e-9))
+    occupied |= sums[0][:, None] + sums[1] + least <= offset

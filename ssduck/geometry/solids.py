@@ -1,0 +1,436 @@
+"""What the narrow phase needs of a shape, worked out once for each content.
+
+A solid is a core with a radius: a sphere is a point and a radius, a capsule a segment and a
+radius, a box, a hull and a mesh are their corners and no radius, a cylinder is a segment and a
+disc across it, a plane a half-space.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from threading import RLock
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
+from ssduck.geometry.poses import cross
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.surfaces import Surface, enclosed_volume, without_copies
+
+SolidType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
+
+# An inscribed prism stands in for a cylinder where FCL is asked: exact in the end against what
+# is convex. That of more sides against meshes is nowhere out of the cylinder's box or sphere, so
+# that what these tell of a distance is never contradicted.
+PRISM_SIDES = 24
+FINE_SIDES = 64
+# Sets of points thinner than this share of their length are flat, straight, or one point.
+FLAT = 1e-9
+CACHED_SOLIDS = 1024
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A shape in its own frame; all lengths in metres.
+
+    Attributes:
+        type: as of the geometry, but that a closed convex mesh is a hull, and a hull with a
+            single corner a sphere of radius 0.
+        core: (n, 3) the points whose convex hull, or surface, the core is.
+        radius: of the ball that is swept along the core.
+        disc: radius of the disc that is swept along a cylinder's core, else 0.
+        normals: (m, 3) outward unit normals of the faces of a box, a hull, a cylinder's caps.
+        offsets: (m,) of the faces: x is inside if `normals @ x <= offsets`. None of hulls
+            without an inside, and of what has round sides.
+        faces: (k, 3) triangles of core points, for boxes, hulls and meshes.
+        known: whether the numbers make a shape; relations with others are unknown.
+        is_shell: whether a hull was given as a closed mesh, so that rays meet it from within.
+        volume: m³; 0 of open meshes and flat hulls, infinite of planes.
+        centre, reach: of a sphere around the shape.
+        inner_centre, inner_radius: of a sphere in it; radius 0 where none is known.
+        rim: (k, 3) of a mesh, the core points that are corners of its convex hull.
+        key: equal for solids of equal geometries.
+    """
+
+    type: SolidType
+    core: Array
+    radius: float = 0.0
+    disc: float = 0.0
+    normals: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    offsets: Array | None = None
+    faces: Triangles = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    known: bool = True
+    is_shell: bool = False
+    closed: bool = True
+    volume: float = 0.0
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    reach: float = 0.0
+    inner_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inner_radius: float = 0.0
+    rim: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    key: str = ""
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether it is its own convex hull."""
+        return self.type != "mesh"
+
+    @property
+    def is_empty(self) -> bool:
+        """A hull or mesh without points."""
+        return self.known and self.type != "plane" and not len(self.core)
+
+    @cached_property
+    def half(self) -> float:
+        """Half the length of a cylinder's or a capsule's core."""
+        return float(self.core[1, 2])
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The triangles of the core; of a cylinder those of an inscribed prism."""
+        if self.type == "cylinder":
+            return prism(self.disc, self.half, PRISM_SIDES)
+        if self.type in ("sphere", "capsule"):
+            return Surface(self.core, np.array([[0, 0, len(self.core) - 1]], np.int32))
+        return Surface(self.core, self.faces)
+
+    @cached_property
+    def fine_surface(self) -> Surface:
+        """The same, but that a cylinder's prism has more sides."""
+        if self.type == "cylinder":
+            return prism(self.disc, self.half, FINE_SIDES)
+        return self.surface
+
+    @cached_property
+    def _as_large(self) -> Surface:
+        """The same, but that a cylinder's prism has its volume, and sticks out of it."""
+        if self.type == "cylinder":
+            turn = 2.0 * math.pi / FINE_SIDES
+            return prism(self.disc * math.sqrt(turn / math.sin(turn)), self.half, FINE_SIDES)
+        return self.surface
+
+    @cached_property
+    def points(self) -> Array:
+        """Points whose convex hull is the shape's, up to 0.002 of a round one's radius."""
+        if self.type == "cylinder":
+            return self._as_large.vertices
+        if not self.radius:
+            return self.core
+        ball = _ball() * self.radius
+        if self.type == "sphere":
+            placed: Array = ball + self.core[0]
+            return placed
+        upper = ball[:, 2] > 0
+        lower = ~upper
+        found: Array = np.concatenate((ball[upper] + self.core[1], ball[lower] + self.core[0]))
+        return found
+
+    @cached_property
+    def filled(self) -> Surface:
+        """A closed surface around it: of what is round, that of a hull."""
+        if self.radius:
+            size = self.reach or 1.0  # qhull takes what is very large or small for flat
+            hull = hull_of(self.points / size)
+            return Surface(hull.core * size, hull.faces)
+        return self._as_large
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSolids:
+    """Solids in the world.
+
+    Attributes:
+        solids: (n,)
+        positions: (n, 3)
+        matrices: (n, 3, 3)
+        boxes: (n, 6), lower corners, upper corners.
+        owners: (n,), the ids of the entities that they are of.
+    """
+
+    solids: Sequence[Solid]
+    positions: Array
+    matrices: Array
+    boxes: Array
+    owners: Indices
+
+    def __len__(self) -> int:
+        return len(self.solids)
+
+    def __iter__(self) -> Iterator[tuple[Solid, Array, Array]]:
+        """Each with its position and its matrix."""
+        return zip(self.solids, self.positions, self.matrices, strict=True)
+
+    def of(self, some: Flags) -> PlacedSolids:
+        """Some of them."""
+        solids = [solid for solid, is_one in zip(self.solids, some, strict=True) if is_one]
+        return PlacedSolids(
+            solids,
+            self.positions[some],
+            self.matrices[some],
+            self.boxes[some],
+            self.owners[some],
+        )
+
+    @classmethod
+    def none(cls) -> PlacedSolids:
+        """No solids."""
+        points = np.zeros((0, 3))
+        return cls([], points, np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros(0, np.intp))
+
+
+def solid_of(geometry: Geometry) -> Solid:
+    """The solid of a geometry; equal geometries share one."""
+    key = geometry.key
+    with _LOCK:
+        found = _CACHE.get(key)
+        if found is None:
+            found = _CACHE[key] = replace(_build(geometry), key=key)
+            if len(_CACHE) > CACHED_SOLIDS:
+                _CACHE.popitem(last=False)
+        else:
+            _CACHE.move_to_end(key)
+    return found
+
+
+_CACHE: OrderedDict[str, Solid] = OrderedDict()
+_LOCK = RLock()
+
+
+def _build(geometry: Geometry) -> Solid:
+    if not _is_sound(geometry):
+        return Solid(geometry.type, np.zeros((0, 3)), known=False)
+    a, b, c = geometry.size
+    match geometry.type:
+        case "sphere":
+            return _round("sphere", np.zeros((1, 3)), a)
+        case "capsule":
+            return _round("capsule", np.array([[0.0, 0.0, -b / 2], [0.0, 0.0, b / 2]]), a)
+        case "cylinder":
+            return _cylinder(a, b)
+        case "box":
+            return _box(a, b, c)
+        case "plane":
+            normal = np.array(geometry.size) / math.hypot(a, b, c)
+            return Solid(
+                "plane",
+                np.zeros((0, 3)),
+                normals=normal[None],
+                offsets=np.zeros(1),
+                volume=math.inf,
+                reach=math.inf,
+            )
+        case "hull":
+            return hull_of(geometry.vertices)
+        case "mesh":
+            return _mesh(geometry)
+
+
+def _is_sound(geometry: Geometry) -> bool:
+    """Whether the numbers make a shape: FCL takes any, and answers or crashes."""
+    size, faces = geometry.size, geometry.faces
+    if not (np.isfinite(size).all() and np.isfinite(geometry.vertices).all()):
+        return False
+    if geometry.type == "plane":
+        return math.hypot(*size) > 0.0
+    in_range = not len(faces) or (faces.min() >= 0 and faces.max() < len(geometry.vertices))
+    return min(size) >= 0.0 and bool(in_range)
+
+
+def _round(type: SolidType, core: Array, radius: float) -> Solid:
+    length = float(np.ptp(core[:, 2]))
+    return Solid(
+        type,
+        core,
+        radius=radius,
+        volume=math.pi * radius**2 * (4.0 / 3.0 * radius + length),
+        reach=radius + length / 2,
+        inner_radius=radius,
+    )
+
+
+def _cylinder(radius: float, length: float) -> Solid:
+    axis = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    return Solid(
+        "cylinder",
+        axis * length / 2,
+        disc=radius,
+        normals=axis,
+        volume=math.pi * radius**2 * length,
+        reach=math.hypot(radius, length / 2),
+        inner_radius=min(radius, length / 2),
+    )
+
+
+def _box(a: float, b: float, c: float) -> Solid:
+    halves = np.array([a, b, c]) / 2
+    corners = _CORNERS * (a, b, c)
+    faces = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5]]
+    faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return Solid(
+        "box",
+        corners,
+        normals=np.concatenate((np.eye(3), -np.eye(3))),
+        offsets=np.concatenate((halves, halves)),
+        faces=np.array(faces, np.int32),
+        volume=a * b * c,
+        reach=math.hypot(a, b, c) / 2,
+        inner_radius=min(a, b, c) / 2,
+    )
+
+
+def hull_of(points: Array) -> Solid:
+    """The convex hull of points (n, 3); they may be flat, straight, or one."""
+    points = without_copies(points)
+    if len(points) == 0:
+        return Solid("hull", points)
+    middle = points.mean(axis=0)
+    # Thin sets are found by their spread along their principal axes.
+    _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
+    rank = int((spread > FLAT * max(spread[0], 1e-300)).sum()) if spread[0] > 0 else 0
+    if rank < 3:
+        return _flat_hull(points, middle, axes, rank)
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        found = ConvexHull(points)
+    except QhullError:
+        return _flat_hull(points, middle, axes, 2)
+    used, faces = found.vertices, found.simplices
+    number = np.zeros(len(points), np.int32)
+    number[used] = np.arange(len(used))
+    corners = points[used]
+    inside = corners.mean(axis=0)
+    planes = np.unique(found.equations.round(12), axis=0)
+    faces = _outward(number[faces], corners, inside)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    centre = (low + high) / 2
+    # qhull's planes, but not merged ones: exact to rounding
+    normals, offsets = found.equations[:, :3], -found.equations[:, 3]
+    if len(planes) < len(normals):
+        _, first = np.unique(found.equations.round(12), axis=0, return_index=True)
+        normals, offsets = normals[first], offsets[first]
+    return Solid(
+        "hull",
+        corners,
+        normals=normals,
+        offsets=offsets,
+        faces=faces,
+        volume=float(found.volume),
+        centre=_point(centre),
+        reach=float(np.linalg.norm(corners - centre, axis=1).max()),
+        inner_centre=_point(inside),
+        inner_radius=max(0.0, float((offsets - normals @ inside).min())),
+    )
+
+
+def _flat_hull(points: Array, middle: Array, axes: Array, rank: int) -> Solid:
+    """A hull without an inside: a polygon, a segment or a point."""
+    if rank == 0:
+        return Solid("sphere", middle[None], centre=_point(middle))
+    if rank == 1:
+        along = (points - middle) @ axes[0]
+        corners = points[[int(along.argmin()), int(along.argmax())]]
+        faces = np.array([[0, 1, 1]], np.int32)
+        normals = np.zeros((0, 3))
+    else:
+        from scipy.spatial import ConvexHull, QhullError
+
+        try:
+            rim = ConvexHull((points - middle) @ axes[:2].T).vertices
+        except QhullError:
+            return _flat_hull(points, middle, axes, 1)
+        corners = points[rim]
+        faces = np.array([[0, n, n + 1] for n in range(1, len(rim) - 1)], np.int32)
+        edges = np.roll(corners, -1, axis=0) - corners
+        up = np.cross(axes[0], axes[1])
+        sides = cross(edges, np.repeat(up[None], len(edges), axis=0))
+        normals = np.concatenate(([up, -up], _unit(sides)))
+    reach = float(np.linalg.norm(corners - middle, axis=1).max())
+    return Solid("hull", corners, normals=normals, faces=faces, centre=_point(middle), reach=reach)
+
+
+def _mesh(geometry: Geometry) -> Solid:
+    surface = Surface(*_merged(geometry.vertices, geometry.faces)).oriented()
+    if not len(surface.faces):
+        return Solid("mesh", np.zeros((0, 3)), closed=False)
+    vertices = surface.vertices
+    hull = hull_of(vertices)
+    volume = enclosed_volume(surface.triangles) if surface.closed else 0.0
+    if surface.closed and volume > 0 and abs(volume - hull.volume) <= 1e-9 * hull.volume:
+        return replace(hull, is_shell=True)
+    return Solid(
+        "mesh",
+        vertices,
+        faces=surface.faces,
+        closed=surface.closed and volume > 0,
+        volume=volume,
+        centre=hull.centre,
+        reach=hull.reach,
+        rim=hull.core,
+    )
+
+
+def _merged(vertices: Array, faces: Triangles) -> tuple[Array, Triangles]:
+    """Without copies of vertices, vertices of no face, and faces without an area."""
+    if not len(faces):
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+    used, number = np.unique(vertices[faces.reshape(-1)] + 0.0, axis=0, return_inverse=True)
+    merged = number.reshape(-1, 3).astype(np.int32)
+    a, b, c = merged.T
+    return used, merged[(a != b) & (b != c) & (c != a)]
+
+
+def prism(radius: float, half: float, sides: int) -> Surface:
+    """A regular prism along z, with corners at that radius."""
+    angles = np.arange(sides) * (2.0 * math.pi / sides)
+    ring = np.stack((np.cos(angles), np.sin(angles)), axis=1) * radius
+    heights = np.repeat([-half, half], sides)
+    vertices = np.column_stack((np.tile(ring, (2, 1)), heights))
+    at, after = np.arange(sides), np.roll(np.arange(sides), -1)
+    walls = np.concatenate(
+        (np.stack((at, after, after + sides), 1), np.stack((at, after + sides, at + sides), 1))
+    )
+    fan = np.arange(1, sides - 1)
+    bottom = np.stack((np.zeros_like(fan), fan + 1, fan), 1)
+    top = np.stack((np.zeros_like(fan), fan, fan + 1), 1) + sides
+    return Surface(vertices, np.concatenate((walls, bottom, top)).astype(np.int32))
+
+
+_BALL: list[Array] = []
+
+
+def _ball(count: int = 1000) -> Array:
+    """Points evenly around, whose hull has the volume of a ball of radius 1."""
+    if not _BALL:
+        from scipy.spatial import ConvexHull
+
+        index = np.arange(count) + 0.5
+        z, angle = 1.0 - 2.0 * index / count, math.pi * (1.0 + math.sqrt(5.0)) * index
+        ring = np.sqrt(1.0 - z * z)
+        points = np.stack((ring * np.cos(angle), ring * np.sin(angle), z), axis=1)
+        _BALL.append(points * (4.0 / 3.0 * math.pi / ConvexHull(points).volume) ** (1.0 / 3.0))
+    return _BALL[0]
+
+
+def _outward(faces: Triangles, corners: Array, inside: Array) -> Triangles:
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", cross(b - a, c - a), a - inside) < 0
+    turned = faces.astype(np.int32)
+    turned[inward] = turned[inward][:, ::-1]
+    return turned
+
+
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    return unit
+
+
+def _point(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,355 @@
+"""Opening what was recorded: a folder of Parquet files, or a DuckDB file."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from sqlglot import exp
+
+from ssduck.database.database import Database
+from ssduck.errors import RecordError, nearest
+from ssduck.recording.buffers import FRAMES
+from ssduck.recording.episode import Episode
+from ssduck.recording.paths import given_path
+from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.spec import Recording
+from ssduck.recording.static_tables import MODELS, defaults, geometries_of, members_of, run_of
+from ssduck.recording.stores.duckdb import (
+    ABOUT,
+    VERSION,
+    DuckDBStore,
+    PairRequest,
+    StoreConnection,
+    Waiting,
+    columns_of,
+    model_name,
+    near_rows,
+    quoted,
+    whole_rows,
+)
+from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
+from ssduck.schema import TABLES
+from ssduck.world.run_numbers import new_run
+
+
+class RecordedRun(Protocol):
+    """A run of a world that was recorded."""
+
+    @property
+    def world(self) -> str:
+        """The name of the world."""
+
+    @property
+    def number(self) -> int:
+        """The number of the episode, from 0."""
+
+    @property
+    def has_ticks(self) -> bool:
+        """Whether anything was stored."""
+
+    @property
+    def episode(self) -> Episode:
+        """What it holds."""
+
+
+def episodes(path: str | Path) -> list[Episode]:
+    """The episodes in a folder or in a DuckDB file, by world and number.
+
+    Raises:
+        RecordError: there is no such record, it is damaged, of a newer version, or in use by
+            another process.
+    """
+    database = Database(":memory:", None)
+    try:
+        return [run.episode for run in runs(given_path(path), database)]
+    finally:
+        database.close()
+
+
+def runs(path: Path, database: Database) -> Sequence[RecordedRun]:
+    """The runs that are recorded at a place, by world and number.
+
+    Args:
+        path: a folder, or a DuckDB file, which is attached to be read.
+        database: where to.
+
+    Raises:
+        RecordError: there is no record, it is damaged, of a newer version, or in use.
+    """
+    if path.is_dir():
+        return runs_in(path)
+    if not path.is_file():
+        raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
+    return _stored_runs(path, database.connection.attach(path), database.connection.writer())
+
+
+def chosen_runs(
+    found: Sequence[RecordedRun], world: str | None, number: int | None
+) -> list[RecordedRun]:
+    """One run of each world, or of one: that of a number, or the last that holds any tick.
+
+    Raises:
+        RecordError: there is none such.
+    """
+    if not found:
+        raise RecordError("nothing is recorded there")
+    names = sorted({run.world for run in found})
+    if world is not None and world not in names:
+        raise RecordError(
+            f"nothing of a world {world!r} is recorded, but of {', '.join(names)}",
+            suggestions=nearest(world, names),
+        )
+    own = [run for run in found if world in (None, run.world)]
+    fitting = [run for run in own if run.has_ticks if number is None or run.number == number]
+    if not fitting and number is None:
+        raise RecordError(f"of {own[-1].world!r} nothing was stored before the recording ended")
+    if not fitting:
+        known = ", ".join(f"{run.number} of {run.world!r}" for run in own if run.has_ticks)
+        raise RecordError(f"no episode {number} holds any tick; those that do: {known or 'none'}")
+    return list({run.world: run for run in fitting}.values())
+
+
+def world_of(run: RecordedRun, database: Database) -> ReplayedWorld:
+    """The world of a run, as far as it was recorded.
+
+    Raises:
+        RecordError: a file is missing or damaged.
+    """
+    archive: OpenedFolder | DuckDBStore
+    if isinstance(run, FolderRun):
+        archive = OpenedFolder(run, database.connection.writer())
+        ticks, models = archive.ticks, {table: run.read(f"models/{table}") for table in MODELS}
+    else:
+        assert isinstance(run, StoredRun)
+        archive = run.history(database.connection.writer())
+        ticks, models = archive.ticks(), archive.all_models()
+    try:
+        told = run_of(models)
+    except RecordError as error:
+        raise RecordError(f"episode {run.number} of {run.world!r}: {error.message}") from error
+    if told is None and models["entities"].num_rows:  # it was recorded before rows told
+        archive.untold_run = new_run()
+    number = told or archive.untold_run or new_run()
+    record = Record(
+        None,
+        ticks,
+        members_of(models),
+        archive.tables,
+        archive.fetch,
+        lambda asked: archive.near(asked, None),
+        geometries_of(models),
+        number,
+    )
+    return ReplayedWorld(run.world, record, archive)
+
+
+# -- folders ----------------------------------------------------------------------------------
+
+
+class OpenedFolder:
+    """A run in a folder, to be read (`ssduck.recording.stores.duckdb.TickArchive`).
+
+    Args:
+        run: which.
+        writer: a connection of its own, that reads the files.
+
+    Attributes:
+        ticks: those that are stored.
+        tables: those that have rows of them.
+        recording: what was kept of each.
+        untold_run: the number of the run, where its rows do not tell it.
+    """
+
+    untold_run: int | None = None
+
+    def __init__(self, run: FolderRun, writer: StoreConnection) -> None:
+        self._run = run
+        self._writer = writer
+        self._starts, self.ticks = run.ticks()
+        self.tables = run.tables
+        kept = [table for table in run.tables if table not in ("ticks", FRAMES)]
+        self.recording = _recording({**run.recording, "tables": kept}, run.about)
+        # All of them have to be there, so that no query fails later.
+        self._files = {table: run.files(table) for table in run.tables}
+
+    def select(self, table: str, rings: Waiting | None) -> str | None:  # noqa: ARG002
+        """What the view of a table's history selects; None for what is not recorded."""
+        if table not in self._files:
+            return None
+        columns = {column.name: column.sql for column in TABLES[table]}
+        return self._whole(self._files[table], columns)
+
+    def models(self) -> dict[str, str]:
+        """What the views select that tell what entities are, by their names."""
+        return {
+            model_name(table): self._whole(self._run.files(f"models/{table}"), MODELS[table])
+            for table in MODELS
+        }
+
+    def _whole(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
+        """A SELECT of all columns of a table from its files."""
+        geometries = _scan(self._run.files("models/geometries"))
+        missing = defaults(self.untold_run, geometries)
+        return whole_rows(_scan(files), columns, _columns_in(files), missing)
+
+    def fetch(self, table: str, first: int, last: int) -> pa.Table:
+        """The rows of a table at ticks from first to last."""
+        begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
+        end = int(np.searchsorted(self._starts, last, side="right"))
+        files = self._files[table][begin:end]
+        columns = ", ".join(map(quoted, columns_of(table)))
+        if not files:
+            files, first, last = self._files[table][:1], 0, -1
+        chosen = "tick BETWEEN ? AND ?"
+        if table == "links":  # those of bodies of one link are as the body
+            entities = _scan(self._run.files("models/entities"))
+            chosen += f" AND entity IN (SELECT id FROM {entities} WHERE links > 1)"  # noqa: S608
+        return self._writer.rows(
+            f"SELECT {columns} FROM {_scan(files)} WHERE {chosen}",  # noqa: S608
+            (first, last),
+        )
+
+    def near(self, asked: PairRequest, waiting: pa.Table | None) -> pa.Table:
+        """The pairs of entities whose boxes are near at some ticks."""
+        rows = self.select("entities", None)
+        assert rows is not None
+        return near_rows(self._writer, rows, asked, waiting)
+
+    def close(self, *, forget: bool) -> None:  # noqa: ARG002
+        """Read no more."""
+        self._writer.close()
+
+
+def _columns_in(files: Sequence[Path]) -> list[str]:
+    """The columns of a table's parts: one ssduck wrote all of them."""
+    names: list[str] = pq.read_schema(files[0].absolute()).names
+    return names
+
+
+def _scan(files: Sequence[Path]) -> str:
+    names = ", ".join(exp.Literal.string(_exactly(file)).sql("duckdb") for file in files)
+    return f"read_parquet([{names}], hive_partitioning = false)"
+
+
+def _exactly(file: Path) -> str:
+    """The path of one file as DuckDB takes it, which reads `*`, `?` and `[` as patterns.
+
+    Raises:
+        RecordError: the path has a backslash beside one of them: DuckDB takes it for a slash.
+    """
+    path = str(file.resolve())
+    if not _PATTERN.search(path):
+        return path
+    if "\\" in path and os.sep != "\\":
+        raise RecordError(
+            f"{path} cannot be read: DuckDB takes a backslash in such a name for a slash; rename "
+            "the folder"
+        )
+    return _PATTERN.sub(r"[\g<0>]", path)
+
+
+_PATTERN = re.compile(r"[*?[]")
+
+
+# -- DuckDB files -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """A run that is recorded in a DuckDB file.
+
+    Attributes:
+        path: the file.
+        catalog: what it is attached as.
+        schema: what holds the run.
+        world: the name of the world.
+        number: of the episode, from 0.
+        told: what the record tells of itself.
+        reader: a connection that can read it.
+    """
+
+    path: Path
+    catalog: str
+    schema: str
+    world: str
+    number: int
+    told: dict[str, Any]
+    reader: StoreConnection
+
+    def history(self, reader: StoreConnection) -> DuckDBStore:
+        """What is stored of it."""
+        recording = _recording(self.told["recording"], self.path)
+        return DuckDBStore(self.schema, reader, recording, catalog=self.catalog)
+
+    @property
+    def has_ticks(self) -> bool:
+        """Whether anything was stored."""
+        return self.episode.ticks > 0
+
+    @cached_property
+    def episode(self) -> Episode:
+        """What it holds."""
+        history = self.history(self.reader)
+        return Episode.of(
+            self.path,
+            self.world,
+            self.number,
+            started=self.told["started"],
+            tables=history.recording.tables,
+            every=history.recording.every,
+            entities=history.recording.entities,
+            ticks=history.ticks(),
+        )
+
+
+def _stored_runs(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:
+    file, about = (exp.Literal.string(text).sql("duckdb") for text in (catalog, ABOUT))
+    schemas = reader.fetchall(
+        f"SELECT schema_name FROM duckdb_tables() WHERE database_name = {file} "  # noqa: S608
+        f"AND table_name = {about}"
+    )
+    found = []
+    for (schema,) in schemas:
+        place = ".".join(map(quoted, (catalog, schema, ABOUT)))
+        rows = reader.fetchall(f"SELECT about FROM {place}")  # noqa: S608
+        told = _told(path, schema, rows)
+        number = int(schema.rpartition("_")[2])
+        found.append(StoredRun(path, catalog, schema, told["world"], number, told, reader))
+    if not found:
+        raise RecordError(f"nothing is recorded in the DuckDB file {path}")
+    return sorted(found, key=lambda run: (run.world, run.number))
+
+
+def _told(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
+    """What a record tells of itself."""
+    try:
+        told: dict[str, Any] = json.loads(rows[0][0])
+        version = told["version"]
+        named = told["world"], told["recording"], told["started"], int(schema.rpartition("_")[2])
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise RecordError(f"{path} is damaged: {schema} does not tell what it holds") from error
+    assert named
+    if version > VERSION:
+        raise RecordError(
+            f"{schema} in {path} is a record of version {version}; this ssduck reads those up to "
+            f"{VERSION}: install a newer one"
+        )
+    return told
+
+
+def _recording(told: dict[str, Any], path: Path) -> Recording:
+    try:
+        return Recording(**told)
+    except TypeError as error:  # ArgumentError is one
+        raise RecordError(f"{path} is damaged: what was kept is none that there is") from error

@@ -1,0 +1,222 @@
+"""A query in parts, as `Interpreter.evalAs` gets it: what OpenRAVE's dialect hands over.
+
+There, a subclass goes through the rows itself. A column is a sequence of a kind, a name and the
+arguments; `eval(part, elements, names)` gives the value of a part for the elements of a row.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import product
+from typing import Any, overload
+
+from ssduck.errors import ArgumentError
+from ssduck.language.clauses import SelectedValue
+from ssduck.language.evaluator import Frame
+from ssduck.language.overrides import plain
+from ssduck.language.tree import (
+    Call,
+    Index,
+    Literal,
+    Name,
+    Node,
+    Query,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
+
+
+class QueryPart:
+    """A part of a query, to be evaluated for the elements of a row.
+
+    Args:
+        node: the part; bare names in it are looked up.
+        frame: what is around the query.
+    """
+
+    def __init__(self, node: Node, frame: Frame) -> None:
+        self.node = node
+        self._frame = frame
+
+    def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+        """Its value.
+
+        Raises:
+            ArgumentError: there are not as many elements as names.
+        """
+        if len(elements) != len(names):
+            raise ArgumentError(f"{len(elements)} elements and {len(names)} names of sources")
+        row: dict[str | None, Any] = {**self._frame.elements, **dict(zip(names, elements))}  # noqa: B905
+        row.pop(None, None)
+        if len(elements) == 1:
+            row[None] = elements[0]
+        return self._frame.row(row, dict(self._frame.kept)).value(self.node)
+
+
+class Condition(QueryPart):
+    """What WHERE says."""
+
+
+class SelectedColumn(QueryPart, Sequence[Any]):
+    """A column: `["function", name, arguments]`; of `to`, the value and the name.
+
+    Args:
+        column: the column.
+        frame: what is around the query.
+    """
+
+    def __init__(self, column: SelectedValue, frame: Frame) -> None:
+        super().__init__(column.node, frame)
+        self._column = column
+
+    @property
+    def _is_renamed(self) -> bool:
+        return self._column.name != _plain_name(self.node)
+
+    def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+        """Its value; of `to`, with the name."""
+        value = self.plain(elements, names)
+        return (value, self.called(elements, names)) if self._is_renamed else value
+
+    def plain(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+        """Its value; of `to`, without the name."""
+        return super().value(elements, names)
+
+    def called(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+        """What a row calls it."""
+        name = self._column.name
+        return (
+            name if isinstance(name, str) else QueryPart(name, self._frame).value(elements, names)
+        )
+
+    def _parts(self) -> tuple[str, str, list[Any]]:
+        if self._is_renamed:
+            name = self._column.name
+            called = Literal(self.node.span, name) if isinstance(name, str) else name
+            inner = SelectedColumn(SelectedValue(self.node, _plain_name(self.node)), self._frame)
+            return "function", "to", [inner, QueryPart(called, self._frame)]
+        match self.node:
+            case Call(arguments=arguments):
+                pass
+            case UnresolvedName(span=span):
+                arguments = (This(span, None),)
+            case _:
+                arguments = (self.node,)
+        name = _plain_name(self.node)
+        return "function", name, [QueryPart(argument, self._frame) for argument in arguments]
+
+    @overload
+    def __getitem__(self, index: int) -> Any: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Any]: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        return self._parts()[index]
+
+    def __len__(self) -> int:
+        return 3
+
+
+class SelectedColumns(Sequence[SelectedColumn]):
+    """What SELECT lists; `eval` gives the value of the only column, or a list of all.
+
+    Args:
+        query: the query.
+        columns: what it selects, bare names looked up.
+        frame: what is around it.
+    """
+
+    def __init__(self, query: Query, columns: Sequence[SelectedValue], frame: Frame) -> None:
+        self.query = query
+        self.frame = frame
+        self.form = "dict" if query.adapter is None else query.adapter.name
+        self._columns = [SelectedColumn(column, frame) for column in columns]
+
+    def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+        """The value of the only column, or a list of all."""
+        values = [column.value(elements, names) for column in self._columns]
+        return values[0] if len(values) == 1 else values
+
+    @overload
+    def __getitem__(self, index: int) -> SelectedColumn: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[SelectedColumn]: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        return self._columns[index]
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+
+class SourceElements(Iterator[tuple[Any, ...]]):
+    """The combinations of the sources' elements: an iterator, by Python 2's name of it too."""
+
+    def __init__(self, elements: Sequence[Sequence[Any]]) -> None:
+        self._rows = product(*elements)
+
+    def __next__(self) -> tuple[Any, ...]:
+        return next(self._rows)
+
+    next = __next__
+
+
+def takes_results(call: Callable[..., Any]) -> bool:
+    """Whether an `evalAs` is one of the published interpreters: of rows that WHERE left."""
+    return "RESULTS" in inspect.signature(call).parameters
+
+
+class EvalAsMethods:
+    """The three basic forms as methods, as the published interpreters have them.
+
+    A subclass calls them with what its `evalAs(self, AS, PARAMS, SELECT, FROM_n, RESULTS)` is
+    given: the form's arguments, the columns, the names of the sources, and a tuple of elements
+    for each row.
+    """
+
+    def evalAS_list(  # noqa: N802
+        self,
+        _: Sequence[Any],
+        select: SelectedColumns,
+        names: Sequence[str],
+        rows: Iterable[Sequence[Any]],
+    ) -> list[Any]:
+        """`AS list`: the values row after row."""
+        return [column.plain(row, names) for row in rows for column in select]
+
+    def evalAS_dict(  # noqa: N802
+        self,
+        _: Sequence[Any],
+        select: SelectedColumns,
+        names: Sequence[str],
+        rows: Iterable[Sequence[Any]],
+    ) -> list[dict[Any, Any]]:
+        """`AS dict`: a dict a row."""
+        return [
+            {column.called(row, names): column.plain(row, names) for column in select}
+            for row in rows
+        ]
+
+    def evalAS_value(  # noqa: N802
+        self,
+        _: Sequence[Any],
+        select: SelectedColumns,
+        names: Sequence[str],
+        rows: Iterable[Sequence[Any]],
+    ) -> Any:
+        """`AS value`: the first value of the first row; `[]` if there is none."""
+        for row in rows:
+            return select[0].plain(row, names)
+        return []
+
+
+def _plain_name(node: Node) -> str:
+    """What a column is called that `to` does not name."""
+    match node:
+        case Call(name=name) | UnresolvedName(name=name) | Name(name=name) | TimeIndex(name=name):
+            return plain(name)
+        case Index(indices=(*_, Literal(value=str() as key))):
+            return key
+        case This(alias=alias):
+            return alias or "this"
+    return "value"

@@ -1,0 +1,364 @@
+"""What in a program is probably a mistake, though it has a meaning.
+
+A name that no entity bears, a variable that hides a function, a text where a name was meant. What
+the text alone tells is noted by the parser; what depends on variables, functions and worlds is
+looked up before each statement runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from itertools import islice
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from ssduck.errors import (
+    ArgumentError,
+    SelectScriptError,
+    SourceSpan,
+    UnknownNameError,
+    nearest,
+)
+from ssduck.formatting import shown
+from ssduck.language.analysis import states
+from ssduck.language.tree import (
+    Assignment,
+    Binary,
+    Call,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    QualifiedName,
+    Query,
+    Source,
+    This,
+    TimeIndex,
+    Unary,
+)
+from ssduck.recording.replay.past import PastTicks
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
+
+_NAME = "id"
+
+
+@dataclass(frozen=True)
+class NameSite:
+    """A place where the name of an entity is compared with a text, or with a variable.
+
+    Attributes:
+        source: what the entity is of; None if that is not known.
+        value: the text, or the variable.
+        is_bare: whether the name is a bare one, which may be a key of a dict.
+    """
+
+    source: Source | None
+    value: Literal | Name
+    is_bare: bool
+
+
+@dataclass
+class StatementFacts:
+    """What of a statement is to be looked up.
+
+    Attributes:
+        names: where the names of entities are compared.
+        given: the variables that it sets, and where.
+        texts: texts in the place of a name, with the clause.
+        sources: texts behind FROM.
+        aliases: bare names in a query that are also aliases of its sources.
+        bare: names that are selected, keys or conditions.
+        columns: bare names in GROUP BY, HAVING and ORDER BY that are also those of columns.
+    """
+
+    names: list[NameSite] = field(default_factory=list)
+    given: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    texts: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    sources: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    aliases: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    bare: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
+
+    @property
+    def are_none(self) -> bool:
+        """Whether nothing is to be looked up."""
+        return not any(getattr(self, kind.name) for kind in fields(self))
+
+
+_Around = Mapping[str, Source]
+
+
+def facts_of(statement: Node) -> StatementFacts:
+    """What of a statement is to be looked up."""
+    facts = StatementFacts()
+    _look(statement, {}, None, facts)
+    return facts
+
+
+def _look(node: Node, around: _Around, only: Source | None, facts: StatementFacts) -> None:
+    match node:
+        case Query():
+            _look_in_query(node, around, facts)
+            return
+        case Assignment(name=name, span=span, is_bare=False):
+            if len(name) > 1:  # the others are told of where they are looked up
+                facts.given.append((name, SourceSpan(span.start, span.start + len(name))))
+        case Binary(operator="==" | "!=", left=left, right=right):
+            for side, other in ((left, right), (right, left)):
+                _look_at_name(side, (other,), around, only, facts)
+        case Binary(operator="IN", left=left, right=right):
+            values = right.items if isinstance(right, ListLiteral) else (right,)
+            if not isinstance(right, Literal):  # a part of a text may be any
+                _look_at_name(left, values, around, only, facts)
+    for child in node.children():
+        _look(child, around, only, facts)
+
+
+def _look_in_query(query: Query, around: _Around, facts: StatementFacts) -> None:
+    own = {source.alias: source for source in query.sources if source.alias is not None}
+    only = query.sources[0] if len(query.sources) == 1 else None
+    for source in query.sources:
+        _look(source.value, around, None, facts)
+        if isinstance(source.value, Literal) and isinstance(source.value.value, str):
+            facts.sources.append((source.value.value, source.value.span))
+    inner = {**around, **own}
+    for child in query.children():
+        if not isinstance(child, Source):
+            _look(child, inner, only, facts)
+    keys = [*query.items, *query.group, *(key.value for key in query.order)]
+    facts.texts += [
+        (node.value, node.span)
+        for node in keys
+        if isinstance(node, Literal) and isinstance(node.value, str)
+    ]
+    own_states = states(query)
+    named = {
+        part.arguments[-1].value
+        for part in query.items
+        if isinstance(part, Call) and part.name == "to" and isinstance(part.arguments[-1], Literal)
+    }
+    parts_of_columns = [*query.group, *(key.value for key in query.order)]
+    parts_of_columns += [] if query.having is None else [query.having]
+    facts.columns += [
+        (node.name, node.span)
+        for node in _bare(parts_of_columns)
+        if node.name in named - own_states
+    ]
+    facts.bare += [
+        (node.name, node.span)
+        for node in keys
+        if isinstance(node, Name) and node.name not in own_states
+    ]
+    conditions = [part for part in (query.where, query.having) if part is not None]
+    facts.bare += [
+        (name.name, name.span) for name in _conditions(conditions) if name.name not in own_states
+    ]
+    given = {s.alias for s in query.sources if not isinstance(s.value, Name | TimeIndex)} - {None}
+    given |= {
+        s.alias for s in query.sources if isinstance(s.value, Name) and s.value.name != s.alias
+    }
+    given -= own_states
+    parts = (child for child in query.children() if not isinstance(child, Source))
+    facts.aliases += [(n.name, n.span) for n in _bare(parts) if n.name in given]
+
+
+def _conditions(nodes: Iterable[Node]) -> Iterator[Name]:
+    """Bare names that are conditions themselves, or are compared with what is written out."""
+    for node in nodes:
+        match node:
+            case Name():
+                yield node
+            case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
+                yield from _conditions((left, right))
+            case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
+                yield from _conditions(operands)
+            case Unary(operator="NOT", operand=operand):
+                yield from _conditions((operand,))
+            case Binary(left=Name() as name, right=Literal()):
+                yield name
+            case Binary(left=Literal(), right=Name() as name):
+                yield name
+
+
+def _bare(nodes: Iterable[Node]) -> Iterator[Name]:
+    for node in nodes:
+        if isinstance(node, Name):
+            yield node
+        if not isinstance(node, Query):
+            yield from _bare(node.children())
+
+
+def _look_at_name(
+    side: Node, values: Iterable[Node], around: _Around, only: Source | None, facts: StatementFacts
+) -> None:
+    match side:
+        case Call(name=name, arguments=(This(alias=alias),)) if name == _NAME:
+            source, is_bare = only if alias is None else around.get(alias), False
+        case QualifiedName(alias=alias, key=name) if name == _NAME:
+            source, is_bare = around.get(alias), True
+        case Name(name=name) if name == _NAME and only is not None:
+            source, is_bare = only, True
+        case _:
+            return
+    for value in values:
+        if isinstance(value, Name) or (isinstance(value, Literal) and type(value.value) is str):
+            facts.names.append(NameSite(source, value, is_bare))
+
+
+class Linter:
+    """What is told of the programs of an interpreter, each thing once.
+
+    Args:
+        variable: gives the value of a variable, None if there is none.
+        is_function: whether there is a function of a name.
+        worlds: gives the worlds.
+        recorded: gives the names of all entities that a world's record knows.
+    """
+
+    def __init__(
+        self,
+        variable: Callable[[str], Any],
+        is_function: Callable[[str], bool],
+        worlds: Callable[[], Iterable[World]],
+        recorded: Callable[[World], Iterable[str]],
+    ) -> None:
+        self._variable = variable
+        self._is_function = is_function
+        self._worlds = worlds
+        self._recorded = recorded
+        self._facts: WeakKeyDictionary[Node, StatementFacts] = WeakKeyDictionary()
+        self._borne: WeakKeyDictionary[World, set[str]] = WeakKeyDictionary()
+        self._told: set[tuple[str | None, str]] = set()
+
+    def found(
+        self, text: str, statement: Node, local: Mapping[str, Any]
+    ) -> list[SelectScriptError]:
+        """What is to be told of a statement of a program, each time that it runs.
+
+        Args:
+            text: the program.
+            statement: the statement.
+            local: the state variables where it stands.
+        """
+        facts = self._facts.get(statement)
+        if facts is None:
+            facts = self._facts[statement] = facts_of(statement)
+        if facts.are_none:
+            return []
+        found = [*self._hidden(facts), *self._quoted(facts, text), *self._unborne(facts, local)]
+        for error in found:
+            error.locate(text)
+        return found
+
+    def is_new(self, error: SelectScriptError) -> bool:
+        """Whether it was not told before."""
+        if len(self._told) > MOST_TOLD:
+            self._told.clear()
+        told = (error.text, error.message)
+        is_new = told not in self._told
+        self._told.add(told)
+        return is_new
+
+    def _hidden(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
+        for name, span in facts.given:
+            if self._is_function(name):
+                yield ArgumentError(hides(name), span=span)
+        for name, span in facts.columns:
+            if self._variable(name) is not None:
+                message = f"{name} is the variable here, and not the column of that name"
+                yield ArgumentError(message, span=span)
+        for name, span in facts.bare:
+            if self._is_function(name) and self._variable(name) is not None:
+                yield ArgumentError(hides(name), span=span)
+        for name, span in facts.aliases:
+            if self._is_function(name) and self._variable(name) is None:
+                message = f"{name} is the function here; the element of the source is {name}.this"
+                yield ArgumentError(message, span=span)
+            elif self._variable(name) is not None:
+                message = f"{name} is the variable here; the element of the source is {name}.this"
+                yield ArgumentError(message, span=span)
+
+    def _quoted(self, facts: StatementFacts, text: str) -> Iterator[SelectScriptError]:
+        for name, span in facts.texts:
+            if text[span.start : span.start + 1] == '"' and self._is_function(name):
+                message = f'"{name}" is a text; the function is written without quotes: {name}'
+                yield ArgumentError(message, span=span)
+        for name, span in facts.sources:
+            if isinstance(self._variable(name), World | PastTicks | list):
+                message = f"{shown(name)} is a text, and the only element; the variable is {name}"
+                yield ArgumentError(message, span=span)
+
+    # -- names of entities ------------------------------------------------------------------
+
+    def _unborne(
+        self, facts: StatementFacts, local: Mapping[str, Any]
+    ) -> Iterator[SelectScriptError]:
+        return islice(self._all_unborne(facts, local), MOST_UNBORNE)
+
+    def _all_unborne(
+        self, facts: StatementFacts, local: Mapping[str, Any]
+    ) -> Iterator[SelectScriptError]:
+        for site in facts.names:
+            worlds = self._worlds_of(site)
+            if not worlds:
+                continue
+            value = site.value
+            if isinstance(value, Literal):
+                texts: list[Any] = [value.value]
+            elif value.name in local:
+                continue
+            else:
+                given = self._variable(value.name)
+                texts = given if isinstance(given, list) else [given]
+            for text in texts:
+                if isinstance(text, str) and not any(self._bears(w, text) for w in worlds):
+                    yield self._unknown(text, worlds, value.span)
+
+    def _worlds_of(self, site: NameSite) -> list[World]:
+        """The worlds that the entity may be of; none where that is not known."""
+        value = None if site.source is None else site.source.value
+        if isinstance(value, Name | TimeIndex):
+            given = self._variable(value.name)
+            if isinstance(given, World):
+                return [given]
+            if isinstance(given, PastTicks):
+                return [given.world]
+            if not isinstance(given, list) or not any(isinstance(e, Entity) for e in given[:1]):
+                return []
+        elif site.is_bare:
+            return []
+        return list(self._worlds())
+
+    def _bears(self, world: World, name: str) -> bool:
+        borne = self._borne.setdefault(world, set())
+        if name not in borne and (name in world or name in self._recorded(world)):
+            borne.add(name)
+        return name in borne
+
+    def _unknown(self, name: str, worlds: list[World], span: SourceSpan) -> SelectScriptError:
+        known = {entity.name for world in worlds for entity in world}
+        for world in worlds:
+            known.update(self._recorded(world))
+        told = " or ".join(world.name for world in worlds[:3])
+        return UnknownNameError(
+            f"no entity of {told} is called {shown(name)}",
+            span=span,
+            suggestions=nearest(name, known),
+        )
+
+
+# So many things are known to have been told.
+MOST_TOLD = 10_000
+# So many names that no entity bears are told of a statement: of more, a list of others is meant.
+MOST_UNBORNE = 20
+
+
+def hides(name: str) -> str:
+    """What is told of a variable that has a function's name."""
+    return (
+        f"the variable {name} hides the function {name}: a bare {name} is the variable; "
+        f"{name}(…) still calls the function"
+    )

@@ -1,0 +1,321 @@
+"""Variables and functions by name: what expressions see of an interpreter."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from inspect import unwrap
+from typing import Any
+
+from ssduck.adapters.registry import tables_of_forms
+from ssduck.database.database import Database
+from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
+from ssduck.formatting import shown
+from ssduck.interpreter.output import help_of_forms
+from ssduck.interpreter.sources import within
+from ssduck.interpreter.temporal_functions import FORMS
+from ssduck.language.analysis import calls_of, forms_of, variables_of
+from ssduck.language.builtins import BUILTINS, Function
+from ssduck.language.deferred import LazyList
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS
+from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked, plain
+from ssduck.language.parser import is_reserved
+from ssduck.language.sql_suggestions import instead_of_name
+from ssduck.language.tree import Call, Node
+from ssduck.language.value_history import ValueHistory, aged, history_of, kept
+from ssduck.recording.replay.past import past_of
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.relations.relation import Relation
+from ssduck.sql.table_use import tables_of
+from ssduck.sql.translator import unknown_function
+from ssduck.validation import seconds_argument
+from ssduck.world.world import World
+
+
+class Namespace:
+    """The variables and functions of an interpreter, and the worlds that they are about.
+
+    Args:
+        database: where the worlds are bound.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._lock = threading.RLock()
+        self._variables: dict[str, Any] = {}
+        self._functions: dict[str, Function] = dict(BUILTINS)
+        # What the language has of its own; and users' functions that stand in the place of that.
+        self._replaced: dict[str, Function | None] = {}
+        self._functions.update((command.name, command) for command in self._commands())
+        self._functions.update((name, form.function) for name, form in FORMS.items())
+        for name, allen in RELATIONS_OF_INTERVALS.items():
+            if name not in RELATIONS:
+                self._functions[name] = allen.function
+
+    # -- variables (ssduck.language.evaluator.EvaluationScope) -------------------------------
+
+    def variable(self, name: str) -> Any:
+        """The value of a variable, or an UnknownNameError with the nearest names."""
+        if not isinstance(name, str):
+            raise ArgumentError(f"the name of a variable is a text, not {shown(name)}")
+        if name in self._variables:
+            value = self._variables[name]
+            return value.last if isinstance(value, ValueHistory) else value
+        if name in RELATIONS or name in self._functions:
+            raise UnknownNameError(
+                f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
+            )
+        instead = instead_of_name(name)
+        raise UnknownNameError(
+            f"there is no variable {shown(name)}" + (f"; {instead}" if instead else ""),
+            suggestions=() if instead else nearest(name, self.names()),
+        )
+
+    def has_variable(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+        return name in self._variables
+
+    def is_function(self, name: str) -> bool:
+        """Whether there is a function, or a relation, of that name."""
+        return name in RELATIONS or name in self._functions
+
+    def _value_or_none(self, name: str) -> Any:
+        return self.variable(name) if self.has_variable(name) else None
+
+    def names(self) -> list[str]:
+        """The names of all variables and functions."""
+        return [*self._variables, *self._known_functions()]
+
+    def assign(self, name: str, value: Any) -> None:
+        """Set a variable."""
+        self._variables[name] = value
+
+    def keep(self, name: str, value: Any, horizon: float) -> None:
+        """Set a variable that keeps its values of so many seconds."""
+        before, now = self._variables.get(name), self._now()
+        if isinstance(value, World):
+            raise ArgumentError(
+                "a world is no value to be kept in a history; assign it without {…}"
+            )
+        self._variables[name] = kept(before, value, horizon, now)
+
+    def aged(self, name: str, *age: Any) -> Any:
+        """What a variable was; all that it keeps if no age is given."""
+        self.variable(name)
+        held = self._variables[name]
+        if isinstance(held, World):
+            seconds = seconds_argument(age[0], "what is in {…}") if age else None
+            return past_of(self._database.record_of(held), seconds)
+        return aged(name, held, age, self._now)
+
+    def history(self, name: str) -> list[tuple[float, Any]]:
+        """What `name{}` gives, with the simulated times.
+
+        Args:
+            name: of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
+
+        Returns:
+            The time of each assignment, in seconds, and its value, the oldest first.
+
+        Raises:
+            UnknownNameError: there is no such variable, with the nearest names.
+            ArgumentError: it has no history.
+        """
+        with self._lock:
+            self.variable(name)
+            return history_of(name, self._variables[name]).within(math.inf, self._now())
+
+    def _now(self) -> float:
+        """The simulated time in seconds, that of the first world."""
+        worlds = self._database.worlds.values()
+        for world in worlds:
+            return world.time
+        raise UnknownNameError("there is no world, so no simulated time; add one with add_variable")
+
+    def _forget(self) -> None:
+        """Drop what is out of its horizon, or later than now."""
+        temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, ValueHistory)]
+        if temporal:
+            now = self._now()
+            for name, history in temporal:
+                self._variables[name] = history.until(now).recent(now)
+
+    # -- functions ---------------------------------------------------------------------------
+
+    def function(self, name: str) -> Function | None:
+        """A function that is no relation; the language's own, where the name is not marked."""
+        if name in self._replaced:
+            return self._replaced[name]
+        return self._functions.get(plain(name))
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
+        return marked(name) if name in self._replaced else name
+
+    def _adopt(self, function: Function) -> None:
+        """Take a user's function; one of the language's name replaces that, with a warning.
+
+        Raises:
+            ArgumentError: nothing can replace what has this name.
+        """
+        name = function.name
+        known = self._functions.get(name)
+        if name in FIXED or name in FORMS:
+            raise ArgumentError(f"{name!r} is a part of the language; choose another name")
+        is_own = known is not None and not known.builtin
+        if is_own or not (name in RELATIONS or name in NAMED or known is not None):
+            self._functions[name] = function
+            return
+        if known is not None and unwrap(known.call) is function.call:
+            return  # `addFunction('str', str)` of the published programs
+        self._replaced[name] = known
+        self._functions[name] = function
+        sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
+        what = f"the operator {sign}" if sign else f"the language's own {name}"
+        kept = "; raw SQL keeps its own" if name in RELATIONS else ""
+        warn(
+            f"your function {name!r} replaces {what} in programs{kept}; "
+            f"del_function({name!r}) brings that back"
+        )
+
+    def _drop(self, name: str) -> None:
+        """Forget a user's function; what it replaced is there again.
+
+        Raises:
+            UnknownNameError: there is none, with the nearest names.
+        """
+        is_name = isinstance(name, str) and name == plain(name)
+        if not is_name or not self.is_users(self.meant(name)):
+            own = [n for n, function in self._functions.items() if not function.builtin]
+            raise UnknownNameError(
+                f"there is no function {shown(name)} of yours", suggestions=nearest(name, own)
+            )
+        before = self._replaced.pop(name, None)
+        if before is None:
+            del self._functions[name]
+        else:
+            self._functions[name] = before
+
+    def is_users(self, name: str) -> bool:
+        """Whether that calls a user's function."""
+        function = self.function(name)
+        return function is not None and not function.builtin
+
+    def builtin(self, name: str) -> Function | None:
+        """A function of plain values that comes with the language."""
+        return BUILTINS.get(name)
+
+    def check_call(self, node: Call) -> None:
+        """Complain of an unknown function, or of a wrong number of arguments."""
+        given, name = len(node.arguments), plain(node.name)
+        if node.name in RELATIONS:
+            relation = RELATIONS[node.name]
+            least, most = min(relation.expressions), max(relation.expressions)
+            fits, usage = given in relation.expressions, relation.usage
+        elif name in self._functions:
+            function = self._functions[name]
+            least, most = function.least, given if function.most is None else function.most
+            fits, usage = least <= given <= most, f"see help('{name}')"
+        else:
+            raise unknown_function(node, self._known_functions())
+        if not fits:
+            wanted = f"{least}" if least == most else f"{least} to {most}"
+            plural = "" if wanted == "1" else "s"
+            raise ArgumentError(
+                f"{name} takes {wanted} argument{plural}, not {given}: {usage}",
+                span=node.span,
+            )
+
+    def help(self, name: str | None = None) -> Any:
+        """The names of all functions, or the help of one; that of `AS` lists the result forms.
+
+        Raises:
+            UnknownNameError: there is no such function, with the nearest names.
+        """
+        if name is None:
+            return sorted(self._known_functions(), key=str.casefold)
+        if isinstance(name, str) and name.upper() == "AS":
+            return help_of_forms()
+        described: dict[str, Function | Relation] = {**RELATIONS, **self._functions}
+        if not isinstance(name, str) or name not in described:
+            raise UnknownNameError(
+                f"there is no function {shown(name)}", suggestions=nearest(name, described)
+            )
+        return f"{name}\n{described[name].help}"
+
+    def _known_functions(self) -> list[str]:
+        return list(dict.fromkeys((*RELATIONS, *self._functions)))
+
+    def _commands(self) -> list[Function]:
+        def clear(name: str | None = None) -> bool:
+            if name is None:
+                kept = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+            else:
+                self.variable(name)
+                kept = {n: v for n, v in self._variables.items() if n != name}
+            self._variables = kept
+            return True
+
+        def show(*values: Any) -> Any:
+            print(*values)  # noqa: T201  # it is what the language's print is for
+            return values[-1]
+
+        return [
+            _command("help", self.help, "Lists all functions, or tells what one does.", "[name]"),
+            _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
+            _command("var", self.variable, "Returns the variable of that name.", "name"),
+            _command("clear", clear, "Forgets a variable, or all but the worlds.", "[name]"),
+            _command("getTime", self._now, "Returns the simulated time in seconds.", ""),
+            _command("print", show, "Prints its arguments and returns the last.", "value, ..."),
+            _command("eval", lambda text: text, "Runs a program that is given as text.", "text"),
+        ]
+
+    # -- what they are about ----------------------------------------------------------------
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds that are bound to variables, the first one first."""
+        return list(self._database.worlds.values())
+
+    def _worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
+        """The worlds that parts may be about; None if their values alone tell."""
+        worlds: list[World] = []
+        for node in nodes:
+            called = calls_of(node)
+            if not called.isdisjoint(("var", "eval")) or any(map(self.is_users, called)):
+                return None
+            values = [self._variables.get(name) for name in variables_of(node)]
+            for value in values:
+                if isinstance(value, LazyList):
+                    inner = self._worlds_of([value.node])
+                else:
+                    inner = within(value.values if isinstance(value, ValueHistory) else value)
+                if inner is None:
+                    return None
+                worlds += inner
+        return worlds
+
+    def _tables_of(self, node: Node) -> frozenset[str]:
+        """The tables that relations in a part look things up in."""
+        found = tables_of(node) | tables_of_forms(forms_of(node))
+        for name in variables_of(node):
+            value = self._variables.get(name)
+            if isinstance(value, LazyList):
+                found |= self._tables_of(value.node)
+        return found
+
+
+def check_name(name: str, what: str) -> None:
+    """Complain of a name that a variable or a function cannot have."""
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ArgumentError(f"{shown(name)} cannot be {what}'s name: letters, digits and _ only")
+    if is_reserved(name):
+        raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")
+
+
+def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
+    function = Function.of(name, call, f"{about}\nUsage: {name}({usage})")
+    least = 1 if usage.endswith("...") else function.least
+    return replace(function, builtin=True, least=least)

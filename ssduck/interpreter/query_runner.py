@@ -1,0 +1,487 @@
+"""Running a query: its SQL on one tick, then what is left to Python; or row by row."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from itertools import islice
+from math import prod
+from typing import Any
+
+from sqlglot import exp
+
+from ssduck.database.database import Database, Statement
+from ssduck.database.values import to_sql
+from ssduck.errors import ArgumentError, SelectScriptError, SqlError, warn
+from ssduck.interpreter.sources import all_elements, arrow_of, elements_of
+from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
+from ssduck.language.analysis import (
+    aliases_of,
+    calls_of,
+    changing,
+    free_aliases,
+    is_impure,
+    known,
+    mentions,
+    states,
+)
+from ssduck.language.clauses import (
+    Clauses,
+    Paths,
+    PythonClauses,
+    Rows,
+    Selected,
+    SelectedValue,
+    combinations,
+    row_frames,
+)
+from ssduck.language.evaluator import EvaluationScope, ExpressionCompiler, Frame, Thunk
+from ssduck.language.graph_paths import Vertex, simple_paths
+from ssduck.language.hierarchy import Hierarchy
+from ssduck.language.memo import MEMOS
+from ssduck.language.tree import Call, Literal, Name, Node, Placeholder, Query, This
+from ssduck.simulators.joints import JointError
+from ssduck.sql.name_resolution import ResolvedQuery
+from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.sql_values import written
+from ssduck.sql.types import SqlType
+
+# So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
+# tried again.
+MOST_FAILURES = 3
+TRIED_AGAIN = 64
+# A search or a product of lists with at most so many rows a state is not worth a statement.
+FEW_ROWS = 64
+# So many combinations of the sources are kept from state to state.
+MOST_COMBINATIONS = 10_000
+# Of more ticks than this, values are written into a statement that is planned each time.
+LONG = 10_000
+# Longer lists are not written into a statement.
+MOST_WRITTEN = 1000
+
+
+class SqlFailedError(Exception):
+    """A statement came to something that only Python can decide."""
+
+
+class PlannedQuery:
+    """A query with its plan, ready to run.
+
+    Args:
+        plan: how it runs.
+        database: where its SQL runs.
+        scope: variables and functions.
+    """
+
+    def __init__(self, plan: Plan, database: Database, scope: EvaluationScope) -> None:
+        self.plan = plan
+        self._failures = 0
+        self._database = database
+        self._statement: Statement | None = None
+        # The parameters that are no numbers, as they were last time.
+        self._texts: dict[str, Any] | None = None
+        self._converters = {
+            output.tag: database.converter(output.tag)
+            for output in (*plan.known.values(), *plan.elements.values(), *(plan.outputs or ()))
+        }
+        self._clauses: Clauses | None = None
+        if plan.outputs is None:
+            known = {node: self._column(output) for node, output in plan.known.items()}
+            compiler = ExpressionCompiler(
+                scope,
+                known,
+                frozenset(plan.once),
+                memorize=not is_impure(plan.query),
+                query=plan.query,
+            )
+            self._clauses = Clauses(plan.rest, compiler)
+
+    @property
+    def columns(self) -> tuple[SelectedValue, ...]:
+        """What it selects."""
+        return self.plan.rest.columns
+
+    def _column(self, output: OutputColumn) -> Thunk:
+        index, convert = output.index, self._converters[output.tag]
+        if convert is None:
+            return lambda frame: frame.columns[index]
+        return lambda frame: convert(frame.columns[index])
+
+    def is_hopeless(self) -> bool:
+        """Whether its SQL has failed so often that it is not tried this time."""
+        if self._failures < MOST_FAILURES:
+            return False
+        self._failures += 1
+        return self._failures % TRIED_AGAIN != 0
+
+    def forget(self) -> None:
+        """Let the database forget it."""
+        if self._statement is not None:
+            self._statement.forget()
+            self._statement = None
+
+    def parameters(self, outer: Frame, values: Sequence[Any]) -> dict[str, Any]:
+        """The values of the SQL's parameters."""
+        return _parameters(self.plan, outer, self._by_alias(values))
+
+    def _by_alias(self, values: Sequence[Any]) -> dict[str, Any]:
+        aliases = [shape.alias for shape in self.plan.shapes]
+        return dict(zip(aliases, values, strict=True))
+
+    def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
+        """What the query selects; the caller holds the worlds.
+
+        Args:
+            outer: knows the variables, and the rows of the queries around this one.
+            values: those of the sources.
+
+        Raises:
+            SqlFailedError: the plan is not cautious, and its SQL failed.
+        """
+        sources = self._by_alias(values)
+        try:
+            fetched = self._fetched(outer, sources)
+        except SqlError as error:
+            if self.plan.cautious or error.is_final:
+                raise _of_relation(error) from error
+            if error.is_refused:  # our mistake: the answer is right, but slow
+                warn(f"DuckDB refused a query's SQL: {error.message}")
+            self._failures += 1
+            raise SqlFailedError from error
+        except JointError as error:  # of a row that a condition may leave out
+            if self.plan.cautious:
+                raise
+            self._failures += 1
+            raise SqlFailedError from error
+        self._failures = 0
+        if self._clauses is None:
+            return self._outputs(fetched)
+        return self._clauses.selected(self._frames(fetched, outer, sources), outer)
+
+    def _outputs(self, fetched: list[tuple[Any, ...]]) -> Selected:
+        """The rows as they are, if nothing is left to Python."""
+        outputs = self.plan.outputs or []
+        converters = [self._converters[output.tag] for output in outputs]
+        indices = [output.index for output in outputs]
+        if any(converters) or indices != list(range(len(fetched[0]) if fetched else 0)):
+            fetched = [
+                tuple(
+                    [
+                        row[index] if convert is None else convert(row[index])
+                        for index, convert in zip(indices, converters, strict=True)
+                    ]
+                )
+                for row in fetched
+            ]
+        names = self.plan.names
+        if not self.plan.paths:
+            return Rows(fetched, names)
+        if self.plan.graph is not None:
+            meter = self._database.connection.meter
+            found = _graph_paths(self.plan.graph, fetched, names, meter.step)
+            meter.check_rows(len(found.paths))
+            return found
+        return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
+
+    def _fetched(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+        plan, database = self.plan, self._database
+        parameters = _parameters(plan, outer, sources)
+        if any(_is_long(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source):
+            # What is written in a statement DuckDB compares whole blocks of rows with.
+            return database.connection.rows(
+                plan.select.transform(written(parameters)).sql("duckdb")
+            )
+        # A buffer of numbers has no place for an unknown one.
+        if not plan.tables and None not in parameters.values():
+            numbers = {name: parameters[name] for name in plan.numbers}
+            texts = {name: value for name, value in parameters.items() if name not in numbers}
+            statement = self._prepared(texts)
+            if statement is not None:
+                return statement.rows(numbers)
+        shown = []
+        try:
+            for alias, name in plan.tables.items():
+                shape = next(shape for shape in plan.shapes if shape.alias == alias)
+                assert shape.tag is not None
+                database.connection.show(name, arrow_of(elements_of(sources[alias]), shape.tag))
+                shown.append(name)
+            return database.connection.rows(plan.sql, parameters or None)
+        finally:
+            for name in shown:
+                database.connection.unshow(name)
+
+    def _prepared(self, texts: dict[str, Any]) -> Statement | None:
+        """The prepared statement for these values of what is no number.
+
+        They are part of its text, so that it is worth its while only when they stay the same.
+        """
+        if not _are_same(self._texts, texts):
+            self.forget()
+            self._texts = texts
+            if texts:
+                return None
+        if self._statement is None and _size(texts) <= MOST_WRITTEN:
+            select = self.plan.select.transform(written(texts)) if texts else self.plan.select
+            assert isinstance(select, exp.Select)
+            self._statement = Statement(self._database.plans, select, self.plan.numbers)
+        return self._statement
+
+    def _frames(
+        self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
+    ) -> Iterator[Frame]:
+        """The frames of the rows that SQL has left."""
+        plan = self.plan
+        around: dict[str | None, Any] = dict(outer.elements)
+        around.pop(None, None)
+        getters = [(shape.alias, self._element(shape, sources)) for shape in plan.shapes]
+        only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
+        kept = {MEMOS: {}, **outer.kept}
+        step = outer.scope.meter.step
+        for columns in fetched:
+            step()
+            elements = dict(around)
+            for alias, getter in getters:
+                elements[alias] = getter(columns)
+            if only is not None:
+                elements[None] = elements[only]
+            yield outer.row(elements, kept, columns)
+
+    def _element(
+        self, shape: SourceType, sources: Mapping[str, Any]
+    ) -> Callable[[tuple[Any, ...]], Any]:
+        """The current element of a source; where SQL has only its number, by that."""
+        output = self.plan.elements[shape.alias]
+        index = output.index
+        if output.tag.type in ("any", "record"):
+            elements = elements_of(sources[shape.alias])
+            return lambda columns: elements[columns[index] - 1]
+        convert = self._converters[output.tag]
+        if convert is None:
+            return lambda columns: columns[index]
+        return lambda columns: convert(columns[index])
+
+
+def _of_relation(error: SqlError) -> SelectScriptError:
+    """What a relation's formula says of its arguments, as an error of the language."""
+    told = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
+    if told is None or told[2] not in RELATIONS:
+        return error
+    return ArgumentError(told[1], span=error.span)
+
+
+def _is_long(past: Any) -> bool:
+    """Whether so many ticks are looked at that planning does not matter."""
+    return bool(past.last - past.first > LONG)
+
+
+def _are_same(before: dict[str, Any] | None, now: dict[str, Any]) -> bool:
+    """Whether they would be written alike: 0.0 and -0.0 are equal, and are not."""
+    return before == now and (_size(now) > MOST_WRITTEN or repr(before) == repr(now))
+
+
+def _size(value: Any) -> int:
+    if isinstance(value, dict):
+        return sum(map(_size, value.values()))
+    if isinstance(value, list):
+        return sum(map(_size, value))
+    return 1
+
+
+def _graph_paths(
+    graph: PathSearch,
+    edges: list[tuple[Any, ...]],
+    names: tuple[str, ...],
+    count: Callable[[], None],
+) -> Paths:
+    """The paths through a graph whose edges SQL has found, breadth first."""
+    root = Vertex[tuple[Any, ...]]((), found=False)
+    vertices = {(): root}
+    for start, end, found, *items in edges:
+        if tuple(end) not in vertices:
+            vertices[tuple(end)] = Vertex(tuple(items), found)
+        following = vertices[tuple(start)].next
+        if vertices[tuple(end)] not in following:
+            following.append(vertices[tuple(end)])
+    paths = simple_paths(root.next, list(vertices.values())[1:], graph.longest, count)
+    found_paths = islice(paths, graph.most)
+    return Paths([Paths([Rows([step], names) for step in path]) for path in found_paths])
+
+
+def _parameters(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of the SQL's parameters."""
+    bound = {}
+    for binding in plan.bindings:
+        if binding.source is not None and binding.end:
+            bound[binding.name] = getattr(sources[binding.source], binding.end)
+        elif binding.source is not None:
+            bound[binding.name] = _listed(elements_of(sources[binding.source]), binding.tag)
+        elif binding.node is not None:
+            bound[binding.name] = _bound_value(outer, binding.node, binding.column)
+    return bound
+
+
+def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
+    try:
+        value = outer.kept[node] if node in outer.kept else outer.value(node)
+        return value.column(column) if column else to_sql(value)
+    except SelectScriptError as error:  # an entity that is gone
+        error.span = error.span or node.span
+        raise
+
+
+def _listed(elements: Sequence[Any], tag: SqlType) -> list[Any]:
+    """What stands for the elements of a source in SQL: of what SQL does not know, the count."""
+    return [0] * len(elements) if tag.element is None else [to_sql(value) for value in elements]
+
+
+class RowByRowQuery:
+    """A query that runs row by row over all combinations of its sources.
+
+    Args:
+        query: the query.
+        resolved: the same with its names looked up.
+        scope: variables and functions.
+        deepest: how many rows a path may have.
+        deferred: the variables in it that hold lists for the query that uses them.
+        of_past: whether a source is the past of a world, with which handles go.
+
+    Attributes:
+        resolved: the same with its names looked up.
+        deferred: as given.
+    """
+
+    def __init__(
+        self,
+        query: Query,
+        resolved: ResolvedQuery,
+        scope: EvaluationScope,
+        deepest: int,
+        deferred: Mapping[str, Node | None],
+        *,
+        of_past: bool = False,
+    ) -> None:
+        self.resolved = resolved
+        self.deferred = deferred
+        query = resolved.query
+        self._query = query
+        self._aliases = aliases_of(query)
+        waiting = {name for name, node in deferred.items() if node}
+        compiler = ExpressionCompiler(
+            scope,
+            None,
+            _constants(query, changing(query) | waiting, of_past=of_past),
+            _constants(query, (changing(query) - states(query)) | waiting, of_past=of_past),
+            memorize=not is_impure(query),
+            query=query,
+        )
+        hierarchical = query.recursion is not None
+        conditions = () if query.where is None or hierarchical else (query.where,)
+        selected = [column.node for column in resolved.columns]
+        check_one_group(query, selected)
+        rest = PythonClauses(
+            resolved.columns,
+            conditions,
+            query.order,
+            query.group,
+            query.having,
+            query.limit,
+            is_one_group(query),
+            is_aggregated(query, selected),
+            query.distinct,
+        )
+        self._clauses = Clauses(rest, compiler)
+        self._search: Hierarchy | None = None
+        if hierarchical:
+            self._search = Hierarchy(query, self._clauses, compiler, deepest)
+        self._sources_change = any(mentions(s.value, states(query)) for s in query.sources)
+
+    @property
+    def columns(self) -> tuple[SelectedValue, ...]:
+        """What it selects."""
+        return self.resolved.columns
+
+    def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
+        """What the query selects; the caller holds the worlds.
+
+        Args:
+            outer: what is around the query.
+            values: those of the sources.
+        """
+        elements = all_elements(values)
+        kept = {MEMOS: {}, **outer.kept}
+        if self._search is None:
+            return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
+        return self._search.selected(outer, self._rows_of_states(outer, elements, kept), kept)
+
+    def _rows_of_states(
+        self, outer: Frame, elements: list[Sequence[Any]], kept: dict[Node, Any]
+    ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
+        """The elements of the sources at each row of a state."""
+        if self._sources_change or prod(map(len, elements)) > MOST_COMBINATIONS:
+            return lambda state: self._combinations(outer, state, elements, kept)
+        same = list(combinations(self._aliases, elements, outer))
+        return lambda _: same
+
+    def _combinations(
+        self,
+        outer: Frame,
+        state: dict[str, Any],
+        elements: list[Sequence[Any]],
+        kept: dict[Node, Any],
+    ) -> Iterator[dict[str | None, Any]]:
+        """The elements of each row of a state, where they differ from state to state."""
+        inside = Frame(outer.scope, outer.elements, state, outer.given, (), kept)
+        if self._sources_change:
+            elements = [elements_of(inside.value(s.value)) for s in self._query.sources]
+        return combinations(self._aliases, elements, inside)
+
+
+def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set[Node]:
+    """The largest parts of a query that are the same for all its rows, and cost something.
+
+    Args:
+        query: the query.
+        changed: variables that are not the same.
+        of_past: whether calls, but in queries of their own, depend on the row's tick.
+    """
+    own = {None, *aliases_of(query)}
+    found: set[Node] = set()
+
+    def look(node: Node) -> None:
+        same = not free_aliases(node) & own and not is_impure(node) and not mentions(node, changed)
+        if of_past and not isinstance(node, Query) and calls_of(node):
+            same = False
+        if same:
+            if not isinstance(node, This | Name | Placeholder | Literal):
+                found.add(node)
+            return
+        if not isinstance(node, Query):
+            for child in node.children():
+                look(child)
+
+    for part in query.children():
+        look(part)
+    return found
+
+
+def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) -> bool:
+    """Whether running it row by row is quicker than planning a statement.
+
+    So it is for a search through short lists, and for a product of short lists: a statement
+    takes DuckDB half a millisecond and more to plan, a row takes Python microseconds.
+    """
+    if any(not shape.given or shape.tag is None for shape in shapes):
+        return False
+    if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
+        return False
+    return not any(map(_takes_a_statement, query.children()))
+
+
+@known
+def _takes_a_statement(node: Node) -> bool:
+    """Whether a part is, or has in it, a relation or a query."""
+    if isinstance(node, Query) or (isinstance(node, Call) and node.name in RELATIONS):
+        return True
+    return any(map(_takes_a_statement, node.children()))

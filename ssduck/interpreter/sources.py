@@ -1,0 +1,245 @@
+"""What may stand in FROM: worlds, lists, tables, any value."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.adapters.result import Result, values_of
+from ssduck.database.values import SchemaOf, tag_of_any, to_sql
+from ssduck.errors import ArgumentError
+from ssduck.language.analysis import aliases_of
+from ssduck.language.clauses import LockstepSource
+from ssduck.language.tree import Query
+from ssduck.recording.replay.past import PastTicks, PresentTick
+from ssduck.recording.replay.record import Record
+from ssduck.sql.plan import Moments, SourceType
+from ssduck.sql.types import ANY, INTEGER, SqlType
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
+
+# A longer list may be of any worlds.
+MOST_LOOKED_AT = 100
+
+
+def elements_of(value: Any) -> Sequence[Any]:
+    """The elements of a source.
+
+    Args:
+        value: a world (its entities), a list or a tuple, an array (its rows), a table of
+            pandas, polars, Arrow or of `Interpreter.sql`, or a structured array (its rows as
+            dicts); anything else is an element itself.
+
+    Raises:
+        ArgumentError: two columns of a table have the same name.
+    """
+    if isinstance(value, list | tuple):
+        return value
+    if isinstance(value, World | PastTicks | PresentTick):
+        return list(value)
+    if isinstance(value, np.ndarray) and value.ndim and value.dtype.names is None:
+        rows: list[Any] = value.tolist()
+        return rows
+    table = _table(value)
+    return [value] if table is None else table.rows()
+
+
+def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
+    """The elements of all sources of a query, those of several ticks of one world tied."""
+    found: list[Sequence[Any]] = []
+    first: dict[World, int] = {}
+    for place, value in enumerate(values):
+        elements = elements_of(value)
+        if isinstance(value, PastTicks) and value.is_window:
+            to = first.setdefault(value.world, place)
+            elements = elements if to == place else LockstepSource(elements, to)
+        found.append(elements)
+    return found
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A data frame: its columns' names, and their values."""
+
+    names: list[str]
+    columns: list[list[Any]]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Its rows as dicts."""
+        twice = [name for name, times in Counter(self.names).items() if times > 1]
+        if twice:
+            raise ArgumentError(f"a table has two columns that are called {twice[0]!r}")
+        return [dict(zip(self.names, row, strict=True)) for row in zip(*self.columns, strict=True)]
+
+
+def _table(value: Any) -> _Table | None:
+    """A data frame; None if it is none."""
+    if isinstance(value, Result):
+        return _Table(value.columns, [values_of(column) for column in value.arrow().columns])
+    if isinstance(value, pa.Table | pa.RecordBatch):
+        return _Table(value.column_names, [values_of(column) for column in value.columns])
+    if isinstance(value, np.ndarray) and value.ndim and value.dtype.names:
+        return _Table(list(value.dtype.names), [value[n].tolist() for n in value.dtype.names])
+    # Without importing what may not be installed.
+    match type(value).__module__.partition(".")[0], type(value).__name__:
+        case "pandas", "DataFrame":
+            columns = [value.iloc[:, place] for place in range(value.shape[1])]
+            return _Table(list(map(str, value.columns)), list(map(_of_pandas, columns)))
+        case "polars", "DataFrame":
+            return _Table(value.columns, list(map(_of_polars, value.get_columns())))
+    return None
+
+
+def _of_pandas(column: Any) -> list[Any]:
+    """A column's values: Python's, None where there is none."""
+    if column.dtype != object:
+        with suppress(pa.ArrowException, TypeError):  # there are kinds that Arrow has not
+            found = pa.array(column, from_pandas=True)
+            if not isinstance(found.type, pa.BaseExtensionType):
+                values: list[Any] = found.to_pylist()
+                return values
+    pairs = zip(column.tolist(), column.isna().tolist(), strict=True)
+    return [None if missing else _of_numpy(value) for value, missing in pairs]
+
+
+def _of_numpy(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _of_polars(column: Any) -> list[Any]:
+    """A column's values; Arrow sees the addresses of Python's objects, and no 128 bits."""
+    kind = str(column.dtype)
+    if kind == "Object" or "128" in kind:
+        return [_of_numpy(value) for value in column.to_list()]
+    return values_of(column.to_arrow())
+
+
+def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[SourceType, ...]:
+    """What the sources of a query are.
+
+    Args:
+        query: the query.
+        values: those of its sources; `INLINE` for a query that is to be a part of this one.
+        schema_of: gives the schema of a world.
+
+    Raises:
+        ArgumentError: two sources have the same name.
+    """
+    aliases = aliases_of(query)
+    return tuple(
+        _shape(alias, value, schema_of) for alias, value in zip(aliases, values, strict=True)
+    )
+
+
+class _Inline:
+    """Stands for the value of a source that is a part of the statement."""
+
+
+INLINE = _Inline()
+
+
+def _shape(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
+    if value is INLINE:
+        return SourceType(alias, given=False)
+    if isinstance(value, World):
+        return SourceType(alias, schema_of(value))
+    if isinstance(value, PastTicks):
+        moments: Moments = "window" if value.is_window else "instant"
+        return SourceType(
+            alias, schema_of(value.world), moments=moments, of_one=value.id is not None
+        )
+    if isinstance(value, PresentTick):
+        return SourceType(alias, schema_of(value.world), moments="now")
+    elements = elements_of(value)
+    tag = _common(elements, schema_of)
+    dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
+    return SourceType(alias, tag=tag, dicts=dicts, known=bool(elements))
+
+
+def _common(elements: Sequence[Any], schema_of: SchemaOf) -> SqlType:
+    tag = tag_of_any(elements, schema_of)
+    if tag is None or tag.type == "nothing":
+        return ANY
+    if tag.type == "record":
+        return tag
+    return tag if (tag.comes_back and tag.element is not None) or _is_scalar(tag) else ANY
+
+
+def _is_scalar(tag: SqlType) -> bool:
+    return tag.type in ("entity", "real", "integer", "text", "flag")
+
+
+def arrow_of(elements: Sequence[Any], tag: SqlType) -> pa.Table:
+    """Records as a table: `n` from 1, and a column a key."""
+    columns: dict[str, Any] = {"n": pa.array(range(1, len(elements) + 1), pa.int64())}
+    for index, (key, part) in enumerate(tag.fields):
+        if part.is_sql and part.type != "record":
+            values = [to_sql(element[key]) for element in elements]
+            columns[f"f{index}"] = pa.array(values, _arrow_type(part))
+    return pa.table(columns)
+
+
+def _arrow_type(tag: SqlType) -> pa.DataType:
+    if tag.type == "list":
+        return pa.list_(_arrow_type(tag.element or INTEGER))
+    return _ARROW_TYPES[tag.type]
+
+
+_ARROW_TYPES = {
+    "entity": pa.int64(),
+    "integer": pa.int64(),
+    "real": pa.float64(),
+    "number": pa.float64(),
+    "text": pa.string(),
+    "flag": pa.bool_(),
+}
+
+
+def beside_past(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
+    """The values of sources; a world whose past is one as well, as it is at its present tick.
+
+    Args:
+        values: of the sources of a query.
+        elements: those of the queries around it that it depends on.
+
+    Raises:
+        EvaluationError: a past is kept no longer.
+    """
+    records = {
+        value.world: cast("Record", value.moment.record)
+        for value in elements
+        if isinstance(value, Entity) and value.moment is not None
+    }
+    for value in values:
+        if isinstance(value, PastTicks):
+            value.check()
+            records[value.world] = value.record
+    return [
+        PresentTick(records[value], value.snapshot.number)
+        if isinstance(value, World) and value in records
+        else value
+        for value in values
+    ]
+
+
+def within(value: Any) -> list[World] | None:
+    """The worlds that a value is of: a world, an entity, a list of such; None if nobody knows."""
+    match value:
+        case World():
+            return [value]
+        case PastTicks() | PresentTick():
+            return [value.world]
+        case Entity():
+            return [value.world]
+        case None | str() | int() | float() | Result():
+            return []
+        case list() | tuple() if len(value) <= MOST_LOOKED_AT:
+            found = [within(element) for element in value]
+            return None if None in found else [world for inner in found for world in inner or ()]
+    return None

@@ -1,0 +1,277 @@
+"""Expressions that are evaluated at each recorded tick: `since`, `holds`, `changes` and others.
+
+`holds(near(gripper, cup, 0.02))` becomes a query whose sources are the entities in the
+expression, each at the ticks of the record, and which selects the time and the value of the
+expression; what it gives is made of these in Python.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from ssduck.errors import ArgumentError, UnsupportedError
+from ssduck.formatting import shown
+from ssduck.language.builtins import Function
+from ssduck.language.evaluator import Frame
+from ssduck.language.intervals import changes_of, intervals_of
+from ssduck.language.operators import truth
+from ssduck.language.tree import (
+    Call,
+    Index,
+    Name,
+    Node,
+    Placeholder,
+    Query,
+    Source,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
+from ssduck.recording.replay.past import PastTicks, past_of
+from ssduck.recording.replay.record import Record
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
+
+# So many ticks are looked at first to find since when something holds, then twice as many.
+FIRST_TICKS = 240
+_PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
+
+
+@dataclass(frozen=True)
+class TemporalFunction:
+    """A function whose first argument is evaluated at each tick.
+
+    Attributes:
+        name: what it is called.
+        make: what it yields, of how to evaluate its argument.
+        about: what that is.
+        usage: how it is called.
+    """
+
+    name: str
+    make: Callable[[TickSeries, Any], Any]
+    about: str
+    usage: str
+
+    @property
+    def function(self) -> Function:
+        """The entry for help; it is never called."""
+        told = f"{self.about}\nUsage: {self.usage}"
+        return Function(self.name, lambda *_: None, told, 1, 2, builtin=True)
+
+
+class TickSeries:
+    """The values of an expression at the recorded ticks of a world.
+
+    Args:
+        record: what is kept of the world.
+        run: gives the rows [tick, time, value] of some of its ticks.
+        node: the expression.
+    """
+
+    def __init__(
+        self, record: Record, run: Callable[[PastTicks], list[list[Any]]], node: Node
+    ) -> None:
+        self.record = record
+        self.node = node
+        self._run = run
+
+    def at(self, past: PastTicks) -> tuple[list[float], list[Any]]:
+        """The times and values at some ticks; where an entity was not there it is None."""
+        known = {row[0]: row[2] for row in self._run(past)}
+        return past.times, [known.get(tick) for tick in past.ticks]
+
+    def holding(self, past: PastTicks) -> tuple[list[float], list[bool]]:
+        """The times, and whether it held."""
+        times, values = self.at(past)
+        return times, [value is not None and truth(value, self.node) for value in values]
+
+    def backwards(self) -> Iterator[PastTicks]:
+        """All ticks in pieces, the last ones first, each twice as long as the one before."""
+        numbers, _ = self.record.until_now()
+        end, size = len(numbers), FIRST_TICKS
+        while end > 0:
+            start = max(end - size, 0)
+            yield PastTicks(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
+            end, size = start, size * 2
+
+
+def _since(series: TickSeries, age: Any) -> float | None:
+    if age is not None:
+        raise ArgumentError("since takes one argument: since(condition)")
+    begun: float | None = None
+    for past in series.backwards():
+        times, holding = series.holding(past)
+        for time, holds in zip(reversed(times), reversed(holding), strict=True):
+            if not holds:
+                return begun
+            begun = time
+    return begun
+
+
+def _held_for(series: TickSeries, age: Any) -> float:
+    begun = _since(series, age)
+    return 0.0 if begun is None else float(series.record.until_now()[1][-1]) - begun
+
+
+def _holds(series: TickSeries, age: Any) -> list[list[float]]:
+    return intervals_of(*series.holding(past_of(series.record, age)))
+
+
+def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
+    return changes_of(*series.at(past_of(series.record, age)))
+
+
+def _least(series: TickSeries, age: Any) -> list[Any] | None:
+    times, values = series.at(past_of(series.record, age))
+    known = [(value, time) for time, value in zip(times, values, strict=True) if _is_number(value)]
+    others = [v for v in values if v is not None and not isinstance(v, int | float)]
+    if others:
+        raise ArgumentError(f"least takes an expression of numbers, not {shown(others[0])}")
+    if not known:
+        return None
+    value, time = min(known, key=lambda entry: entry[0])
+    return [time, value]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not math.isnan(value)
+
+
+FORMS: dict[str, TemporalFunction] = {
+    form.name: form
+    for form in (
+        TemporalFunction(
+            "since",
+            _since,
+            "Returns since when a condition has held at every recorded tick until now, in seconds "
+            "of simulated time; nothing if it does not hold now.",
+            "since(condition) -> float",
+        ),
+        TemporalFunction(
+            "heldFor",
+            _held_for,
+            "Returns for how many seconds a condition has held until now; 0 if it does not.",
+            "heldFor(condition) -> float",
+        ),
+        TemporalFunction(
+            "holds",
+            _holds,
+            "Returns the maximal intervals [start, end] of simulated time during which a condition "
+            "held: from the first tick at which it did to the first at which it did not, or to "
+            "the last one.",
+            "holds(condition[, age]) -> list",
+        ),
+        TemporalFunction(
+            "changes",
+            _changes,
+            "Returns [time, value] of an expression at the first recorded tick, and wherever its "
+            "value is another one than at the tick before.",
+            "changes(expression[, age]) -> list",
+        ),
+        TemporalFunction(
+            "least",
+            _least,
+            "Returns [time, value] of the least value of an expression over the recorded ticks, "
+            "the first such: least(clearance(a, b)) is the closest approach.",
+            "least(expression[, age]) -> list",
+        ),
+    )
+}
+
+
+class TemporalEvaluator:
+    """Makes queries of expressions, and keeps them: one is planned once."""
+
+    def __init__(self) -> None:
+        self._queries: WeakKeyDictionary[Node, dict[tuple[bool, ...], Query]] = WeakKeyDictionary()
+
+    def series(
+        self,
+        call: Call,
+        frame: Frame,
+        record_of: Callable[[World], Record],
+        run: Callable[[Query, dict[str, Any]], list[list[Any]]],
+    ) -> TickSeries:
+        """The values of the first argument of a call.
+
+        Args:
+            call: `holds(…)` and the like.
+            frame: knows the entities in it, and its other values.
+            record_of: gives what is kept of a world.
+            run: gives the rows of a query with values that are given.
+
+        Raises:
+            ArgumentError: there is no entity in it.
+            UnsupportedError: it has a query in it, or entities of two worlds.
+        """
+        expression = call.arguments[0]
+        places = list(_places(expression, call))
+        values = [frame.value(place) for place in places]
+        handles = [isinstance(value, Entity) and value.moment is None for value in values]
+        worlds = {v.world for v, is_one in zip(values, handles, strict=True) if is_one}
+        if not worlds:
+            raise ArgumentError(
+                f"{call.name} takes an expression of entities, such as near(gripper, cup, 0.02)",
+                span=expression.span,
+            )
+        if len(worlds) > 1:
+            raise UnsupportedError(f"{call.name} takes entities of one world", span=call.span)
+        record = record_of(worlds.pop())
+        query = self._query(call, places, tuple(handles))
+
+        def rows(past: PastTicks) -> list[list[Any]]:
+            given = {
+                f"value_{number}": _of_entity(past, value) if is_one else value
+                for number, (value, is_one) in enumerate(zip(values, handles, strict=True))
+            }
+            return run(query, given)
+
+        return TickSeries(record, rows, expression)
+
+    def _query(self, call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
+        known = self._queries.setdefault(call, {})
+        if handles not in known:
+            known[handles] = _query_of(call, places, handles)
+        return known[handles]
+
+
+def _of_entity(past: PastTicks, entity: Entity) -> PastTicks:
+    """One entity at some ticks."""
+    return PastTicks(past.record, past.first, past.last, is_window=True, id=entity.id)
+
+
+def _places(node: Node, call: Call) -> Iterator[Node]:
+    """The parts of an expression that may be entities."""
+    if isinstance(node, Query):
+        raise UnsupportedError(
+            f"{call.name} takes an expression without a query in it; ask FROM world{{}} instead",
+            span=node.span,
+        )
+    if isinstance(node, _PLACES):
+        yield node
+        return
+    for child in node.children():
+        yield from _places(child, call)
+
+
+def _query_of(call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
+    span = call.span
+    stands: dict[Node, Node] = {}
+    sources = []
+    for number, (place, is_one) in enumerate(zip(places, handles, strict=True)):
+        given = Placeholder(place.span, f"value_{number}")
+        if not is_one:
+            stands[place] = given
+            continue
+        alias = f"entity_{number}"
+        stands[place] = This(place.span, alias)
+        sources.append(Source(place.span, alias, given))
+    first = This(span, sources[0].alias)
+    value = call.arguments[0].replaced(stands.get)
+    items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value)
+    return Query(span, items, tuple(sources))

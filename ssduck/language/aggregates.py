@@ -1,0 +1,198 @@
+"""Aggregates over the rows of a group: `count(*)`, `max(z)` in SELECT, HAVING and ORDER BY.
+
+A query has groups where it has GROUP BY. Without it, all of its rows are one group if it has
+HAVING, or `count(*)` in SELECT. In any other query an aggregate is of a list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.formatting import kind_of
+from ssduck.language.analysis import aliases_of, free_aliases, known
+from ssduck.language.builtins import AGGREGATES
+from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    If,
+    ListLiteral,
+    Literal,
+    Node,
+    Placeholder,
+    Query,
+    Unary,
+)
+
+# What the aggregates of no rows are; of the others it is nothing.
+_OF_NONE: dict[str, Callable[[], Any]] = {"count": int, "sum": int, "uniq": list}
+
+
+def over_rows(node: Node) -> list[Call]:
+    """The aggregates in a part of a query with groups that are over the rows of a group.
+
+    An aggregate of a nested query, or of a list that is written out, is of that list;
+    `count(uniq(x))` is of the list that `uniq(x)` makes of the rows.
+    """
+    if isinstance(node, Query):
+        return []
+    match node:
+        case Call(name=name, arguments=(argument,)) if name in AGGREGATES:
+            if not isinstance(argument, Query | ListLiteral) and not _is_uniq(argument):
+                return [node]
+    return [call for child in node.children() for call in over_rows(child)]
+
+
+def _is_uniq(node: Node) -> bool:
+    return isinstance(node, Call) and node.name == "uniq" and over_rows(node) == [node]
+
+
+@known
+def _counts_rows(node: Node) -> bool:
+    """Whether a part has an aggregate of a number in it, which `*` stands for, too."""
+    match node:
+        case Query():
+            return False
+        case Call(name=name, arguments=(Literal(value=int() | float()),)) if name in AGGREGATES:
+            return True
+    return any(map(_counts_rows, node.children()))
+
+
+def is_one_group(query: Query) -> bool:
+    """Whether all rows of a query are one group."""
+    if query.group:
+        return False
+    if query.having is not None:
+        return True
+    return query.recursion is None and any(map(_counts_rows, query.items))
+
+
+def is_grouped(query: Query) -> bool:
+    """Whether a query has groups."""
+    return bool(query.group) or is_one_group(query)
+
+
+def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
+    """Whether SELECT gives one row a group.
+
+    Args:
+        query: the query.
+        selected: what it selects, bare names looked up.
+    """
+    if query.recursion is not None or not is_grouped(query):
+        return False
+    calls = (call for node in selected for call in over_rows(node))
+    return any(_is_of_rows(call.arguments[0]) for call in calls)
+
+
+def _is_of_rows(argument: Node) -> bool:
+    """Whether an argument cannot be a list that is the same for all rows."""
+    return isinstance(argument, Literal) or bool(free_aliases(argument))
+
+
+class GroupFunction:
+    """A part of a query as a function of the rows of a group.
+
+    An aggregate is over all rows of the group; everything else is that of its first row.
+
+    Args:
+        node: the part.
+        compiler: makes functions of its parts.
+    """
+
+    def __init__(self, node: Node, compiler: ExpressionCompiler) -> None:
+        self._aggregates: list[tuple[str, Call, Thunk]] = []
+        given: dict[Node, Node] = {}
+        for call in over_rows(node):
+            name = f"aggregate {len(self._aggregates)}"
+            self._aggregates.append((name, call, compiler.thunk(call.arguments[0])))
+            given[call] = Placeholder(call.span, name)
+        self._value = compiler.thunk(node.replaced(given.get)) if given else compiler.thunk(node)
+
+    def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
+        """Its value.
+
+        Args:
+            rows: of the group.
+            outer: what is around the query, where the group has no row.
+        """
+        first = rows[0] if rows else outer
+        given = dict(first.given)
+        for name, call, argument in self._aggregates:
+            given[name] = _aggregated(call, argument, rows, first)
+        frame = Frame(first.scope, first.elements, first.local, given, first.columns, first.kept)
+        return self._value(frame)
+
+
+def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame) -> Any:
+    (node,) = call.arguments
+    if free_aliases(node):
+        values = [argument(row) for row in rows]
+    else:
+        value = argument(first)
+        # A list that is the same for all rows is what the aggregate is of.
+        values = list(value) if isinstance(value, list | tuple) else [value] * len(rows)
+    if not values:
+        return _OF_NONE.get(call.name, _nothing)()
+    try:
+        return AGGREGATES[call.name]([values])
+    except ArgumentError as error:
+        raise ArgumentError(_refusal(call.name, values), span=call.span) from error
+    except SelectScriptError as error:
+        error.span = error.span or call.span
+        raise
+
+
+def _nothing() -> None:
+    """The least of no rows."""
+
+
+def _refusal(name: str, values: Sequence[Any]) -> str:
+    kinds = list(dict.fromkeys(map(kind_of, values)))
+    told = f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
+    if any(value is None for value in values):
+        told += "; leave out the rows without a value: WHERE … IS NOT NULL"
+    return told
+
+
+def check_one_group(query: Query, selected: Sequence[Node]) -> None:
+    """Refuse what is of one row where all rows are one group.
+
+    Args:
+        query: the query, bare names looked up.
+        selected: what it selects.
+
+    Raises:
+        ArgumentError: it is in HAVING, or beside an aggregate in SELECT.
+    """
+    if not is_one_group(query):
+        return
+    own = {None, *aliases_of(query)}
+    if query.having is not None:
+        for part in _of_one_row(query.having, own):
+            raise ArgumentError(
+                "HAVING without GROUP BY is about all rows together, and this is of one row; "
+                "write conditions on rows in WHERE, or group the rows by GROUP BY",
+                span=part.span,
+            )
+    if is_aggregated(query, selected):
+        for node in selected:
+            for part in _of_one_row(node, own):
+                raise ArgumentError(
+                    "beside an aggregate of all rows this is of one row; "
+                    "write GROUP BY, or select it in a query of its own",
+                    span=part.span,
+                )
+
+
+def _of_one_row(node: Node, own: set[str | None]) -> Iterator[Node]:
+    """The parts outside of aggregates that depend on a row."""
+    if not free_aliases(node) & own or node in over_rows(node):
+        return
+    if isinstance(node, Binary | Unary | If | ListLiteral) or over_rows(node):
+        for child in node.children():
+            yield from _of_one_row(child, own)
+    else:
+        yield node

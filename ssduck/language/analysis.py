@@ -1,0 +1,162 @@
+"""What the parts of a program depend on: rows, names that change, things that happen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from functools import wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
+
+from ssduck.errors import ArgumentError
+from ssduck.language.tree import (
+    AdapterClause,
+    Assignment,
+    Call,
+    Name,
+    Node,
+    OperatorChain,
+    QualifiedName,
+    Query,
+    Recursion,
+    Source,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
+
+T = TypeVar("T")
+
+# Calls that do something, or see more than their arguments: made row by row, in order.
+IMPURE = frozenset(("print", "eval", "clear"))
+# Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.temporal_functions).
+OVER_TIME = frozenset(("since", "heldFor", "holds", "changes", "least"))
+
+
+def known(look: Callable[[Node], T]) -> Callable[[Node], T]:
+    """Look at a part once: a planner asks of each part, and of each that it is in.
+
+    What is in it is looked at before, so that nothing recurses.
+    """
+    found: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
+
+    @wraps(look)
+    def once(node: Node) -> T:
+        if node not in found:
+            parts = [node]
+            for part in parts:  # which grows meanwhile
+                parts.extend(child for child in part.children() if child not in found)
+            for part in reversed(parts):
+                found[part] = look(part)
+        return found[node]
+
+    return once
+
+
+@known
+def free_aliases(node: Node) -> frozenset[str | None]:
+    """The aliases whose `this` a part mentions, and that no query in it has as a source."""
+    if isinstance(node, This):
+        return frozenset((node.alias,))
+    if isinstance(node, UnresolvedName):
+        return frozenset((None,))
+    if isinstance(node, QualifiedName):
+        return frozenset((node.alias,))
+    found: set[str | None] = set()
+    if not isinstance(node, Query):
+        for child in node.children():
+            found |= free_aliases(child)
+        return frozenset(found)
+    for child in node.children():
+        if not isinstance(child, Source):
+            found |= free_aliases(child)
+    found -= {None, *(source.alias for source in node.sources)}
+    for source in node.sources:  # a source sees what is around the query
+        found |= free_aliases(source)
+    return frozenset(found)
+
+
+def sees_outside(query: Query) -> bool:
+    """Whether a nested query sees rows of the queries around it."""
+    return bool(free_aliases(query))
+
+
+@known
+def is_impure(node: Node) -> bool:
+    """Whether evaluating it does something, so that order and number matter."""
+    match node:
+        case Assignment():
+            return True
+        case Call(name=name) if name in IMPURE:
+            return True
+        case Recursion(start=start, step=step, stop=stop):
+            # State variables are nothing that anything else sees.
+            parts = (
+                part.value if isinstance(part, Assignment) else part for part in (*start, *step)
+            )
+            return is_impure(stop) or any(map(is_impure, parts))
+    return any(map(is_impure, node.children()))
+
+
+@known
+def calls_of(node: Node) -> frozenset[str]:
+    """The functions that a part calls."""
+    own: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
+    own = (node.key,) if isinstance(node, QualifiedName) else own
+    own = (
+        node.operators if isinstance(node, OperatorChain) else own
+    )  # users' functions may be among them
+    return frozenset(own).union(*map(calls_of, node.children()))
+
+
+@known
+def forms_of(node: Node) -> frozenset[str]:
+    """The result forms that a part names."""
+    own = (node.name,) if isinstance(node, AdapterClause) else ()
+    return frozenset(own).union(*map(forms_of, node.children()))
+
+
+def states(query: Query) -> frozenset[str]:
+    """The state variables of a hierarchical query."""
+    if query.recursion is None:
+        return frozenset()
+    parts = (*query.recursion.start, *query.recursion.step)
+    return frozenset(part.name for part in parts if isinstance(part, Assignment))
+
+
+def changing(query: Query) -> frozenset[str]:
+    """The variables that may differ from row to row of a query: those that it assigns."""
+    return frozenset(part.name for part in query.walk() if isinstance(part, Assignment))
+
+
+def mentions(node: Node, names: Collection[str]) -> bool:
+    """Whether a part reads one of these variables."""
+    return not variables_of(node).isdisjoint(names)
+
+
+@known
+def variables_of(node: Node) -> frozenset[str]:
+    """The variables that a part reads."""
+    own = (node.name,) if isinstance(node, Name | TimeIndex) else ()
+    own = (node.alias,) if isinstance(node, QualifiedName) else own
+    return frozenset(own).union(*map(variables_of, node.children()))
+
+
+def aliases_of(query: Query) -> list[str]:
+    """What the sources of a query are called.
+
+    Raises:
+        ArgumentError: two have the same name.
+    """
+    aliases = [
+        source.alias or (f"source_{index + 1}" if index else "this")
+        for index, source in enumerate(query.sources)
+    ]
+    if len(set(aliases)) == len(aliases):
+        return aliases
+    for index, alias in enumerate(aliases):
+        if alias in aliases[:index]:
+            raise ArgumentError(
+                f"two sources are called {alias!r}; write FROM a={alias}, b=…",
+                span=query.sources[index].span,
+            )
+    return aliases

@@ -1,0 +1,226 @@
+"""Functions of plain values: those that come with the language, and those that users add."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial, wraps
+from typing import Any
+
+from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
+from ssduck.formatting import bounded, described, reason
+from ssduck.language.operators import apply, apply_unary
+from ssduck.language.overrides import NAMES
+from ssduck.language.value_keys import ATOMS, NUMPYS, hashable
+
+# A double has no digits beyond these, before or behind the point.
+MOST_DIGITS = 400
+
+
+@dataclass(frozen=True)
+class Function:
+    """A Python function in the language.
+
+    Attributes:
+        name: what programs call it.
+        call: the function; it gets copies of lists and dicts, and gives some: it may fill
+            the same list each time. Of what it gives, numpy's numbers and truths become
+            Python's.
+        help: what `help('name')` tells after the name.
+        least: how many arguments it takes at least.
+        most: how many at most; None for any number.
+        builtin: whether it comes with the language.
+        hints: what its signature tells SQL of it, which is nothing to the language itself; None
+            if SQL cannot call it.
+    """
+
+    name: str
+    call: Callable[..., Any]
+    help: str
+    least: int
+    most: int | None
+    builtin: bool = False
+    hints: object = None
+
+    @classmethod
+    def of(
+        cls, name: str, call: Callable[..., Any], help: str | None = None, hints: object = None
+    ) -> Function:
+        """A user's function; its arity is that of its signature."""
+        least, most = _arity(call)
+        text = help if help is not None else inspect.getdoc(call) or f"Usage: {name}(...)"
+        return cls(name, call, text, least, most, hints=hints)
+
+    def __call__(self, arguments: Sequence[Any]) -> Any:
+        """Call it.
+
+        Raises:
+            FunctionError: a user's one raised; the original is the cause.
+            ArgumentError: one of the language does not take these values.
+            LimitError: a program that it ran used up what there is.
+        """
+        try:
+            if self.builtin:  # these change nothing that they are given
+                value = self.call(*arguments)
+                return value.item() if isinstance(value, NUMPYS) else value
+            value = self.call(*map(_copied, arguments))
+            return value if type(value) in ATOMS else _given(value)
+        except (LimitError, RecursionError):
+            raise
+        except SelectScriptError as error:
+            if self.builtin and isinstance(error, ArgumentError) and error.span is None:
+                raise ArgumentError(f"{self.name}: {error.message}") from error
+            if self.builtin:
+                raise
+            raise self._failed(error, bounded(error.message)) from error
+        except Exception as error:
+            if self.builtin:
+                raise ArgumentError(self._refused(arguments)) from error
+            raise self._failed(error, reason(error)) from error
+
+    def _refused(self, arguments: Sequence[Any]) -> str:
+        """What the language's own function did not take, and what it takes."""
+        given = ", ".join(map(described, arguments)) or "no arguments"
+        usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
+        return f"{self.name} does not take {given}: it is {usage}"
+
+    def _failed(self, error: Exception, why: str) -> FunctionError:
+        return FunctionError(f"{self.name}: {type(error).__name__}: {why}")
+
+
+def _copied(value: Any) -> Any:
+    """A copy of a list or a dict, and of what is in it; handles stay what they are."""
+    if type(value) is list:
+        return [part if type(part) in ATOMS else _copied(part) for part in value]
+    if type(value) is dict:
+        return {key: _copied(element) for key, element in value.items()}
+    return copy.deepcopy(value) if isinstance(value, list | dict) else value
+
+
+def _given(value: Any) -> Any:
+    """What a function gave: copies of lists and dicts, Python's numbers for numpy's."""
+    if type(value) is list:
+        return [part if type(part) in ATOMS else _given(part) for part in value]
+    if type(value) is tuple:
+        return tuple([part if type(part) in ATOMS else _given(part) for part in value])
+    if type(value) is dict:
+        return {_given(key): _given(element) for key, element in value.items()}
+    return value.item() if isinstance(value, NUMPYS) else value
+
+
+def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
+    try:
+        parameters = inspect.signature(call).parameters.values()
+    except (TypeError, ValueError):  # some of C's functions do not tell
+        return 0, None
+    positional = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    least = sum(p.default is p.empty for p in positional)
+    endless = any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    return least, None if endless else len(positional)
+
+
+def _uniq(values: list[Any]) -> list[Any]:
+    """Without repetitions, in order of first appearance."""
+    if ATOMS.issuperset(map(type, values)):
+        return list(dict.fromkeys(values))
+    kept: dict[Any, Any] = {}
+    for value in values:
+        kept.setdefault(hashable(value), value)
+    return list(kept.values())
+
+
+def _avg(values: list[Any]) -> Any:
+    return sum(values) / len(values)
+
+
+def _of_elements(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A function of the elements of a list: a text's letters are none."""
+
+    @wraps(call)
+    def of_list(values: Any) -> Any:
+        if isinstance(values, str | bytes):
+            raise TypeError("a text is no list")
+        return call(values)
+
+    return of_list
+
+
+def _builtin(
+    name: str, call: Callable[..., Any], about: str, usage: str, most: int = 1
+) -> Function:
+    least = most - usage.count("[,")
+    return Function(name, call, f"{about}\nUsage: {usage}", least, most, builtin=True)
+
+
+def _round(number: float, digits: int | None = None) -> float:
+    if digits is not None and abs(digits) > MOST_DIGITS:
+        raise ValueError(f"{digits} digits are more than a number has")
+    return round(number, digits)
+
+
+_OF_LISTS = (
+    _builtin(
+        "count",
+        len,
+        "Returns how many elements a list has, or letters a text.",
+        "count(list) -> int",
+    ),
+    *(
+        _builtin(name, _of_elements(call), about, f"{name}(list) -> {result}")
+        for name, call, about, result in (
+            ("sum", sum, "Returns the sum of a list.", "number"),
+            ("min", min, "Returns the least element of a list.", "value"),
+            ("max", max, "Returns the greatest element of a list.", "value"),
+            ("avg", _avg, "Returns the mean of a list.", "float"),
+            ("uniq", _uniq, "Returns a list without its repetitions.", "list"),
+        )
+    ),
+)
+
+_OF_NUMBERS = tuple(
+    _builtin(name, call, f"Returns {what}.", f"{name}(number) -> number")
+    for name, call, what in (
+        ("abs", abs, "the absolute value"),
+        ("sqrt", math.sqrt, "the square root"),
+        ("exp", math.exp, "e to the power of a number"),
+        ("log", math.log, "the natural logarithm"),
+        ("floor", math.floor, "the next integer below"),
+        ("ceil", math.ceil, "the next integer above"),
+        ("sin", math.sin, "the sine of an angle in radians"),
+        ("cos", math.cos, "the cosine of an angle in radians"),
+        ("tan", math.tan, "the tangent of an angle in radians"),
+        ("asin", math.asin, "the arc sine in radians"),
+        ("acos", math.acos, "the arc cosine in radians"),
+        ("atan", math.atan, "the arc tangent in radians"),
+    )
+)
+
+_OTHERS = (
+    _builtin("round", _round, "Returns a rounded number.", "round(number[, digits]) -> number", 2),
+    _builtin("pow", partial(apply, "^"), "Returns a power.", "pow(base, exponent) -> number", 2),
+    _builtin(
+        "atan2", math.atan2, "Returns the angle of (x, y) in radians.", "atan2(y, x) -> float", 2
+    ),
+    _builtin("str", str, "Returns a value as text.", "str(value) -> str"),
+    _builtin("int", int, "Returns a value as an integer.", "int(value) -> int"),
+    _builtin("float", float, "Returns a value as a float.", "float(value) -> float"),
+)
+
+# A name that is a word of the language calls nothing; `pow` is among the others.
+_OF_OPERATORS = (
+    _builtin("neg", partial(apply_unary, "-"), "Returns -a.", "neg(a) -> number"),
+    *(
+        _builtin(name, partial(apply, sign), f"Returns a {sign} b.", f"{name}(a, b) -> value", 2)
+        for sign, name in NAMES.items()
+        if not sign.isalpha() and sign != "^"
+    ),
+)
+
+AGGREGATES: dict[str, Function] = {function.name: function for function in _OF_LISTS}
+
+BUILTINS: dict[str, Function] = {
+    function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS + _OF_OPERATORS
+}

@@ -1,0 +1,422 @@
+"""What Python makes of rows: conditions, order, groups, paths, selected values.
+
+A row is a `Frame`. `Clauses` are a query's clauses as functions of frames; they take the rows
+that SQL has left, or all combinations of the sources where a query runs row by row.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cmp_to_key
+from itertools import islice, product
+from typing import Any, TypeAlias
+
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
+from ssduck.formatting import shown, unusable
+from ssduck.language.aggregates import GroupFunction, over_rows
+from ssduck.language.evaluator import ExpressionCompiler, Frame
+from ssduck.language.operators import apply, truth
+from ssduck.language.tree import Node, OrderKey
+from ssduck.language.value_keys import hashable
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a query.
+
+    Attributes:
+        values: a tuple a row, in order: one value a selected item.
+        names: the columns' names; where `to` names a column differently from row to row, a
+            tuple a row.
+    """
+
+    values: list[tuple[Any, ...]]
+    names: tuple[Any, ...] | list[tuple[Any, ...]]
+
+
+@dataclass(frozen=True)
+class Paths:
+    """What a hierarchical query found: the rows of each path, or of each step of each path."""
+
+    paths: Sequence[Selected]
+
+
+@dataclass(frozen=True)
+class Groups:
+    """What a query with GROUP BY found: the rows, or the paths, of each group."""
+
+    groups: dict[str, Selected]
+
+
+Selected: TypeAlias = Rows | Paths | Groups
+
+
+def formed(selected: Selected, make: Callable[[Rows], Any]) -> Any:
+    """What an adapter makes of what was selected: of rows, of each path, of each group."""
+    match selected:
+        case Groups(groups=groups):
+            return {key: formed(part, make) for key, part in groups.items()}
+        case Paths(paths=paths):
+            return [formed(path, make) for path in paths]
+    return make(selected)
+
+
+@dataclass(frozen=True)
+class SelectedValue:
+    """A selected value and its name: a text, or a part to be evaluated for each row."""
+
+    node: Node
+    name: str | Node
+
+
+@dataclass(frozen=True)
+class PythonClauses:
+    """The clauses of a query that Python applies to its rows, in this order.
+
+    Attributes:
+        columns: what is selected.
+        conditions: what every row must fulfil.
+        order: keys to sort by.
+        group: keys to group by.
+        having: what every group must fulfil.
+        limit: how many rows, or groups.
+        is_one_group: whether all rows are one group.
+        is_aggregated: whether a group gives one row.
+        distinct: whether what is equal is selected once.
+    """
+
+    columns: tuple[SelectedValue, ...]
+    conditions: tuple[Node, ...] = ()
+    order: tuple[OrderKey, ...] = ()
+    group: tuple[Node, ...] = ()
+    having: Node | None = None
+    limit: Node | None = None
+    is_one_group: bool = False
+    is_aggregated: bool = False
+    distinct: bool = False
+
+    @property
+    def clauses(self) -> list[str]:
+        """The clauses that are always Python's."""
+        given = (("GROUP BY", bool(self.group)), ("DISTINCT", self.distinct))
+        return [clause for clause, is_given in given if is_given]
+
+
+class Clauses:
+    """The clauses of a query as functions of frames.
+
+    Args:
+        rest: the clauses.
+        compiler: makes functions of their parts.
+    """
+
+    def __init__(self, rest: PythonClauses, compiler: ExpressionCompiler) -> None:
+        self._rest = rest
+        self._conditions = [compiler.condition(node) for node in rest.conditions]
+        self.items = SelectedItems(rest.columns, compiler)
+        of_rows = [k for k in rest.order if not rest.group or not over_rows(k.value)]
+        self._order = [(compiler.thunk(key.value), key) for key in of_rows]
+        self._group = [(compiler.thunk(node), node) for node in rest.group]
+        self._group_order: list[tuple[GroupFunction, OrderKey]] = []
+        if len(of_rows) < len(rest.order):
+            self._group_order = [(GroupFunction(key.value, compiler), key) for key in rest.order]
+        self._having = None if rest.having is None else GroupFunction(rest.having, compiler)
+        self._aggregated = _Aggregated(rest.columns, compiler) if rest.is_aggregated else None
+        self._limit = None if rest.limit is None else compiler.thunk(rest.limit)
+
+    def holds(self, frame: Frame) -> bool:
+        """Whether a row fulfils the conditions."""
+        return all(condition(frame) for condition in self._conditions)
+
+    def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
+        """What is selected of rows."""
+        limit = self.count(outer)
+        kept: Iterable[Frame] = filter(self.holds, rows) if self._conditions else rows
+        rest = self._rest
+        if limit is not None and not (
+            rest.order or rest.group or rest.is_one_group or rest.distinct
+        ):
+            kept = islice(kept, limit)
+        made = self._distinct if rest.distinct else self.items.rows
+        return self.arranged(list(kept), lambda row: row, made, limit, outer)
+
+    def arranged(
+        self,
+        found: list[Any],
+        row: Callable[[Any], Frame],
+        made: Callable[[list[Any]], Selected],
+        limit: int | None,
+        outer: Frame,
+    ) -> Selected:
+        """Rows or paths in their order, in their groups, as many as are wanted.
+
+        Args:
+            found: the rows or paths.
+            row: the frame that a key is evaluated in.
+            made: makes what is selected of rows or paths.
+            limit: how many, or how many groups.
+            outer: what is around the query.
+        """
+        if self._order:
+            found = _sorted(
+                found, lambda entry: [key(row(entry)) for key, _ in self._order], self._order
+            )
+        if not self._group:
+            return self._of_all(found, row, made, limit, outer)
+        groups: dict[str, list[Any]] = {}
+        for entry in found:
+            frame = row(entry)
+            key = ", ".join(printed(thunk(frame), node) for thunk, node in self._group)
+            groups.setdefault(key, []).append(entry)
+        frames = {key: [row(entry) for entry in entries] for key, entries in groups.items()}
+        wanted = [key for key in groups if self._is_wanted(frames[key], outer)]
+        if self._group_order:
+            order = self._group_order
+            wanted = _sorted(wanted, lambda k: [key(frames[k], outer) for key, _ in order], order)
+        aggregated = self._aggregated
+        if aggregated is not None:
+            return Groups({key: aggregated.row(frames[key], outer) for key in wanted[:limit]})
+        return Groups({key: made(groups[key]) for key in wanted[:limit]})
+
+    def _of_all(
+        self,
+        found: list[Any],
+        row: Callable[[Any], Frame],
+        made: Callable[[list[Any]], Selected],
+        limit: int | None,
+        outer: Frame,
+    ) -> Selected:
+        """What is selected of all rows or paths, where there are no groups, or one."""
+        if self._rest.is_one_group:
+            frames = [row(entry) for entry in found]
+            is_wanted = self._is_wanted(frames, outer)
+            if self._aggregated is not None:
+                return self._aggregated.row(frames, outer, is_there=is_wanted and limit != 0)
+            found = found if is_wanted else []
+        if not self._rest.distinct:
+            return made(found[:limit])
+        selected = made(found)
+        assert isinstance(selected, Rows)
+        names = selected.names[:limit] if isinstance(selected.names, list) else selected.names
+        return Rows(selected.values[:limit], names)
+
+    def _is_wanted(self, rows: list[Frame], outer: Frame) -> bool:
+        """Whether HAVING holds of a group."""
+        if self._having is None or self._rest.having is None:
+            return True
+        return truth(self._having(rows, outer), self._rest.having)
+
+    def _distinct(self, frames: list[Frame]) -> Rows:
+        """The rows of these frames, of equal ones the first."""
+        rows = self.items.rows(frames)
+        several = rows.names if isinstance(rows.names, list) else [rows.names] * len(frames)
+        first: dict[Any, tuple[Any, Any]] = {}
+        for names, values in zip(several, rows.values, strict=True):
+            first.setdefault(hashable([*names, *values]), (names, values))
+        kept = list(first.values())
+        return self.items.gathered([names for names, _ in kept], [values for _, values in kept])
+
+    def count(self, outer: Frame) -> int | None:
+        """How many rows, paths or groups are wanted; None for all."""
+        node = self._rest.limit
+        if node is None or self._limit is None:
+            return None
+        return checked_count(self._limit(outer), "LIMIT", node)
+
+
+class SelectedItems:
+    """The selected columns as functions of frames."""
+
+    def __init__(self, columns: Sequence[SelectedValue], compiler: ExpressionCompiler) -> None:
+        self._items = [compiler.thunk(column.node) for column in columns]
+        self._names = [
+            column.name if isinstance(column.name, str) else compiler.thunk(column.name)
+            for column in columns
+        ]
+        self._fixed = tuple(name for name in self._names if isinstance(name, str))
+
+    def values(self, frame: Frame) -> tuple[Any, ...]:
+        """The selected values of a row."""
+        return tuple([item(frame) for item in self._items])
+
+    def names(self, frame: Frame) -> tuple[Any, ...]:
+        """What a row calls its columns."""
+        if len(self._fixed) == len(self._names):
+            return self._fixed
+        return tuple([name if isinstance(name, str) else name(frame) for name in self._names])
+
+    def rows(self, frames: list[Frame]) -> Rows:
+        """The rows of these frames."""
+        values = [self.values(frame) for frame in frames]
+        if len(self._fixed) == len(self._names):
+            return Rows(values, self._fixed)
+        return Rows(values, [self.names(frame) for frame in frames])
+
+    def gathered(self, names: list[tuple[Any, ...]], values: list[tuple[Any, ...]]) -> Rows:
+        """Rows of values that were selected before."""
+        fixed = len(self._fixed) == len(self._names)
+        return Rows(values, self._fixed if fixed else names)
+
+
+class _Aggregated:
+    """The selected columns as functions of the rows of a group."""
+
+    def __init__(self, columns: Sequence[SelectedValue], compiler: ExpressionCompiler) -> None:
+        self._items = [GroupFunction(column.node, compiler) for column in columns]
+        self._names = [
+            column.name if isinstance(column.name, str) else GroupFunction(column.name, compiler)
+            for column in columns
+        ]
+        self._fixed = tuple(name for name in self._names if isinstance(name, str))
+
+    def row(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
+        """The row of a group; none where HAVING leaves it out."""
+        if not is_there:
+            return Rows([], self._fixed)
+        values = [tuple(item(frames, outer) for item in self._items)]
+        if len(self._fixed) == len(self._names):
+            return Rows(values, self._fixed)
+        names = tuple(n if isinstance(n, str) else n(frames, outer) for n in self._names)
+        return Rows(values, [names])
+
+
+def _sorted(
+    found: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, OrderKey]]
+) -> list[Any]:
+    """By keys; what has equal keys stays in its order."""
+    keyed = [(keys_of(entry), entry) for entry in found]
+
+    def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
+        for (_, key), a, b in zip(order, left[0], right[0], strict=True):
+            if truth(apply("!=", a, b, key.value.span), key.value):
+                less = truth(apply("<", a, b, key.value.span), key.value)
+                return -1 if less != key.descending else 1
+        return 0
+
+    return [entry for _, entry in sorted(keyed, key=cmp_to_key(compare))]
+
+
+def checked_count(value: Any, what: str, node: Node) -> int:
+    """A number of rows, of levels or of results.
+
+    Raises:
+        EvaluationError: it is none.
+    """
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise EvaluationError(f"{what} takes a whole number, not {shown(value)}", span=node.span)
+    return min(value, sys.maxsize)  # there is nothing of which there are more
+
+
+def printed(value: Any, node: Node) -> str:
+    """A value as a group's key: an entity by its name, a text without quotes.
+
+    Raises:
+        EvaluationError: it cannot be printed.
+    """
+    try:
+        name = getattr(value, "name", None)
+        if isinstance(name, str) and not isinstance(value, str):
+            return name
+        return str(_unsigned(value))
+    except (SelectScriptError, RecursionError):
+        raise
+    except Exception as error:
+        raise unusable(error, node.span) from error
+
+
+def _unsigned(value: Any) -> Any:
+    """-0.0 as 0.0: they are equal, and SQL has its own idea of which one a remainder is."""
+    if type(value) is float:
+        return value + 0.0
+    return [_unsigned(part) for part in value] if type(value) is list else value
+
+
+class LockstepSource(Sequence[Any]):
+    """Entities at recorded ticks, which go through their ticks together with another source.
+
+    Args:
+        elements: the entities, tick by tick.
+        to: the place of the other source, before this one.
+    """
+
+    def __init__(self, elements: Sequence[Any], to: int) -> None:
+        self.to = to
+        self._elements = elements
+        self._by_tick: dict[int, list[Any]] = {}
+        for element in elements:
+            self._by_tick.setdefault(element.moment.tick, []).append(element)
+
+    def __len__(self) -> int:
+        return len(self._elements)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._elements[place]
+
+    def beside(self, other: Any) -> Sequence[Any]:
+        """Those of the tick of another one."""
+        return self._by_tick.get(other.moment.tick, ())
+
+
+def _products(values: Sequence[Iterable[Any]]) -> Iterator[tuple[Any, ...]]:
+    if not any(isinstance(elements, LockstepSource) for elements in values):
+        yield from product(*values)
+        return
+    listed = [
+        elements if isinstance(elements, LockstepSource) else list(elements) for elements in values
+    ]
+
+    def following(row: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+        if len(row) == len(listed):
+            yield row
+            return
+        elements = listed[len(row)]
+        chosen = (
+            elements.beside(row[elements.to]) if isinstance(elements, LockstepSource) else elements
+        )
+        for element in chosen:
+            yield from following((*row, element))
+
+    yield from following(())
+
+
+def combinations(
+    aliases: Sequence[str], values: Sequence[Iterable[Any]], outer: Frame
+) -> Iterator[dict[str | None, Any]]:
+    """The elements of the sources by alias, for each combination of them, the last fastest."""
+    around: dict[str | None, Any] = dict(outer.elements)
+    around.pop(None, None)
+    for elements in _products(values):
+        row: dict[str | None, Any] = {**around, **dict(zip(aliases, elements, strict=True))}
+        if len(aliases) == 1:
+            row[None] = elements[0]
+        yield row
+
+
+def row_frames(
+    aliases: Sequence[str],
+    values: Sequence[Iterable[Any]],
+    outer: Frame,
+    kept: dict[Node, Any],
+) -> Iterator[Frame]:
+    """The frames of all rows of a query, in order; each one is a step."""
+    look = outer.scope.meter.looks()
+    for elements in combinations(aliases, values, outer):
+        look()
+        yield outer.row(elements, kept)
+
+
+def check_columns(columns: Sequence[SelectedValue]) -> None:
+    """Two columns of one name would leave one value out of a dict, unnoticed.
+
+    Raises:
+        ArgumentError: two have the same name.
+    """
+    names = [column.name for column in columns]
+    for index, column in enumerate(columns):
+        if isinstance(column.name, str) and column.name in names[:index]:
+            raise ArgumentError(
+                f"two columns are called {column.name!r}; name them with to(…, 'name')",
+                span=column.node.span,
+            )

@@ -1,0 +1,563 @@
+"""Values of expressions in Python: of what stands outside a query, and of what SQL cannot do.
+
+A part of a tree is compiled once to a function of a `Frame`: of what the part sees where it is
+evaluated. Variables, functions and nested queries are looked up through the frame's
+`EvaluationScope`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from operator import attrgetter
+from typing import Any, Protocol, TypeAlias
+
+from ssduck.errors import (
+    ArgumentError,
+    SelectScriptError,
+    UnknownNameError,
+    UnsupportedError,
+)
+from ssduck.formatting import shown, unusable
+from ssduck.language.aggregate_arguments import argument_check
+from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
+from ssduck.language.deferred import LazyList
+from ssduck.language.memo import MEMOS, Memo
+from ssduck.language.missing_names import is_a_key, no_element, no_name
+from ssduck.language.operator_frames import binary, chain, is_decided, unary
+from ssduck.language.operators import check_size, indexed, truth
+from ssduck.language.tree import (
+    Assignment,
+    Binary,
+    Call,
+    If,
+    Index,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    Placeholder,
+    QualifiedName,
+    Query,
+    This,
+    TimeIndex,
+    Unary,
+    UnboundedHorizon,
+    UnresolvedName,
+)
+from ssduck.language.value_history import horizon_of
+from ssduck.language.value_keys import NUMPYS, written
+from ssduck.limits import Usage
+
+# A longer list is looked at for its size as it is made.
+FEW = 4
+# So many parts keep the functions that they were made into; then all are made anew.
+MOST_COMPILED = 5000
+
+
+class EvaluationScope(Protocol):
+    """What an evaluator needs of the interpreter."""
+
+    def variable(self, name: str) -> Any:
+        """A variable's value, or an UnknownNameError."""
+
+    def has_variable(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+
+    def assign(self, name: str, value: Any) -> None:
+        """Set a variable."""
+
+    def keep(self, name: str, value: Any, horizon: float) -> None:
+        """Set a variable that keeps its values of so many seconds."""
+
+    def aged(self, name: str, *age: Any) -> Any:
+        """What a variable was; all that it keeps if no age is given."""
+
+    def check_call(self, node: Call) -> None:
+        """Complain of an unknown function, or of a wrong number of arguments."""
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
+
+    def is_users(self, name: str) -> bool:
+        """Whether that is a user's function."""
+
+    def builtin(self, name: str) -> Callable[[list[Any]], Any] | None:
+        """A function of plain values that comes with the language, and stays what it is."""
+
+    def function(self, name: str) -> Callable[[list[Any]], Any] | None:
+        """A function that is no relation."""
+
+    def over_time(self, node: Call, frame: Frame) -> Any:
+        """The value of a call whose argument is evaluated at each recorded tick."""
+
+    def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
+        """The value of a function call."""
+
+    def query(self, node: Query, frame: Frame) -> Any:
+        """The value of a nested query, which sees the rows of the outer ones."""
+
+    def names(self) -> list[str]:
+        """The names of all variables and functions."""
+
+    def deferred(self, node: Node) -> LazyList:
+        """A list of the running program for the query that uses it."""
+
+    @property
+    def meter(self) -> Usage:
+        """How much of its limits the running program has used."""
+
+
+class Frame:
+    """What an expression sees where it is evaluated.
+
+    Args:
+        scope: variables, functions, queries.
+        elements: the current element of each source, by alias; that of the only source also
+            by None.
+        local: the state variables of a path through a hierarchical query.
+        given: the values of `Placeholder` parts.
+        columns: what SQL has fetched for this row.
+        kept: the values of parts that are the same for all rows, once they are known.
+        state: the same of parts that are the same for all rows of a state.
+        apart: elements of queries around one that does not depend on them.
+    """
+
+    __slots__ = (
+        "apart",
+        "calls",
+        "columns",
+        "elements",
+        "given",
+        "kept",
+        "local",
+        "scope",
+        "state",
+    )
+
+    def __init__(
+        self,
+        scope: EvaluationScope,
+        elements: Mapping[str | None, Any] | None = None,
+        local: dict[str, Any] | None = None,
+        given: Mapping[str, Any] | None = None,
+        columns: Sequence[Any] = (),
+        kept: dict[Node, Any] | None = None,
+        state: dict[Node, Any] | None = None,
+        apart: Mapping[str | None, Any] | None = None,
+    ) -> None:
+        self.scope = scope
+        self.apart = apart if apart is not None else {}
+        self.elements = elements if elements is not None else {}
+        self.local = local if local is not None else {}
+        self.given = given if given is not None else {}
+        self.columns = columns
+        self.kept = kept if kept is not None else {}
+        self.state = state if state is not None else {}
+        self.calls: dict[str, Any] = {}
+
+    def row(
+        self,
+        elements: Mapping[str | None, Any],
+        kept: dict[Node, Any],
+        columns: Sequence[Any] = (),
+    ) -> Frame:
+        """The frame of a row of a query that this one is around."""
+        return Frame(self.scope, elements, self.local, self.given, columns, kept, apart=self.apart)
+
+    def independent(self) -> Frame:
+        """The frame for a query that depends on no row around it: handles do not go with those."""
+        return Frame(
+            self.scope,
+            self.elements,
+            self.local,
+            self.given,
+            self.columns,
+            self.kept,
+            self.state,
+            apart=self.elements,
+        )
+
+    def own_elements(self) -> list[Any]:
+        """The elements of this query, and of those around it that it depends on."""
+        return [e for alias, e in self.elements.items() if self.apart.get(alias) is not e]
+
+    def value(self, node: Node) -> Any:
+        """The value of an expression.
+
+        Raises:
+            SelectScriptError: with the offending part's place.
+        """
+        return compiled(node, self.scope)(self)
+
+
+Thunk: TypeAlias = Callable[[Frame], Any]
+
+
+# Weak keys would stay, too: the functions know their parts.
+_COMPILED: dict[Node, Thunk] = {}
+
+
+def compiled(node: Node, scope: EvaluationScope) -> Thunk:
+    """A part as a function of a frame; made once for a part, names checked each time."""
+    thunk = _COMPILED.get(node)
+    if thunk is None:
+        if len(_COMPILED) >= MOST_COMPILED:
+            _COMPILED.clear()
+        thunk = _COMPILED[node] = ExpressionCompiler(scope).thunk(node)
+    return thunk
+
+
+class ExpressionCompiler:
+    """Makes functions of frames from parts of a tree.
+
+    Args:
+        scope: names are checked with it, whether a row comes to them or not.
+        known: parts whose values are known, as functions of a frame.
+        constants: parts that are the same for all rows: evaluated once, when first needed.
+        of_state: parts that are the same for all rows of a state.
+        memorize: whether a user's function called twice alike in a row is called once; not
+            where variables change between the calls.
+        query: whose parts they are.
+    """
+
+    def __init__(
+        self,
+        scope: EvaluationScope,
+        known: Mapping[Node, Thunk] | None = None,
+        constants: Collection[Node] = (),
+        of_state: Collection[Node] = (),
+        *,
+        memorize: bool = False,
+        query: Query | None = None,
+    ) -> None:
+        self._query = query
+        self._scope = scope
+        self._known = known or {}
+        self._constants = constants
+        self._of_state = of_state
+        self._memorize = memorize
+
+    def thunk(self, node: Node) -> Thunk:
+        """A part as a function of a frame."""
+        known = self._known.get(node)
+        if known is not None:
+            return known
+        thunk = self._thunk(node)
+        if node in self._constants:
+            return _kept(node, thunk, attrgetter("kept"))
+        return _kept(node, thunk, attrgetter("state")) if node in self._of_state else thunk
+
+    def condition(self, node: Node) -> Callable[[Frame], bool]:
+        """A part as a function that tells whether it holds."""
+        thunk = self.thunk(node)
+        if is_decided(node):
+            return thunk  # which is True or False
+
+        def holds(frame: Frame) -> bool:
+            value = thunk(frame)
+            return value if value is True or value is False else truth(value, node)
+
+        return holds
+
+    def calls_once(self, node: Node) -> bool:
+        """Whether a part is a call that is made once for a row, however often it is written."""
+        return (
+            self._memorize
+            and isinstance(node, Call)
+            and self._scope.is_users(node.name)
+            and not is_impure(node)
+        )
+
+    def is_deferred(self, node: Node) -> bool:
+        """Whether a part is a variable that holds a list for the query that uses it."""
+        return (
+            isinstance(node, Name)
+            and self._scope.has_variable(node.name)
+            and isinstance(self._scope.variable(node.name), LazyList)
+        )
+
+    def _thunk(self, node: Node) -> Thunk:
+        match node:
+            case Literal(value=value):
+                return lambda _: value
+            case ListLiteral(items=items):
+                return self._list(node, items)
+            case Name(name=name):
+                return self._name(node, name)
+            case Placeholder(name=name):
+                return lambda frame: frame.given[name]
+            case UnresolvedName():
+                return self._bare(node)
+            case This(alias=alias):
+                return self._element(node, alias)
+            case QualifiedName():
+                return self._dotted(node)
+            case Call():
+                return self._call(node)
+            case Index():
+                return self._index(node)
+            case Unary():
+                return unary(self, node)
+            case Binary():
+                return binary(self, node)
+            case OperatorChain():
+                return chain(self, node)
+            case If():
+                return self._choice(node)
+            case Assignment():
+                return self._assignment(node)
+            case TimeIndex():
+                return self._aged(node)
+            case Query():
+                for part in node.walk():
+                    if isinstance(part, Query):
+                        aliases_of(part)  # is an error whether a row comes to it or not
+                return _placed(node, lambda frame: frame.scope.query(node, frame))
+        raise UnsupportedError(f"{type(node).__name__} is not supported here", span=node.span)
+
+    def _name(self, node: Node, name: str) -> Thunk:
+        placed = _placed(node, lambda frame: _variable(frame, name))
+
+        def value(frame: Frame) -> Any:
+            local = frame.local
+            return local[name] if name in local else placed(frame)
+
+        return value
+
+    def _aged(self, node: TimeIndex) -> Thunk:
+        name, age = node.name, None if node.age is None else self.thunk(node.age)
+
+        def value(frame: Frame) -> Any:
+            _refuse_state(name, frame)
+            return frame.scope.aged(name, *(() if age is None else (age(frame),)))
+
+        return _placed(node, value)
+
+    def _list(self, node: Node, items: Sequence[Node]) -> Thunk:
+        thunks = [self.thunk(item) for item in items]
+        # What is made of few lists is not much larger than they are, and these were checked.
+        large = len(items) > FEW or any(isinstance(item, ListLiteral) for item in items)
+
+        def make(frame: Frame) -> list[Any]:
+            values = [thunk(frame) for thunk in thunks]
+            if large:
+                check_size(values, node.span)
+            return values
+
+        return make
+
+    def _element(self, node: This, alias: str | None) -> Thunk:
+        def element(frame: Frame) -> Any:
+            try:
+                return frame.elements[alias]
+            except KeyError:
+                raise no_element(alias, frame.elements, node.span) from None
+
+        return element
+
+    def _dotted(self, node: QualifiedName) -> Thunk:
+        alias, key = node.alias, node.key
+        element, index = self._element(node.this, alias), self.thunk(node.index)
+
+        def value(frame: Frame) -> Any:
+            if alias in frame.local or frame.scope.has_variable(alias):
+                return index(frame)
+            current = element(frame)
+            if isinstance(current, dict):
+                return indexed(current, key, node.span)
+            call = node.call(frame.scope.meant(key))
+            frame.scope.check_call(call)
+            return frame.scope.call(call, [current], frame)
+
+        return _placed(node, value)
+
+    def _bare(self, node: UnresolvedName) -> Thunk:
+        name = node.name
+        this = (This(node.span, None),)
+
+        def value(frame: Frame) -> Any:
+            element = frame.elements.get(None)
+            if isinstance(element, dict) and name in element:
+                return element[name]
+            if name in frame.local or frame.scope.has_variable(name):
+                return _variable(frame, name)
+            if isinstance(element, dict):
+                raise no_name(name, element, frame.scope.names())
+            call = Call(node.span, frame.scope.meant(name), this, node.span)
+            frame.scope.check_call(call)
+            return frame.scope.call(call, [element], frame)
+
+        return _placed(node, value)
+
+    def _call(self, node: Call) -> Thunk:
+        self._scope.check_call(node)
+        if node.name in OVER_TIME:
+            return lambda frame: frame.scope.over_time(node, frame)
+        thunks = [self.thunk(argument) for argument in node.arguments]
+
+        function = self._scope.builtin(node.name)
+        check = argument_check(node, self._query)
+        if self.calls_once(node):  # what a name means does not change while a query runs
+            return self._remembered(node, thunks)
+
+        def call(frame: Frame) -> Any:
+            arguments = [thunk(frame) for thunk in thunks]
+            try:
+                if function is not None:
+                    check(arguments)
+                    return function(arguments)
+                return frame.scope.call(node, arguments, frame)
+            except SelectScriptError as error:
+                error.span = error.span or node.span
+                raise
+            except (ValueError, ArithmeticError, MemoryError) as error:
+                raise unusable(error, node.span) from error
+
+        return call
+
+    def _remembered(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
+        """A call of a user's function: made once for a row, and once for the same values."""
+        key, name = written(node), node.name
+        function = self._scope.function(name)
+        assert function is not None
+
+        def call(frame: Frame) -> Any:
+            calls = frame.calls
+            if key in calls:
+                return calls[key]
+            arguments = [thunk(frame) for thunk in thunks]
+            memos = frame.kept.get(MEMOS)
+            asked = function
+            if memos is not None:
+                asked = memos.get(name)
+                if asked is None:
+                    asked = memos[name] = Memo(function)
+            value = calls[key] = asked(arguments)
+            return value
+
+        return _placed(node, call)
+
+    def _index(self, node: Index) -> Thunk:
+        base = self.thunk(node.base)
+        indices = [(self.thunk(index), index.span) for index in node.indices]
+
+        def element(frame: Frame) -> Any:
+            value = base(frame)
+            for index, span in indices:
+                value = indexed(value, index(frame), span)
+            return value.item() if isinstance(value, NUMPYS) else value
+
+        return element
+
+    def made(self, node: Node) -> Any:
+        """The value of a part that depends on nothing."""
+        return self._thunk(node)(Frame(self._scope))
+
+    def _choice(self, node: If) -> Thunk:
+        branches = [
+            (self.condition(branch.condition), list(map(self.thunk, branch.then)))
+            for branch in node.branches
+        ]
+        otherwise = list(map(self.thunk, node.otherwise))
+
+        def choice(frame: Frame) -> Any:
+            chosen = next((then for condition, then in branches if condition(frame)), otherwise)
+            value: Any = False
+            for part in chosen:
+                value = part(frame)
+            return value
+
+        return choice
+
+    def _assignment(self, node: Assignment) -> Thunk:
+        name, value = node.name, self.thunk(node.value)
+        horizon = None if node.horizon is None else self._horizon(node.horizon)
+        seen = free_aliases(node.value) if isinstance(node.value, ListLiteral) else frozenset()
+
+        def assign(frame: Frame) -> Any:
+            if node.is_bare and name not in frame.local and not frame.scope.has_variable(name):
+                raise UnknownNameError(
+                    f"there is no variable {shown(name)} that could be assigned here: "
+                    "write == to compare, or assign it before the query",
+                    span=node.span,
+                )
+            seconds = None if horizon is None else horizon(frame)
+            if seen and None not in seen and not frame.elements:
+                assigned: Any = frame.scope.deferred(node.value)
+            else:
+                assigned = value(frame)
+            check_size(assigned, node.span)
+            if seconds is not None:
+                _refuse_state(name, frame)
+                frame.scope.keep(name, assigned, seconds)
+            elif name in frame.local:
+                frame.local[name] = assigned
+            else:
+                frame.scope.assign(name, assigned)
+            return assigned
+
+        return assign if horizon is None else _placed(node, assign)
+
+    def _horizon(self, node: Node) -> Thunk:
+        """How long an assignment keeps values, in seconds."""
+        if isinstance(node, UnboundedHorizon):
+            return lambda _: math.inf
+        value = self.thunk(node)
+        return _placed(node, lambda frame: horizon_of(value(frame)))
+
+
+def _refuse_state(name: str, frame: Frame) -> None:
+    if name in frame.local:
+        raise ArgumentError(f"{name} is a state variable here, and these have no history")
+
+
+def _placed(node: Node, thunk: Thunk) -> Thunk:
+    """With its place told to the errors that arise in it."""
+
+    def placed(frame: Frame) -> Any:
+        try:
+            return thunk(frame)
+        except SelectScriptError as error:
+            error.span = error.span or node.span
+            raise
+        except (ValueError, ArithmeticError, MemoryError) as error:
+            raise unusable(error, node.span) from error
+
+    return placed
+
+
+def _kept(node: Node, thunk: Thunk, values: Callable[[Frame], dict[Node, Any]]) -> Thunk:
+    def kept(frame: Frame) -> Any:
+        known = values(frame)
+        if node in known:
+            return known[node]
+        return known.setdefault(node, thunk(frame))
+
+    return kept
+
+
+def _variable(frame: Frame, name: str) -> Any:
+    if name in frame.local:
+        return frame.local[name]
+    if not frame.scope.has_variable(name):
+        element = frame.elements.get(None)
+        if isinstance(element, dict) and name in element:
+            raise is_a_key(name)
+    value = frame.scope.variable(name)
+    # Outside all queries it is passed on as it is.
+    return resolved(value, frame) if isinstance(value, LazyList) and frame.elements else value
+
+
+def resolved(deferred: LazyList, frame: Frame) -> Any:
+    """The value of a deferred list in the query that uses it.
+
+    Raises:
+        UnknownNameError: the query has no such source.
+    """
+    try:
+        return frame.value(deferred.node)
+    except SelectScriptError as error:
+        error.locate(deferred.text)
+        raise

@@ -1,0 +1,425 @@
+"""Hierarchical queries, row by row: START WITH … CONNECT BY … STOP WITH.
+
+A state is the values of the state variables. In a state, each combination of the sources is a
+row; SELECT, WHERE and STOP WITH see the state before the row's step, and CONNECT BY makes of
+both the next state. At a row: where WHERE holds, the path up to it is a result and ends;
+else, where STOP WITH holds, it is none and ends; else the search goes on from the next state.
+Without WHERE the paths that STOP WITH ends are the results.
+
+A row that ends a path in vain is not selected, as in SQL, unless the query does something.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import count, islice, tee
+from operator import itemgetter
+from typing import Any, TypeAlias
+
+from ssduck.errors import ArgumentError, LimitError
+from ssduck.language.analysis import is_impure, mentions, states
+from ssduck.language.clauses import Clauses, Paths, Rows, Selected, checked_count
+from ssduck.language.deferred import LazyList
+from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk, resolved
+from ssduck.language.graph_paths import Vertex, simple_paths
+from ssduck.language.operators import check_size, truth
+from ssduck.language.tree import Assignment, Name, Node, Query, Recursion, TimeIndex
+from ssduck.language.value_keys import ValueKeys
+
+# So many states keep their rows, so that a state that is reached again costs nothing.
+MOST_STATES = 10_000
+# Where the calls of a row are, what is selected of it is kept, too; no call is written so.
+_SELECT = "SELECT"
+
+
+class RowSelection:
+    """What is selected of a row.
+
+    Attributes:
+        values: what is selected.
+        names: what it is called.
+        key: a number for both, which rows are told apart by; None while it is not known.
+    """
+
+    __slots__ = ("key", "names", "values")
+
+    def __init__(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> None:
+        self.values = values
+        self.names = names
+        self.key: int | None = None
+
+
+class PathStep:
+    """A row in a state at which a path does not end in vain.
+
+    Attributes:
+        frame: what the row's expressions see.
+        found: whether a path up to this row is a result.
+        stops: whether STOP WITH holds; nobody asks where a row is found, but under UNIQUE.
+        selection: what is selected; None while it is not known.
+        after: the rows of the state after its step; None while they are not known.
+    """
+
+    __slots__ = ("after", "found", "frame", "selection", "stops")
+
+    def __init__(
+        self,
+        frame: Frame,
+        selection: RowSelection | None,
+        found: bool,  # there are many of these, and names take time
+        stops: bool,
+    ) -> None:
+        self.frame = frame
+        self.selection = selection
+        self.found = found
+        self.stops = stops
+        self.after: Steps | None = None
+
+
+# The rows of a state, in order, each one made when it is first asked for: what `tee` gives,
+# left at the first row.
+Steps: TypeAlias = Iterator[PathStep]
+RowsOf: TypeAlias = Callable[[dict[str, Any]], Iterable[Mapping[str | None, Any]]]
+Calls: TypeAlias = dict[str, Any]
+
+
+class _States:
+    """The rows of each state that was reached; those of equal states are the same.
+
+    Rows of different states share what users' functions gave if the states differ only in
+    variables that the calls do not mention.
+
+    Args:
+        made: makes the rows of a state; it is given what users' functions gave for each one.
+        called_with: the state variables that calls of users' functions mention; None if rows
+            of different states share nothing.
+        most: so many states are kept; the others are made each time.
+
+    Attributes:
+        keys: numbers for values.
+    """
+
+    def __init__(
+        self,
+        made: Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]],
+        called_with: Collection[str] | None,
+        most: int,
+    ) -> None:
+        self.keys = ValueKeys()
+        self._made = made
+        self._called_with = called_with
+        self._most = most
+        self._known: dict[Any, Steps] = {}
+        self._calls: dict[Any, dict[int, Calls]] = defaultdict(lambda: defaultdict(dict))
+        self._picks: dict[int, Callable[[tuple[Any, ...]], Any]] = {}
+
+    def __call__(self, state: dict[str, Any]) -> Steps:
+        """The rows of a state."""
+        try:
+            key = self.keys.exact(state.values())
+        except ArgumentError:  # it cannot be told apart from others
+            return self._steps(state, None)
+        found = self._known.get(key)
+        if found is not None:
+            return found
+        if len(self._known) >= self._most:
+            return self._steps(state, None)
+        found = self._known[key] = self._steps(state, key)
+        return found
+
+    def _steps(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Steps:
+        return tee(self._made(state, self._calls_of(state, key)), 1)[0]
+
+    def _calls_of(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Iterator[Calls]:
+        """What users' functions gave, for each row of a state."""
+        if key is None or self._called_with is None:
+            return iter(dict, None)
+        pick = self._picks.get(len(state))  # CONNECT BY may set more variables than START WITH
+        if pick is None:
+            places = [place for place, name in enumerate(state) if name in self._called_with]
+            pick = self._picks[len(state)] = itemgetter(*places) if places else _nothing
+        return map(self._calls[pick(key)].__getitem__, count())
+
+
+def _nothing(_: object) -> None:
+    """What calls see of a state if they mention none of its variables."""
+
+
+def _again(steps: Steps) -> Iterator[PathStep]:
+    """The rows of a state from the first one."""
+    return tee(steps)[1]  # the other one is what it was given
+
+
+class Hierarchy:
+    """A hierarchical query as functions of frames.
+
+    Args:
+        query: the query.
+        clauses: SELECT, and what is applied to the paths.
+        compiler: makes functions of its parts.
+        deepest: how many rows a path may have.
+    """
+
+    def __init__(
+        self, query: Query, clauses: Clauses, compiler: ExpressionCompiler, deepest: int
+    ) -> None:
+        assert query.recursion is not None
+        self._query = query
+        self._recursion: Recursion = query.recursion
+        self._clauses = clauses
+        self._start = _assignments(query.recursion.start, compiler)
+        self._next = _assignments(query.recursion.step, compiler)
+        self._stop = compiler.thunk(query.recursion.stop)
+        self._where = None if query.where is None else compiler.thunk(query.where)
+        self._numbers = {
+            node: compiler.thunk(node)
+            for node in (query.recursion.memorize, query.recursion.maximum)
+            if node is not None
+        }
+        self._deepest = deepest
+        # What happens at a row of a query that does something is to happen each time.
+        self._happens = is_impure(query)
+        self._called_with = _called_with(query, compiler)
+        selected = _read(query.items, states(query), compiler)
+        self._shares_selected = (
+            self._called_with is not None and selected is not None and selected <= self._called_with
+        )
+
+    def selected(self, outer: Frame, rows: RowsOf, kept: dict[Node, Any]) -> Selected:
+        """The paths.
+
+        Args:
+            outer: what is around the query.
+            rows: the elements of the sources at each row of a state, in order.
+            kept: the values of parts that are the same for all rows, once they are known.
+        """
+        recursion = self._recursion
+        state = dict(outer.local)
+        for name, value in self._start:
+            frame = Frame(outer.scope, outer.elements, state, outer.given, (), outer.kept)
+            made = value(frame)
+            if name is not None:
+                state[name] = resolved(made, frame) if isinstance(made, LazyList) else made
+        most_states = 0 if self._happens else MOST_STATES
+        states = _States(self._steps_of(outer, rows, kept), self._called_with, most_states)
+        search = self._graph_paths if recursion.memorizes else self._depth_first
+        paths = search(outer, states, state)
+        most = self._number(recursion.maximum, "MAXIMUM", outer)
+        meter = outer.scope.meter
+        found: list[list[PathStep]] = []
+        for path in islice(paths, most):
+            found.append(path)
+            meter.check_rows(len(found))
+        limit = self._clauses.count(outer)
+
+        def formed(paths: list[list[PathStep]]) -> Paths:
+            made = []
+            for path in paths:
+                meter.step()
+                made.append(self._apart(path) if recursion.memorizes else self._rows(path))
+            return Paths(made)
+
+        return self._clauses.arranged(found, lambda path: path[-1].frame, formed, limit, outer)
+
+    def _number(self, node: Node | None, what: str, outer: Frame) -> int | None:
+        return None if node is None else checked_count(self._numbers[node](outer), what, node)
+
+    def _apart(self, path: list[PathStep]) -> Paths:
+        return Paths([self._rows([step]) for step in path])
+
+    def _rows(self, path: Sequence[PathStep]) -> Rows:
+        selections = [self._selection(step) for step in path]
+        return self._clauses.items.gathered(
+            [selection.names for selection in selections],
+            [selection.values for selection in selections],
+        )
+
+    # -- what a row is --------------------------------------------------------------------
+
+    def _steps_of(
+        self, outer: Frame, rows: RowsOf, kept: dict[Node, Any]
+    ) -> Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]]:
+        """What makes the rows of a state, but those at which a path ends in vain."""
+        stop_at, (stop, where) = self._recursion.stop, (self._stop, self._where)
+        found_at = stop_at if self._query.where is None else self._query.where
+        # Under UNIQUE it matters of a row that is found whether it counts.
+        always_stops = where is None or self._recursion.unique
+        scope, given, look = outer.scope, outer.given, outer.scope.meter.looks()
+
+        def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[PathStep]:
+            of_state: dict[Node, Any] = {}
+            frame = None
+            for elements, known in zip(rows(state), calls, strict=False):
+                look()
+                if frame is None:
+                    frame = Frame(scope, elements, state, given, (), kept, of_state)
+                frame.elements, frame.calls = elements, known
+                selection = self._selected_of(frame) if self._happens else None
+                found = False if where is None else where(frame)
+                if found is not True and found is not False:
+                    found = truth(found, found_at)
+                stops = stop(frame) if always_stops or not found else True
+                if stops is not True and stops is not False:
+                    stops = truth(stops, stop_at)
+                if where is None:
+                    found = stops
+                if found or not stops:
+                    yield PathStep(frame, selection, found, stops)
+                    frame = None  # else nobody knows of it
+
+        return steps
+
+    def _selection(self, step: PathStep) -> RowSelection:
+        """What is selected of a row, worked out when it is first asked for."""
+        if step.selection is None:
+            step.selection = self._selected_of(step.frame)
+        return step.selection
+
+    def _selected_of(self, frame: Frame) -> RowSelection:
+        if self._shares_selected and _SELECT in frame.calls:
+            shared: RowSelection = frame.calls[_SELECT]
+            return shared
+        items = self._clauses.items
+        selection = RowSelection(items.values(frame), items.names(frame))
+        if self._shares_selected:
+            frame.calls[_SELECT] = selection
+        return selection
+
+    def _key(self, step: PathStep, keys: ValueKeys) -> int:
+        """What rows are told apart by."""
+        selection = step.selection or self._selection(step)
+        if selection.key is None:
+            selection.key = keys.of(selection.values, selection.names)
+        return selection.key
+
+    def _after(self, step: PathStep, states: _States) -> Iterator[PathStep]:
+        """The rows of the state after a row; all of CONNECT BY sees the state before it."""
+        if step.after is None:
+            state = dict(step.frame.local)
+            for name, value in self._next:
+                made = value(step.frame)
+                check_size(made, self._recursion.span)
+                if name is not None:
+                    state[name] = made
+            step.after = states(state)
+        return _again(step.after)
+
+    # -- searches -------------------------------------------------------------------------
+
+    def _depth_first(
+        self, outer: Frame, states: _States, state: dict[str, Any]
+    ) -> Iterator[list[PathStep]]:
+        """The paths in depth-first order of the sources."""
+        unique = self._recursion.unique
+        tells_apart = unique or self._recursion.no_cycle
+        keys = states.keys
+        visited: set[int | None] = set()
+        path: list[PathStep] = []
+        open_rows = [_again(states(state))]
+        look = outer.scope.meter.looks()
+        while open_rows:
+            for step in open_rows[-1]:
+                look()
+                if tells_apart and self._key(step, keys) in visited:
+                    continue
+                if step.found:
+                    yield [*path, step]
+                goes_on = not (step.found or step.stops)
+                if tells_apart and (not step.stops if unique else goes_on):
+                    visited.add(self._key(step, keys))
+                if goes_on:
+                    path.append(step)
+                    self._check_depth(len(path), "a path", "rows")
+                    open_rows.append(self._after(step, states))
+                    break
+            else:
+                open_rows.pop()
+                left = path.pop() if path else None
+                if left is not None and tells_apart and not unique:
+                    visited.discard(self._key(left, keys))
+
+    def _check_depth(self, depth: int, what: str, parts: str) -> None:
+        if depth >= self._deepest:
+            raise LimitError(
+                f"{what} has more than {self._deepest} {parts}; bound the search in STOP WITH, "
+                "or with MEMORIZE n, or raise Limits(depth=…)",
+                span=self._recursion.span,
+            )
+
+    def _graph_paths(
+        self, outer: Frame, states: _States, state: dict[str, Any]
+    ) -> Iterator[list[PathStep]]:
+        """The simple paths through the graph of distinct selected rows, shortest first."""
+        levels = self._number(self._recursion.memorize, "MEMORIZE", outer)
+        roots, vertices = self._graph(states, state, levels)
+        return simple_paths(roots, vertices, levels, outer.scope.meter.step)
+
+    def _graph(
+        self, states: _States, state: dict[str, Any], levels: int | None
+    ) -> tuple[list[Vertex[PathStep]], list[Vertex[PathStep]]]:
+        """The distinct rows that are reached, breadth first, and those of the first level.
+
+        Without a number of levels there are as many as it takes to find a path.
+        """
+        keys = states.keys
+        deepest = levels
+        known: dict[int, Vertex[PathStep]] = {}
+        waiting: deque[tuple[Vertex[PathStep], int]] = deque()
+
+        def reached(steps: Iterator[PathStep], level: int) -> list[Vertex[PathStep]]:
+            nonlocal deepest
+            found: dict[Vertex[PathStep], None] = {}  # in order, each one once
+            for step in steps:
+                key = self._key(step, keys)
+                vertex = known.get(key)
+                if vertex is None:
+                    vertex = known[key] = Vertex(step, step.found)
+                    if not step.found:
+                        waiting.append((vertex, level))
+                    elif deepest is None:  # what lies deeper is on no shortest path
+                        deepest = level
+                found[vertex] = None
+            return list(found)
+
+        roots = reached(_again(states(state)), 1) if levels != 0 else []
+        while waiting:
+            vertex, level = waiting.popleft()
+            if deepest is None or level < deepest:
+                self._check_depth(level, "the graph", "levels")
+                vertex.next = reached(self._after(vertex.value, states), level + 1)
+        return roots, list(known.values())
+
+
+def _assignments(
+    parts: Sequence[Node], compiler: ExpressionCompiler
+) -> list[tuple[str | None, Thunk]]:
+    """The state variables and their values; without a name, what is evaluated beside them."""
+    return [
+        (part.name, compiler.thunk(part.value))
+        if isinstance(part, Assignment)
+        else (None, compiler.thunk(part))
+        for part in parts
+    ]
+
+
+def _called_with(query: Query, compiler: ExpressionCompiler) -> frozenset[str] | None:
+    """The state variables that calls of users' functions mention.
+
+    None where there is no such call, or where each state has rows of its own.
+    """
+    names = states(query)
+    calls = [node for node in query.walk() if compiler.calls_once(node)]
+    if not calls or any(mentions(source.value, names) for source in query.sources):
+        return None
+    return _read(calls, names, compiler)
+
+
+def _read(
+    nodes: Sequence[Node], names: frozenset[str], compiler: ExpressionCompiler
+) -> frozenset[str] | None:
+    """Those of some variables that parts read; None if nobody knows."""
+    read = [part for node in nodes for part in node.walk() if isinstance(part, Name | TimeIndex)]
+    if any(compiler.is_deferred(part) for part in read):
+        return None
+    return names & {part.name for part in read}

@@ -1,0 +1,140 @@
+"""Intervals of simulated time during which something holds, and how two lie to each other.
+
+Between two recorded ticks nothing is known: what held at a tick is taken to hold until the next
+one. So an interval [start, end] begins at the first tick at which something held and ends at the
+first one at which it did not any more, or at the last tick there is. Where one thing ends at the
+tick at which another begins, the two meet.
+
+The relations are those of Allen, "Maintaining knowledge about temporal intervals", 1983.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+from ssduck.errors import ArgumentError
+from ssduck.formatting import shown
+from ssduck.language.builtins import Function
+
+Interval: TypeAlias = list[float]
+
+
+def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interval]:
+    """The maximal intervals during which something held, in order.
+
+    Args:
+        times: of the recorded ticks, s.
+        holding: whether it held at each.
+    """
+    found: list[Interval] = []
+    start: float | None = None
+    for time, holds in zip(times, holding, strict=True):
+        if holds and start is None:
+            start = time
+        elif not holds and start is not None:
+            found.append([start, time])
+            start = None
+    if start is not None:
+        found.append([start, times[-1]])
+    return found
+
+
+def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]:
+    """[time, value] at the first tick and wherever the value is another one than before."""
+    found = [[time, value] for time, value in zip(times[:1], values[:1], strict=True)]
+    steps = zip(times[1:], pairwise(values), strict=True)
+    return found + [[time, now] for time, (before, now) in steps if not _same(before, now)]
+
+
+def _same(a: Any, b: Any) -> bool:
+    is_nan = a != a and b != b  # noqa: PLR0124  # what is no number is as it was
+    return type(a) is type(b) and (is_nan or bool(a == b))
+
+
+def _ends(value: Any) -> tuple[float, float]:
+    match value:
+        case [int() | float() as start, int() | float() as end] if start <= end:
+            return start, end
+    raise ArgumentError(f"an interval is [start, end] in seconds, not {shown(value)}")
+
+
+@dataclass(frozen=True)
+class Allen:
+    """A relation of two intervals.
+
+    Attributes:
+        name: in the language and in SQL.
+        holds: whether it holds of [a, b] and [c, d].
+        formula: the same in DuckDB's SQL, of the lists a and b.
+        about: what it means.
+    """
+
+    name: str
+    holds: Callable[[float, float, float, float], bool]
+    formula: str
+    about: str
+
+    @property
+    def function(self) -> Function:
+        """It as a function of the language."""
+        told = f"{self.about}\nUsage: {self.name}(a, b) -> bool"
+        return Function(
+            self.name, lambda a, b: self.holds(*_ends(a), *_ends(b)), told, 2, 2, builtin=True
+        )
+
+
+_LISTED = (
+    Allen(
+        "before",
+        lambda _a, b, c, _d: b < c,
+        "a[2] < b[1]",
+        "Checks if an interval a = [start, end] ends before b begins.",
+    ),
+    Allen(
+        "meets",
+        lambda _a, b, c, _d: b == c,
+        "a[2] = b[1]",
+        "Checks if an interval a = [start, end] ends where b begins.",
+    ),
+    Allen(
+        "overlaps",
+        lambda a, b, c, d: a < c < b < d,
+        "a[1] < b[1] AND b[1] < a[2] AND a[2] < b[2]",
+        "Checks if an interval a = [start, end] begins before b, and ends inside b.",
+    ),
+    Allen(
+        "during",
+        lambda a, b, c, d: c < a and b < d,
+        "b[1] < a[1] AND a[2] < b[2]",
+        "Checks if an interval a = [start, end] begins after b begins, and ends before b ends.",
+    ),
+)
+
+# One of them is called as a relation of entities is: what it is given tells which is meant.
+RELATIONS_OF_INTERVALS: dict[str, Allen] = {allen.name: allen for allen in _LISTED}
+
+# The maximal intervals of a table or view with columns `time` and `holds`, a row a tick.
+INTERVALS = """
+    WITH told AS (
+        SELECT time, coalesce(holds, FALSE) AS held, lead(time) OVER (ORDER BY time) AS following,
+            max(time) OVER () AS latest
+        FROM query_table(source)
+    ), islands AS (
+        SELECT *, sum((NOT held)::INTEGER) OVER (ORDER BY time) AS island FROM told
+    )
+    SELECT min(time) AS "start", max(coalesce(following, latest)) AS "end",
+        bool_or(following IS NULL) AS still
+    FROM islands WHERE held GROUP BY island ORDER BY 1
+"""
+ABOUT_INTERVALS = (
+    "A row is a maximal interval during which something held, by the table or view of that name, "
+    "which has the columns time and holds and a row a tick."
+)
+
+
+def are_intervals(values: Sequence[Any]) -> bool:
+    """Whether two values are lists of two, as intervals are, and no entities."""
+    return len(values) == 2 and all(isinstance(v, list) and len(v) == 2 for v in values)

@@ -1,0 +1,42 @@
+"""Errors for what a query does not have: sources, keys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownNameError, nearest
+from ssduck.formatting import bounded, shown
+
+
+def no_element(
+    alias: str | None, elements: Mapping[str | None, Any], span: SourceSpan
+) -> SelectScriptError:
+    """The error for `this`, or `alias.this`, where there is no such source."""
+    names = [name for name in elements if name is not None]
+    if alias is not None:
+        return UnknownNameError(
+            f"there is no source {shown(alias)} here",
+            span=span,
+            suggestions=nearest(alias, names) or names[:3],
+        )
+    if names:
+        told = ", ".join(f"{name}.this" for name in names)
+        return ArgumentError(f"'this' alone is ambiguous here; write one of {told}", span=span)
+    return UnknownNameError(
+        "there is no 'this' here: it is the element of a query's only source", span=span
+    )
+
+
+def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
+    """The error for a bare name that the current element, a dict, has no key of."""
+    texts = [key for key in keys if isinstance(key, str)]
+    return UnknownNameError(
+        f"there is no key, variable or function {shown(name)}",
+        suggestions=nearest(name, [*texts, *known]),
+    )
+
+
+def is_a_key(name: str) -> UnknownNameError:
+    """The error for a variable that is not there, where the current element has such a key."""
+    return UnknownNameError(f"there is no variable {shown(name)}; write this.{bounded(name)}")

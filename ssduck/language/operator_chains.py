@@ -1,0 +1,74 @@
+"""Operators of one level in a row, and how they become nodes.
+
+A few are nested as they are evaluated, from the left. Many are kept flat, so that neither parsing
+nor evaluating them is nested deeply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ssduck.errors import SourceSpan
+from ssduck.language.tree import Binary, Node, OperatorChain
+
+# So many operands are nested. It is less than what a statement of SQL may nest.
+MOST_NESTED = 32
+# So many conditions are joined in SQL; DuckDB's time grows with their square.
+MOST_JOINED = 400
+
+
+class OperandRow:
+    """Operands with operators of one level between them, as they are parsed.
+
+    Args:
+        start: where the text of the first operand begins.
+        first: the first operand.
+        end: where its text ends.
+    """
+
+    def __init__(self, start: int, first: Node, end: int) -> None:
+        self._start = start
+        self._operators: list[str] = []
+        self._operands = [first]
+        self._ends = [end]
+
+    @property
+    def last(self) -> Node:
+        """The first operand, or else the last two with their operator."""
+        if not self._operators:
+            return self._operands[0]
+        span = SourceSpan(self._start, self._ends[-1])
+        return Binary(span, self._operators[-1], *self._operands[-2:])
+
+    def add(self, operator: str, operand: Node, end: int) -> None:
+        """Add an operand, with the operator before it and where its text ends."""
+        self._operators.append(operator)
+        self._operands.append(operand)
+        self._ends.append(end)
+
+    def node(self) -> Node:
+        """What they are together."""
+        if len(self._operands) > MOST_NESTED:
+            span = SourceSpan(self._start, self._ends[-1])
+            return OperatorChain(
+                span, tuple(self._operators), tuple(self._operands), tuple(self._ends)
+            )
+        node, *others = self._operands
+        for operator, operand, end in zip(self._operators, others, self._ends[1:], strict=True):
+            node = Binary(SourceSpan(self._start, end), operator, node, operand)
+        return node
+
+
+def conjuncts(node: Node | None) -> Iterator[Node]:
+    """The parts of a condition that are joined by AND, in order; one part if they are too many."""
+    match node:
+        case Binary(operator="AND", left=left, right=right):
+            yield from conjuncts(left)
+            yield from conjuncts(right)
+        case OperatorChain(operators=("AND", *_), operands=operands) if (
+            len(operands) <= MOST_JOINED
+        ):
+            for operand in operands:
+                yield from conjuncts(operand)
+        case Node():
+            yield node

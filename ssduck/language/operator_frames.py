@@ -1,0 +1,138 @@
+"""Operators of a tree as functions of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias
+
+from ssduck.errors import SourceSpan
+from ssduck.language.operators import CHAINS, GROWING, OPERATORS, QUICK, apply, apply_unary, truth
+from ssduck.language.overrides import plain
+from ssduck.language.tree import Binary, Call, ListLiteral, Literal, Node, OperatorChain, Unary
+
+# Frames are `ssduck.language.evaluator.Frame`.
+Frame: TypeAlias = Any
+Thunk: TypeAlias = Callable[[Frame], Any]
+
+
+class OperandCompiler(Protocol):
+    """What makes functions of frames from operands."""
+
+    def thunk(self, node: Node) -> Thunk:
+        """A part as a function of a frame."""
+
+    def condition(self, node: Node) -> Callable[[Frame], bool]:
+        """A part as a condition."""
+
+    def made(self, node: ListLiteral) -> Any:
+        """A list that is written out, made once."""
+
+
+def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
+    """`-x`, `+x`, `NOT x`, `x IS NULL`."""
+    if node.operator == "NOT":
+        holds = compiler.condition(node.operand)
+        return lambda frame: not holds(frame)
+    sign, inner = node.operator, compiler.thunk(node.operand)
+    if sign == "IS NULL":
+        return lambda frame: inner(frame) is None
+    return lambda frame: apply_unary(sign, inner(frame), node.span)
+
+
+def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
+    """Two sides with an operator between them."""
+    sign = node.operator
+    if sign in CHAINS:
+        return _decided(compiler, sign, (node.left, node.right))
+    operate = OPERATORS[sign]
+    if sign in GROWING:
+        left, right = compiler.thunk(node.left), compiler.thunk(node.right)
+        quick = QUICK[sign]
+
+        def growing(frame: Frame) -> Any:
+            a, b = left(frame), right(frame)
+            if type(a) is type(b) and type(a) in quick:
+                return operate(a, b)
+            return apply(sign, a, b, node.span)
+
+        return growing
+    left, right = _operand(compiler, node.left), _operand(compiler, node.right)
+
+    def operation(frame: Frame) -> Any:
+        a, b = left(frame), right(frame)
+        try:
+            return operate(a, b)
+        except Exception:  # noqa: BLE001  # `apply` tells which
+            return apply(sign, a, b, node.span)
+
+    return operation
+
+
+def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
+    """Many operands of one level, from the left."""
+    if node.operators[0] in CHAINS:
+        return _decided(compiler, node.operators[0], node.operands)
+    first, *others = map(compiler.thunk, node.operands)
+    steps = [
+        (_step(sign, node.until(index)), operand)
+        for index, (sign, operand) in enumerate(zip(node.operators, others, strict=True), 1)
+    ]
+
+    def operation(frame: Frame) -> Any:
+        value = first(frame)
+        for step, operand in steps:
+            value = step(frame, value, operand(frame))
+        return value
+
+    return operation
+
+
+def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
+    """One operator of a chain: one of the language, or a user's function in its place."""
+    if sign in OPERATORS:
+        return lambda _, left, right: apply(sign, left, right, span)
+    call, is_in = Call(span, sign, (), span), plain(sign) == "in"
+    return lambda frame, left, right: frame.scope.call(
+        call, [right, left] if is_in else [left, right], frame
+    )
+
+
+def _operand(compiler: OperandCompiler, node: Node) -> Thunk:
+    """A side of an operator, which keeps nothing of it: a list is made once."""
+    if not isinstance(node, ListLiteral) or not _is_written_out(node):
+        return compiler.thunk(node)
+    fixed = compiler.made(node)
+    return lambda _: fixed
+
+
+def _is_written_out(node: Node) -> bool:
+    if isinstance(node, ListLiteral):
+        return all(map(_is_written_out, node.items))
+    return isinstance(node, Literal)
+
+
+def is_decided(node: Node) -> bool:
+    """Whether a part is True or False because operands are asked one after another."""
+    match node:
+        case Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
+            return sign in CHAINS
+    return False
+
+
+def _decided(
+    compiler: OperandCompiler, sign: str, operands: tuple[Node, ...]
+) -> Callable[[Frame], bool]:
+    """AND, OR: what comes next counts if what was before does not decide."""
+    decides = sign == "OR"
+    parts = [(compiler.thunk(operand), operand) for operand in operands]
+
+    def holds(frame: Frame) -> bool:
+        for part, operand in parts:
+            value = part(frame)
+            if value is not True and value is not False:
+                value = truth(value, operand)
+            if value is decides:
+                return decides
+        return not decides
+
+    return holds

@@ -1,0 +1,207 @@
+"""What the operators mean: of values, in Python."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from itertools import islice
+from typing import Any
+
+from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SourceSpan, nearest
+from ssduck.formatting import MOST_KEYS, kind_of, reason, shown, unusable
+from ssduck.language.tree import Node
+
+# Larger results are refused: they are mistakes, and nothing could stop them.
+MOST_BITS = 1_000_000
+MOST_ELEMENTS = 10_000_000
+
+
+def _is_like(text: Any, pattern: Any) -> bool:
+    """Whether a text is as a pattern says: `%` for any letters, `_` for any one."""
+    if not isinstance(text, str) or not isinstance(pattern, str):
+        raise TypeError
+    return _pattern(pattern).fullmatch(text) is not None
+
+
+@lru_cache(maxsize=256)
+def _pattern(pattern: str) -> re.Pattern[str]:
+    parts = {"%": ".*", "_": "."}
+    letters = "".join(parts.get(letter) or re.escape(letter) for letter in pattern)
+    return re.compile(letters, re.DOTALL)
+
+
+def _remainder(left: Any, right: Any) -> Any:
+    """A remainder: of a text, Python's % would be its formatting, of whatever length."""
+    if isinstance(left, str | bytes | bytearray):
+        raise TypeError("texts have no remainder")
+    return left % right
+
+
+OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+    "LIKE": _is_like,
+    "XOR": lambda left, right: bool(left) != bool(right),
+    "IN": lambda left, right: left in right,
+    "==": operator.eq,
+    "!=": operator.ne,
+    ">=": operator.ge,
+    ">": operator.gt,
+    "<=": operator.le,
+    "<": operator.lt,
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "%": _remainder,
+    "^": operator.pow,
+}
+_UNARY: dict[str, Callable[[Any], Any]] = {
+    "-": operator.neg,
+    "+": operator.pos,
+}
+GROWING = frozenset("+*^")
+# Of two values of these types a result is never too large.
+QUICK = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[type]()}
+CHAINS = frozenset(("AND", "OR"))
+
+
+def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> Any:
+    """The value of a binary operator other than AND and OR.
+
+    Raises:
+        EvaluationError: a division by zero, or a result that is too large.
+        ArgumentError: values that the operator does not take.
+    """
+    if sign in GROWING and _is_endless(sign, left, right):
+        raise EvaluationError(f"the result of {sign} is too large", span=span)
+    try:
+        value = OPERATORS[sign](left, right)
+    except ZeroDivisionError as error:
+        raise EvaluationError("division by zero", span=span) from error
+    except OverflowError as error:
+        raise EvaluationError(f"the result of {sign} is too large", span=span) from error
+    except TypeError as error:
+        raise ArgumentError(
+            f"{sign} does not take {kind_of(left)} and {kind_of(right)}", span=span
+        ) from error
+    except SelectScriptError:
+        raise
+    except Exception as error:
+        raise unusable(error, span) from error
+    if isinstance(value, complex):
+        raise EvaluationError(f"{sign} of these has no real value", span=span)
+    return value
+
+
+def _is_endless(sign: str, left: Any, right: Any) -> bool:
+    """Whether a power, a product or a repetition would take all time and memory there is."""
+    if isinstance(left, int) and isinstance(right, int):
+        if sign == "^":
+            return abs(left) > 1 and right * left.bit_length() > MOST_BITS
+        return sign == "*" and left.bit_length() + right.bit_length() > MOST_BITS
+    if sign == "+" and isinstance(left, Sequence) and isinstance(right, Sequence):
+        return len(left) + len(right) > MOST_ELEMENTS
+    if sign == "*":
+        for sequence, times in ((left, right), (right, left)):
+            if isinstance(sequence, Sequence) and isinstance(times, int):
+                return len(sequence) * times > MOST_ELEMENTS
+    return False
+
+
+def check_size(value: Any, span: SourceSpan) -> None:
+    """Refuse a list of lists of lists that would take for ever to print or to compare.
+
+    Raises:
+        EvaluationError: it has more than `MOST_ELEMENTS`, all the way down.
+    """
+    if type(value) is list and _leaves(value, {}) > MOST_ELEMENTS:
+        raise EvaluationError("the list is too large", span=span)
+
+
+def _leaves(values: list[Any], counted: dict[int, int]) -> int:
+    """How many elements a list has, all the way down; each list is counted once."""
+    count = len(values)
+    for value in values:
+        if type(value) is not list:
+            continue
+        if list not in map(type, value):
+            count += len(value)
+        elif id(value) in counted:
+            count += counted[id(value)]
+        else:
+            known = counted[id(value)] = _leaves(value, counted)
+            count += known
+    return count
+
+
+def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
+    """The value of - or +.
+
+    Raises:
+        ArgumentError: a sign before what is no number.
+    """
+    try:
+        return _UNARY[sign](value)
+    except TypeError as error:
+        raise ArgumentError(f"{sign} does not take {kind_of(value)}", span=span) from error
+    except (SelectScriptError, RecursionError):
+        raise
+    except Exception as error:
+        raise unusable(error, span) from error
+
+
+def truth(value: Any, node: Node) -> bool:
+    """Whether a value holds.
+
+    Raises:
+        EvaluationError: it is neither true nor false.
+    """
+    try:
+        return bool(value)
+    except (SelectScriptError, RecursionError):
+        raise
+    except Exception as error:
+        raise unusable(error, node.span) from error
+
+
+def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
+    """An element of a value.
+
+    Raises:
+        EvaluationError: there is no such element.
+        ArgumentError: the value has no elements, or none of that kind.
+    """
+    try:
+        return value[index]
+    except RecursionError:
+        raise
+    except SelectScriptError as error:  # a world knows its entities, and not where they stand
+        error.span = error.span or span
+        raise
+    except (IndexError, KeyError) as error:
+        raise _no_such(value, index, span, error) from error
+    except TypeError as error:
+        told = f"{kind_of(value)} has no element {shown(index)}"
+        hint = getattr(type(value), "KEY_HINT", None)
+        if hint is not None and isinstance(index, str):
+            told += f"; {hint}"
+        raise ArgumentError(told, span=span) from error
+    except Exception as error:
+        raise unusable(error, span) from error
+
+
+def _no_such(value: Any, index: Any, span: SourceSpan, error: Exception) -> EvaluationError:
+    """Of an element that is not there, with what is there."""
+    missing = f"no element {shown(index)}"
+    if isinstance(value, dict):
+        keys = list(islice(value, MOST_KEYS))
+        more = ", …" if len(value) > MOST_KEYS else ""
+        told = ", ".join(map(shown, keys))
+        near = nearest(index, map(str, keys))
+        return EvaluationError(
+            f"{missing}: there are keys [{told}{more}]", span=span, suggestions=near
+        )
+    if isinstance(value, list | tuple | str):
+        return EvaluationError(f"{missing}: there are {len(value)} elements", span=span)
+    return EvaluationError(f"{missing}: {reason(error)}", span=span)

@@ -1,0 +1,499 @@
+"""SelectScript text to a tree.
+
+The tokenizer is sqlglot's with SelectScript's quotes and comments; the parser is a recursive
+descent over its tokens, one method a precedence level (the grammar is in docs/language.md).
+The tree is made of frozen nodes that know their place in the text. It knows no simulator,
+no database and no variable: names are looked up when a program runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from typing import ClassVar
+
+from sqlglot.errors import TokenError
+from sqlglot.tokenizer_core import Token, TokenType
+from sqlglot.tokens import Tokenizer
+
+from ssduck.errors import ParseError, SourceSpan
+from ssduck.language.comments import last_opening, without_dashes
+from ssduck.language.operator_chains import OperandRow
+from ssduck.language.quoting import unquoted
+from ssduck.language.sql_syntax import SqlForms
+from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
+from ssduck.language.tree import (
+    AdapterClause,
+    Assignment,
+    Branch,
+    Call,
+    If,
+    Index,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    OrderKey,
+    Program,
+    Query,
+    Recursion,
+    Source,
+    This,
+    TimeIndex,
+    Unary,
+    UnboundedHorizon,
+)
+
+
+class SelectScriptTokenizer(Tokenizer):
+    """sqlglot's tokenizer with SelectScript's quotes, comments and operators.
+
+    Words stay plain words (`VAR`), so that no name is lost to an SQL keyword.
+    """
+
+    QUOTES: ClassVar[list[str | tuple[str, str]]] = ["'", '"']
+    IDENTIFIERS: ClassVar[list[str | tuple[str, str]]] = []
+    COMMENTS: ClassVar[list[str | tuple[str, str]]] = ["//", "#", ("/*", "*/")]
+    STRING_ESCAPES: ClassVar[list[str]] = ["\\", "'", '"']  # a quote is doubled, too
+    KEYWORDS: ClassVar[dict[str, TokenType]] = {
+        "==": TokenType.EQ,
+        "!=": TokenType.NEQ,
+        ">=": TokenType.GTE,
+        "<=": TokenType.LTE,
+        "<>": TokenType.NEQ,
+        "||": TokenType.DPIPE,
+        "&&": TokenType.DAMP,
+        "::": TokenType.DCOLON,
+    }
+
+
+def is_reserved(name: str) -> bool:
+    """Whether a program could not call a variable so."""
+    return name.upper() in RESERVED or name.upper() in ("TRUE", "FALSE", "THIS")
+
+
+@lru_cache(maxsize=512)
+def parse(text: str) -> Program:
+    """Parse a program.
+
+    Args:
+        text: statements, each ended by `;` (the last may go without).
+
+    Returns:
+        The program's tree; the same object for the same text.
+
+    Raises:
+        ParseError: with the place of the first thing that is wrong.
+    """
+    return _Parser(text).program()
+
+
+def _tokenize(text: str) -> list[Token]:
+    try:
+        return SelectScriptTokenizer().tokenize(without_dashes(text))
+    except TokenError as error:
+        # The only thing that this tokenizer refuses is a text or a comment without an end.
+        message = "a text or a comment is opened here and never closed"
+        span = SourceSpan(last_opening(text), len(text))
+        raise ParseError(message, text=text, span=span) from error
+
+
+class _Parser(SqlForms):
+    def __init__(self, text: str) -> None:
+        super().__init__(text, _tokenize(text))
+
+    # -- statements -----------------------------------------------------------------------
+
+    def program(self) -> Program:
+        explain = is_kind(self.ahead(), TokenType.VAR) and self.take_words("EXPLAIN")
+        statements = []
+        while self.token is not None:
+            if self.take(TokenType.SEMICOLON):
+                continue
+            statements.append(self.statement())
+            if self.token is not None:
+                self.expect(TokenType.SEMICOLON, "';'")
+        return Program(self.text, tuple(statements), explain, tuple(self.doubts))
+
+    def statement(self) -> Node:
+        self.descend()
+        if self.at_word("SELECT"):
+            node: Node = self.query()
+        elif self.at_assignment():
+            node = self.assignment()
+        else:
+            node = self.expression()
+        self.depth -= 1
+        return node
+
+    def at_assignment(self) -> bool:
+        """Whether `name =` or `name{…} =` comes next."""
+        if not self.at(TokenType.VAR):
+            return False
+        offset = 1
+        if is_kind(self.ahead(offset), TokenType.L_BRACE):
+            depth = 0
+            while token := self.ahead(offset):
+                depth += is_kind(token, TokenType.L_BRACE) - is_kind(token, TokenType.R_BRACE)
+                offset += 1
+                if depth == 0:
+                    break
+        token = self.ahead(offset)
+        return is_kind(token, TokenType.EQ) and token is not None and token.text == "="
+
+    def assignment(self) -> Assignment:
+        start = self.here()
+        name = self.expect_own_name("a variable's name")
+        horizon: Node | None = None
+        opening = self.here()
+        if self.take(TokenType.L_BRACE):
+            endless = self.take(TokenType.R_BRACE)
+            horizon = UnboundedHorizon(self.since(opening)) if endless else self.expression()
+            if not endless:
+                self.expect(TokenType.R_BRACE, "'}'")
+        self.expect(TokenType.EQ, "'='")
+        value = self.statement()
+        return Assignment(self.since(start), name.text, horizon, value)
+
+    def plain_assignment(self, what: str) -> Assignment:
+        """An assignment to what has no history."""
+        if is_kind(self.ahead(), TokenType.L_BRACE):
+            self.index += 1
+            self.fail(f"expected '=' ({what} has no history)")
+        return self.assignment()
+
+    def state(self) -> Node:
+        """An assignment to a state variable, or what is evaluated beside those."""
+        if self.at_assignment():
+            return self.plain_assignment("a state variable")
+        return self.expression()
+
+    # -- queries --------------------------------------------------------------------------
+
+    def query(self) -> Query:
+        start = self.here()
+        self.descend()
+        compares, self.compares = self.compares, False
+        is_listed, self.is_listed = self.is_listed, True
+        self.expect_word("SELECT")
+        distinct = self.takes_distinct()
+        star = self.at(TokenType.STAR)
+        items = () if self.take(TokenType.STAR) else self.separated(self.selected)
+        if star and not self.at_word("FROM"):
+            self.fail("expected FROM after *")
+        if not self.take_words("FROM"):
+            self.fail("expected FROM (a column is named by AS)")
+        self.is_listed = is_listed
+        sources = self.separated(self.source)
+        self.is_listed = True
+        where = self.filtered() if self.take_words("WHERE") else None
+        if distinct and self.at_word("START", "CONNECT"):
+            self.fail("expected no CONNECT BY (DISTINCT is of rows; write UNIQUE or NO CYCLE)")
+        recursion = self.recursion()
+        group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
+        having = self.condition() if self.take_words("HAVING") else None
+        order = self.separated(self.key) if self.take_words("ORDER", "BY") else ()
+        limit = self.expression() if self.take_words("LIMIT") else None
+        adapter = self.adapter() if self.take_words("AS") else None
+        self.depth -= 1
+        self.compares, self.is_listed = compares, is_listed
+        query = Query(
+            self.since(start),
+            items,
+            sources,
+            where,
+            recursion,
+            group,
+            having,
+            order,
+            limit,
+            adapter,
+            distinct,
+        )
+        self.note_condition(where)
+        self.note_condition(having)
+        self.note_keys(query)
+        return self.dotted(query)
+
+    def assigned(self) -> Node:
+        """An assignment that stands as a whole in SELECT or WHERE."""
+        self.descend()
+        node = replace(self.assignment(), is_bare=True)
+        self.depth -= 1
+        return node
+
+    def selected(self) -> Node:
+        """What stands in SELECT: a value, perhaps with a name, or an assignment to a variable."""
+        return self.assigned() if self.at_assignment() else self.item()
+
+    def filtered(self) -> Node:
+        """What stands in WHERE: a condition, or an assignment to a variable."""
+        return self.assigned() if self.at_assignment() else self.condition()
+
+    def source(self) -> Source:
+        start = self.here()
+        alias = None
+        if self.at_assignment():
+            alias = self.expect_own_name("a source's name").text
+            if self.at(TokenType.L_BRACE):
+                self.fail("expected '=' (a source has no history)")
+            self.index += 1
+        is_listed, self.is_listed = self.is_listed, True
+        value = self.query() if self.at_word("SELECT") else self.expression()
+        self.is_listed = is_listed
+        if alias is None:
+            alias = self.alias_behind(is_listed=is_listed)
+        if alias is None and isinstance(value, Name | TimeIndex):
+            alias = value.name
+        return Source(self.since(start), alias, value)
+
+    def key(self) -> OrderKey:
+        start = self.here()
+        value = self.expression()
+        descending = self.take_words("DESC") or self.take_words("DESCENDING")
+        if not descending:
+            _ = self.take_words("ASC") or self.take_words("ASCENDING")
+        return OrderKey(self.since(start), value, descending)
+
+    def recursion(self) -> Recursion | None:
+        start = self.here()
+        initial: tuple[Node, ...] = ()
+        if self.take_words("START", "WITH"):
+            initial = self.separated(self.state)
+        elif not self.at_word("CONNECT"):
+            return None
+        if not self.take_words("CONNECT", "BY"):
+            self.fail("expected CONNECT BY")
+        no_cycle = self.take_words("NO", "CYCLE")
+        unique = self.take_words("UNIQUE")
+        memorizes = self.take_words("MEMORIZE")
+        bounded = memorizes and not (self.at_assignment() or self.at_word("MAXIMUM"))
+        memorize = self.primary() if bounded else None
+        maximum = self.primary() if self.take_words("MAXIMUM") else None
+        step = self.separated(self.state)
+        if not self.take_words("STOP", "WITH"):
+            self.fail("expected STOP WITH")
+        stop = self.condition()
+        self.note_condition(stop)
+        return Recursion(
+            self.since(start), initial, no_cycle, unique, memorizes, memorize, maximum, step, stop
+        )
+
+    def adapter(self) -> AdapterClause:
+        start = self.here()
+        name = self.form_name()
+        arguments: list[Node] = []
+        named: list[Assignment] = []
+        if self.take(TokenType.L_PAREN):
+            while not self.at(TokenType.R_PAREN):
+                if self.at_assignment():
+                    named.append(self.plain_assignment("an argument"))
+                else:
+                    arguments.append(self.statement())
+                if not self.take(TokenType.COMMA):
+                    break
+            self.expect(TokenType.R_PAREN, "')'")
+        return AdapterClause(self.since(start), name, tuple(arguments), tuple(named))
+
+    # -- expressions ----------------------------------------------------------------------
+
+    def expression(self) -> Node:
+        self.descend()
+        node = self.operation(0)
+        self.depth -= 1
+        return node
+
+    def operation(self, loosest: int) -> Node:
+        """Operators of the level `loosest` and tighter ones, by precedence climbing."""
+        start = self.here()
+        if self.take_words("NOT"):
+            self.descend()
+            operand = self.operation(LEVEL_OF["NOT"])
+            self.depth -= 1
+            left: Node = Unary(self.since(start), "NOT", operand)
+        else:
+            left = self.unary()
+        while (level := self.operator_level(left)) >= loosest:
+            if self.condition_level() >= 0:
+                left = self.conditioned(start, left)
+                continue
+            row = OperandRow(start.start, left, self.end())
+            while self.operator_level(row.last) == level and self.condition_level() < 0:
+                word = self.tokens[self.index].text.upper()
+                operator = {"<>": "!=", "=": "=="}.get(word, word)
+                self.index += 1
+                place = self.here()
+                right = self.members() if operator == "IN" else self.operation(level + 1)
+                self.note_chain(operator, (row.last, start, right, place))
+                row.add(operator, right, self.end())
+            left = row.node()
+        return left
+
+    def operator_level(self, left: Node) -> int:
+        """The level of the operator that comes next, -1 if none does.
+
+        Args:
+            left: what is on its left side; a name is not compared by a single `=`.
+        """
+        token = self.token
+        if token is None or token.token_type == TokenType.STRING:
+            return -1
+        if token.token_type == TokenType.EQ and token.text == "=":
+            if self.compares and not isinstance(left, Name):
+                return LEVEL_OF["=="]
+            self.fail("expected '==' to compare ('=' assigns)")
+        operator = token.text.upper()
+        if (level := self.condition_level()) >= 0:
+            return level
+        if operator == "<>":
+            return LEVEL_OF["!="]
+        return -1 if operator == "NOT" else LEVEL_OF.get(operator, -1)
+
+    def unary(self) -> Node:
+        start = self.here()
+        signs = []
+        while self.at(TokenType.DASH) or self.at(TokenType.PLUS):
+            self.descend()
+            signs.append(self.tokens[self.index].text)
+            self.index += 1
+        node = self.postfix()
+        self.depth -= len(signs)
+        for sign in reversed(signs):
+            node = Unary(self.since(start), sign, node)
+        return node
+
+    def postfix(self) -> Node:
+        start = self.here()
+        node = self.primary()
+        indices: list[Node] = []
+        while self.at(TokenType.L_BRACKET) or self.at(TokenType.DOT):
+            if self.take(TokenType.L_BRACKET):
+                indices.extend(self.separated(self.expression))
+                self.expect(TokenType.R_BRACKET, "']'")
+            else:
+                self.expect(TokenType.DOT, "'.'")
+                key = self.expect_name("a key")
+                indices.append(Literal(span_of(key), key.text))
+        return Index(self.since(start), node, tuple(indices)) if indices else node
+
+    def primary(self) -> Node:
+        token = self.token
+        start = self.here()
+        if token is None:
+            self.fail("expected an expression")
+        if self.take(TokenType.NUMBER):
+            return Literal(start, self.number(token))
+        if self.take(TokenType.STRING):
+            return Literal(start, unquoted(self.text[slice_of(token)]))
+        if self.take(TokenType.L_PAREN):
+            is_listed, self.is_listed = self.is_listed, False
+            node = self.statement()
+            self.is_listed = is_listed
+            self.expect(TokenType.R_PAREN, "')'")
+            return node
+        if self.take(TokenType.L_BRACKET):
+            items = () if self.at(TokenType.R_BRACKET) else self.parts()
+            self.expect(TokenType.R_BRACKET, "']'")
+            return ListLiteral(self.since(start), items)
+        if self.take(TokenType.DOT) and (digits := self.take(TokenType.NUMBER)):
+            return Literal(self.since(start), self.number(digits, "."))
+        return self.word()
+
+    def number(self, token: Token, prefix: str = "") -> int | float:
+        text = prefix + token.text
+        try:
+            return int(text) if text.isdigit() else float(text)
+        except ValueError:
+            raise ParseError(
+                f"{text!r} is no number", text=self.text, span=span_of(token)
+            ) from None
+
+    def word(self) -> Node:
+        start = self.here()
+        if self.at_word("SELECT"):
+            return self.query()
+        if self.take_words("TRUE"):
+            return Literal(start, True)
+        if self.take_words("FALSE"):
+            return Literal(start, False)
+        if self.take_words("THIS"):
+            return This(start, None)
+        if self.begins_case():
+            return self.case()
+        if self.at_word("IF") and is_kind(self.ahead(), TokenType.L_PAREN):
+            return self.choice()
+        name = self.expect_name("an expression")
+        if self.at(TokenType.DOT) and is_word(self.ahead(), "THIS"):
+            self.index += 2
+            return This(self.since(start), name.text)
+        if self.take(TokenType.L_PAREN):
+            of_all = self.of_all(name.text)
+            called = name.text
+            if of_all is not None:
+                arguments: tuple[Node, ...] = (of_all,)
+                called = called.lower()
+            else:
+                arguments = () if self.at(TokenType.R_PAREN) else self.parts()
+            self.expect(TokenType.R_PAREN, "')'")
+            return Call(self.since(start), called, arguments, start)
+        if self.take(TokenType.L_BRACE):
+            age = None if self.at(TokenType.R_BRACE) else self.expression()
+            self.expect(TokenType.R_BRACE, "'}'")
+            return TimeIndex(self.since(start), name.text, age)
+        return Name(start, name.text)
+
+    def parts(self) -> tuple[Node, ...]:
+        """Statements with commas between them, in brackets."""
+        is_listed, self.is_listed = self.is_listed, True
+        found = self.separated(self.statement)
+        self.is_listed = is_listed
+        return found
+
+    def choice(self) -> If:
+        """`IF(condition; …; …)`; an `IF` that is a whole else branch is a branch of this one."""
+        start = self.here()
+        self.index += 2
+        branches = [self.branch(start)]
+        otherwise: tuple[Node, ...] = ()
+        open_ones = 1
+        while self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
+            if not self.at_last_choice():
+                otherwise = self.parts()
+                break
+            inner = self.here()
+            self.index += 2
+            open_ones += 1
+            branches.append(self.branch(inner))
+        for _ in range(open_ones):
+            self.expect(TokenType.R_PAREN, "')'")
+        first, *further = branches
+        return If(self.since(start), first.condition, first.then, otherwise, tuple(further))
+
+    def branch(self, start: SourceSpan) -> Branch:
+        """`condition; then, …`; without a then it is True, as in the published grammar."""
+        condition = self.statement()
+        self.note_condition(condition)
+        if self.at(TokenType.R_PAREN):
+            return Branch(self.since(start), condition, (Literal(self.since(start), True),))
+        self.expect(TokenType.SEMICOLON, "';' or ')' after the condition")
+        return Branch(self.since(start), condition, self.parts())
+
+    def at_last_choice(self) -> bool:
+        """Whether an `IF(…)` comes next, and then the end of the one that it is in."""
+        if not self.at_word("IF") or not is_kind(self.ahead(), TokenType.L_PAREN):
+            return False
+        close = self.closings.get(self.index + 1)
+        behind = None if close is None else self.ahead(close + 1 - self.index)
+        return is_kind(behind, TokenType.R_PAREN)
+
+    @cached_property
+    def closings(self) -> dict[int, int]:
+        """Where the token is that closes a parenthesis, by where that is."""
+        found: dict[int, int] = {}
+        open_ones: list[int] = []
+        for index, token in enumerate(self.tokens):
+            if token.token_type == TokenType.L_PAREN:
+                open_ones.append(index)
+            elif token.token_type == TokenType.R_PAREN and open_ones:
+                found[open_ones.pop()] = index
+        return found

@@ -1,0 +1,339 @@
+"""What the language has from SQL: CASE, IN (…), LIKE, BETWEEN, IS NULL, count(*).
+
+Each becomes what the language has for it, but LIKE and IS NULL, which are operators of their own.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+from sqlglot.tokenizer_core import TokenType
+
+from ssduck.errors import SourceSpan
+from ssduck.language.sql_suggestions import HABITS
+from ssduck.language.token_cursor import (
+    CLAUSES,
+    LEVEL_OF,
+    OPERATOR_WORDS,
+    Cursor,
+    is_kind,
+    is_word,
+    span_of,
+)
+from ssduck.language.tree import (
+    Assignment,
+    Binary,
+    Branch,
+    Call,
+    If,
+    Index,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    QualifiedName,
+    Query,
+    Source,
+    Suspicion,
+    TimeIndex,
+    Unary,
+)
+
+AGGREGATES = frozenset(("count", "sum", "min", "max", "avg", "uniq"))
+# The result forms whose names are words of the grammar, so in any case.
+FORMS = frozenset(("dict", "dictionary", "list", "val", "value"))
+_CONDITIONS = ("LIKE", "BETWEEN", "IS")
+_RELATIONAL = ("<", "<=", ">", ">=")
+# What may stand behind a source's alias.
+_BEHIND_SOURCE = ("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "AS")
+_BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
+
+
+def _is_written_out(value: Node) -> bool:
+    """Whether a value depends on nothing."""
+    kinds = (Literal, ListLiteral, Unary, Binary, OperatorChain, Assignment)
+    return all(isinstance(part, kinds) for part in value.walk())
+
+
+class SqlForms(Cursor):
+    """The part of the parser that is about SQL's forms."""
+
+    # Whether `=` compares here, and whether a comma may follow a query's result form.
+    compares = False
+    is_listed = False
+
+    @abstractmethod
+    def statement(self) -> Node:
+        """A statement."""
+
+    @abstractmethod
+    def expression(self) -> Node:
+        """An expression."""
+
+    @abstractmethod
+    def operation(self, loosest: int) -> Node:
+        """Operators of the level `loosest` and tighter ones."""
+
+    def condition(self) -> Node:
+        """An expression in which `=` compares."""
+        before, self.compares = self.compares, True
+        node = self.expression()
+        self.compares = before
+        return node
+
+    # -- operators ------------------------------------------------------------------------
+
+    def condition_level(self) -> int:
+        """The level of `LIKE`, `BETWEEN`, `IS` and `NOT IN`; -1 if none of them comes next."""
+        negated = is_word(self.ahead(), "IN", *_CONDITIONS[:2])
+        is_next = self.at_word(*_CONDITIONS) or (self.at_word("NOT") and negated)
+        return LEVEL_OF["IN"] if is_next else -1
+
+    def conditioned(self, start: SourceSpan, left: Node) -> Node:
+        """What `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
+        is_not = self.take_words("NOT")
+        if self.take_words("IS"):
+            is_not = self.take_words("NOT")
+            if not self.take_words("NULL"):
+                self.fail("expected NULL (write == to compare)")
+            node: Node = Unary(self.since(start), "IS NULL", left)
+        elif self.take_words("BETWEEN"):
+            low = self.operation(LEVEL_OF["+"])
+            self.expect_word("AND")
+            high = self.operation(LEVEL_OF["+"])
+            place = self.since(start)
+            above, below = Binary(place, ">=", left, low), Binary(place, "<=", left, high)
+            node = Binary(place, "AND", above, below)
+        elif self.take_words("IN"):
+            node = Binary(self.since(start), "IN", left, self.members())
+        else:
+            self.expect_word("LIKE")
+            node = Binary(self.since(start), "LIKE", left, self.operation(LEVEL_OF["IN"] + 1))
+        return Unary(self.since(start), "NOT", node) if is_not else node
+
+    def members(self) -> Node:
+        """The right side of IN: `(1, 2)` is a list."""
+        start = self.here()
+        if not self.at(TokenType.L_PAREN):
+            right = self.operation(LEVEL_OF["IN"] + 1)
+        elif self._is_list():
+            self.index += 1
+            is_empty = self.at(TokenType.R_PAREN)
+            items = () if is_empty else self.separated(self.statement)
+            self.expect(TokenType.R_PAREN, "')'")
+            return ListLiteral(self.since(start), items)
+        else:
+            right = self.operation(LEVEL_OF["IN"] + 1)
+            if isinstance(right, Literal):
+                return self._only_member(start, right)
+            if isinstance(right, Unary) and isinstance(right.operand, Literal):
+                return ListLiteral(self.since(start), (right,))
+        if isinstance(right, Query) and right.adapter is None and right.items:
+            message = "what is behind IN gives dicts; for their values write AS list"
+            self.doubt(right.span, message)
+        return right
+
+    def _only_member(self, start: SourceSpan, right: Literal) -> Node:
+        if not isinstance(right.value, str):
+            return ListLiteral(self.since(start), (right,))
+        self.doubt(right.span, "IN looks for a part of this text; a list of it is in [ ]")
+        return right
+
+    def _is_list(self) -> bool:
+        """Whether the parentheses that come next have commas in them, or nothing."""
+        if is_word(self.ahead(), "SELECT"):
+            return False
+        depth = offset = 0
+        while (token := self.ahead(offset)) is not None:
+            if token.token_type in (TokenType.L_PAREN, TokenType.L_BRACKET, TokenType.L_BRACE):
+                depth += 1
+            elif token.token_type in (TokenType.R_PAREN, TokenType.R_BRACKET, TokenType.R_BRACE):
+                depth -= 1
+                if depth == 0:
+                    return offset == 1
+            elif depth == 1 and token.token_type == TokenType.COMMA:
+                return True
+            offset += 1
+        return False
+
+    def note_chain(self, operator: str, sides: tuple[Node, SourceSpan, Node, SourceSpan]) -> None:
+        """Doubt `0 < z < 1`, which compares True or False with 1.
+
+        Args:
+            operator: the operator.
+            sides: its two sides, each with the place of its first token.
+        """
+        left, left_start, right, right_start = sides
+        for side, start in ((left, left_start), (right, right_start)):
+            is_bare = side.span.start == start.start  # it is in no parentheses
+            is_comparison = isinstance(side, Binary) and side.operator in _RELATIONAL
+            if operator in _RELATIONAL and is_comparison and is_bare:
+                self.doubt(
+                    self.since(left_start),
+                    "one side of this comparison is True or False; "
+                    "write a < b AND b < c, or b BETWEEN a AND c",
+                )
+
+    # -- CASE -----------------------------------------------------------------------------
+
+    def begins_case(self) -> bool:
+        """Whether CASE comes next, and not a variable of that name."""
+        if not self.at_word("CASE"):
+            return False
+        token = self.ahead()
+        if token is None or token.token_type not in _BEGINS:
+            return False
+        words = (*CLAUSES, *OPERATOR_WORDS, *_CONDITIONS)
+        return token.token_type != TokenType.VAR or token.text.upper() not in words
+
+    def case(self) -> Node:
+        """`CASE WHEN … THEN … ELSE … END`, and `CASE x WHEN value THEN …`, as IF."""
+        start = self.here()
+        self.expect_word("CASE")
+        compared = None if self.at_word("WHEN") else self.expression()
+        if not self.at_word("WHEN"):
+            self.fail("expected WHEN")
+        branches: list[tuple[Node, Node]] = []
+        while self.take_words("WHEN"):
+            asked = self.condition() if compared is None else self.expression()
+            if compared is not None:
+                asked = Binary(asked.span, "==", compared, asked)
+            self.expect_word("THEN")
+            branches.append((asked, self.expression()))
+        if not self.take_words("ELSE"):
+            self.fail("expected ELSE (a CASE without it would have no value)")
+        otherwise = self.expression()
+        self.expect_word("END")
+        place = self.since(start)
+        first, *further = (Branch(place, asked, (then,)) for asked, then in branches)
+        return If(place, first.condition, first.then, (otherwise,), tuple(further))
+
+    # -- calls ----------------------------------------------------------------------------
+
+    def of_all(self, name: str) -> Node | None:
+        """What stands in the brackets of `count(*)` and `count(DISTINCT x)`; None if neither."""
+        if self.at(TokenType.STAR) and is_kind(self.ahead(), TokenType.R_PAREN):
+            if name.lower() != "count":
+                self.fail("expected an expression (only count takes *)")
+            star = self.here()
+            self.index += 1
+            return Literal(star, 1)
+        following = self.ahead()
+        begins = following is not None and following.token_type in _BEGINS
+        if name.lower() in AGGREGATES and self.at_word("DISTINCT") and begins:
+            start = self.here()
+            self.index += 1
+            argument = self.statement()
+            return Call(self.since(start), "uniq", (argument,), start)
+        return None
+
+    # -- clauses --------------------------------------------------------------------------
+
+    def takes_distinct(self) -> bool:
+        """Take DISTINCT behind SELECT, where it is no name, and no call without a blank."""
+        word, token = self.token, self.ahead()
+        if word is None or token is None or not self.at_word("DISTINCT"):
+            return False
+        if is_word(token, "FROM", "AS", *OPERATOR_WORDS[:3], "IN"):
+            return False
+        is_apart = token.start > word.end + 1
+        opens = token.token_type == TokenType.L_PAREN and is_apart
+        is_star = token.token_type == TokenType.STAR and is_word(self.ahead(2), "FROM")
+        if token.token_type not in _BEGINS and not opens and not is_star:
+            return False
+        self.index += 1
+        return True
+
+    def item(self) -> Node:
+        """A selected value; `z AS height` is `to(z, 'height')`."""
+        start = self.here()
+        node = self.expression()
+        if not self.take_words("AS"):
+            return node
+        name = self.expect_name("a column's name")
+        place = self.since(start)
+        return Call(place, "to", (node, Literal(span_of(name), name.text)), place)
+
+    def alias_behind(self, *, is_listed: bool) -> str | None:
+        """The alias in `FROM kitchen k` and `FROM kitchen AS k`; None if there is none."""
+        behind = self.ahead(2)
+        if self.at_word("AS"):
+            follows = is_word(behind, *_BEHIND_SOURCE) or (
+                is_kind(behind, TokenType.COMMA) and not is_listed
+            )
+            if not follows:
+                return None
+            self.index += 1
+            if self.token is not None and self.token.text.lower() in FORMS:
+                self.fail("expected a source's name (the result form stands behind all clauses)")
+            return self.expect_own_name("a source's name").text
+        token = self.token
+        if not is_kind(token, TokenType.VAR) or token is None:
+            return None
+        word = token.text.upper()
+        if word in CLAUSES or word in OPERATOR_WORDS or word in HABITS:
+            return None
+        following = self.ahead()
+        ends = following is None or following.token_type in (
+            TokenType.COMMA,
+            TokenType.SEMICOLON,
+            TokenType.R_PAREN,
+            TokenType.R_BRACKET,
+        )
+        if not (ends or is_word(following, *_BEHIND_SOURCE, *HABITS)):
+            return None
+        return self.expect_own_name("a source's name").text
+
+    def form_name(self) -> str:
+        """The name of a result form; that of a basic one in any case."""
+        name = self.expect_name("the name of a result form").text
+        return name.lower() if name.lower() in FORMS else name
+
+    def dotted(self, query: Query) -> Query:
+        """A query with `a.id` told from an element of a variable, where `a` is an alias in it."""
+        aliases = {s.alias for s in query.sources if s.alias is not None}
+        aliases -= {s.value.name for s in query.sources if isinstance(s.value, Name | TimeIndex)}
+
+        def change(node: Node) -> Node | None:
+            if isinstance(node, Source):
+                return node
+            match node:
+                case Index(base=Name(name=name), indices=(Literal(value=str() as key) as index,)):
+                    if name in aliases and self.text[index.span.start] not in "'\"":
+                        return QualifiedName(node.span, name, key, node)
+            return None
+
+        changed = query.replaced(change) if aliases else query
+        assert isinstance(changed, Query)
+        return changed
+
+    # -- doubts ---------------------------------------------------------------------------
+
+    def doubt(self, span: SourceSpan, message: str) -> None:
+        """Note what is probably a mistake."""
+        self.doubts.append(Suspicion(span, message))
+
+    def note_condition(self, node: Node | None) -> None:
+        """Doubt a condition that assigns a constant, and so is the same for all rows."""
+        match node:
+            case (
+                Binary(operator="AND" | "OR" | "XOR")
+                | OperatorChain(operators=("AND" | "OR" | "XOR", *_))
+            ):
+                for side in node.children():
+                    self.note_condition(side)
+            case Unary(operator="NOT", operand=operand):
+                self.note_condition(operand)
+            case Assignment(name=name, value=value) if _is_written_out(value):
+                self.doubt(node.span, f"this sets the variable {name}; write == to compare")
+
+    def note_keys(self, query: Query) -> None:
+        """Doubt keys that are numbers, which are no columns here."""
+        keys = [("ORDER BY", key.value) for key in query.order]
+        keys += [("GROUP BY", node) for node in query.group]
+        for clause, node in keys:
+            if isinstance(node, Literal) and type(node.value) is int:
+                self.doubt(
+                    node.span, f"{clause} a number is the same for all rows; write what it is of"
+                )

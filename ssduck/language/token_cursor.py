@@ -1,0 +1,232 @@
+"""A cursor over the tokens of a text: taking words and signs, and telling what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NoReturn, TypeVar
+
+from sqlglot.tokenizer_core import Token, TokenType
+
+from ssduck.errors import ParseError, SourceSpan, nearest
+from ssduck.language.sql_suggestions import STATEMENTS, instead_of
+from ssduck.language.tree import Suspicion
+
+T = TypeVar("T")
+
+# Parsing and evaluating recurse; deeper programs than this get an error, not a crash.
+MAXIMUM_DEPTH = 60
+
+
+CLAUSES = frozenset(
+    (
+        *("SELECT", "FROM", "WHERE", "START", "WITH", "CONNECT", "BY", "STOP"),
+        *("NO", "CYCLE", "UNIQUE", "MEMORIZE", "MAXIMUM", "GROUP", "HAVING", "ORDER"),
+        *("ASC", "ASCENDING", "DESC", "DESCENDING", "LIMIT", "AS"),
+    )
+)
+OPERATOR_WORDS = ("OR", "XOR", "AND", "NOT", "IN")
+# These never begin an expression, so a name spelled so would be unreachable.
+RESERVED = frozenset((*OPERATOR_WORDS, "FROM", "WHERE", "SELECT", "AS"))
+
+
+# Loosest first; each level is left-associative.
+LEVELS: tuple[tuple[str, ...], ...] = (
+    ("OR",),
+    ("XOR",),
+    ("AND",),
+    ("NOT",),
+    ("IN",),
+    ("==",),
+    ("!=",),
+    (">=",),
+    (">",),
+    ("<=",),
+    ("<",),
+    ("+", "-"),
+    ("*", "/", "%"),
+    ("^",),
+)
+
+LEVEL_OF = {operator: level for level, operators in enumerate(LEVELS) for operator in operators}
+
+
+class Cursor:
+    """A place among the tokens of a text.
+
+    Args:
+        text: the text.
+        tokens: its tokens.
+
+    Attributes:
+        index: the number of the current token.
+        depth: how deep the parts are nested that it is in.
+        doubts: what of the text before it is probably a mistake.
+    """
+
+    def __init__(self, text: str, tokens: list[Token]) -> None:
+        self.text = text
+        self.tokens = tokens
+        self.index = 0
+        self.depth = 0
+        self.doubts: list[Suspicion] = []
+
+    @property
+    def token(self) -> Token | None:
+        """The current token; None behind the last one."""
+        return self.tokens[self.index] if self.index < len(self.tokens) else None
+
+    def ahead(self, offset: int = 1) -> Token | None:
+        """The token so many places further on."""
+        index = self.index + offset
+        return self.tokens[index] if index < len(self.tokens) else None
+
+    def at(self, kind: TokenType) -> bool:
+        """Whether the current token is of that type."""
+        return self.token is not None and self.token.token_type == kind
+
+    def at_word(self, *words: str) -> bool:
+        """Whether the current token is one of these words, given in upper case."""
+        return is_word(self.token, *words)
+
+    def take(self, kind: TokenType) -> Token | None:
+        """Take the current token if it is of that type."""
+        if not self.at(kind):
+            return None
+        self.index += 1
+        return self.tokens[self.index - 1]
+
+    def take_words(self, *words: str) -> bool:
+        """Take a run of keywords (`GROUP BY`), or nothing."""
+        if all(is_word(self.ahead(offset), word) for offset, word in enumerate(words)):
+            self.index += len(words)
+            return True
+        return False
+
+    def expect(self, kind: TokenType, what: str) -> Token:
+        """Take a token of that type, which a message calls so.
+
+        Raises:
+            ParseError: something else comes next.
+        """
+        taken = self.take(kind)
+        if taken is None:
+            self.fail(f"expected {what}")
+        return taken
+
+    def expect_word(self, word: str) -> None:
+        """Take a keyword.
+
+        Raises:
+            ParseError: something else comes next.
+        """
+        if not self.take_words(word):
+            self.fail(f"expected {word}")
+
+    def expect_name(self, what: str) -> Token:
+        """Take a name, which a message calls so.
+
+        Raises:
+            ParseError: something else comes next.
+        """
+        if self.token is not None and self.token.text.upper() in RESERVED:
+            self.fail(f"expected {what}")
+        return self.expect(TokenType.VAR, what)
+
+    def expect_own_name(self, what: str) -> Token:
+        """Take a name that can be given to something."""
+        if self.at_word("TRUE", "FALSE", "THIS"):
+            self.fail(f"expected {what} (True, False and this are words of the language)")
+        return self.expect_name(what)
+
+    def here(self) -> SourceSpan:
+        """The place of the current token; behind the text once that is used up."""
+        if self.token is None:
+            return SourceSpan(len(self.text.rstrip()), len(self.text.rstrip()) + 1)
+        return span_of(self.token)
+
+    def since(self, start: SourceSpan) -> SourceSpan:
+        """The place from there to the token before the current one."""
+        return SourceSpan(start.start, self.end())
+
+    def end(self) -> int:
+        """Where the text of the token before the current one ends."""
+        return span_of(self.tokens[self.index - 1]).end
+
+    def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
+        """One or more parts with commas between them."""
+        parts = [part()]
+        while self.take(TokenType.COMMA):
+            parts.append(part())
+        return tuple(parts)
+
+    def descend(self) -> None:
+        """Go one level deeper.
+
+        Raises:
+            ParseError: that is too deep.
+        """
+        self.depth += 1
+        if self.depth > MAXIMUM_DEPTH:
+            raise ParseError(
+                f"nested deeper than {MAXIMUM_DEPTH} levels", text=self.text, span=self.here()
+            )
+
+    def fail(self, message: str) -> NoReturn:
+        """Complain of the current token.
+
+        Raises:
+            ParseError: always; with what to write instead of a word of SQL.
+        """
+        token = self.token
+        names: tuple[str, ...] = ()
+        if token is None:
+            found, instead = "the end of the text", ""
+        else:
+            found = repr(self.text[slice_of(token)])
+            instead = self._instead(token)
+            known = token.text.upper() in CLAUSES or instead
+            names = () if known else nearest(token.text, CLAUSES, 1)
+        told = f"{message}, found {found}" + (f"; {instead}" if instead else "")
+        raise ParseError(told, text=self.text, span=self.here(), suggestions=names)
+
+    def _instead(self, token: Token) -> str:
+        """What to write instead of a word of SQL that led to the current token."""
+        before = self.tokens[self.index - 1] if self.index else None
+        if before is not None and before.text.upper() in STATEMENTS:
+            return instead_of(before.text)
+        told = "" if token.token_type == TokenType.STRING else instead_of(token.text)
+        if told or before is None:
+            return told
+        around = [before, self._called()]
+        words = [t.text for t in around if t is not None and t.token_type == TokenType.VAR]
+        return next(filter(None, map(instead_of, words)), "")
+
+    def _called(self) -> Token | None:
+        """What stands before the bracket that is open at the current token."""
+        depth = 0
+        for place in range(self.index - 1, 0, -1):
+            kind = self.tokens[place].token_type
+            depth += (kind == TokenType.R_PAREN) - (kind == TokenType.L_PAREN)
+            if depth < 0:
+                return self.tokens[place - 1]
+        return None
+
+
+def is_kind(token: Token | None, kind: TokenType) -> bool:
+    """Whether there is a token, and of that type."""
+    return token is not None and token.token_type == kind
+
+
+def is_word(token: Token | None, *words: str) -> bool:
+    """Whether a token is one of these words, given in upper case."""
+    return token is not None and token.token_type == TokenType.VAR and token.text.upper() in words
+
+
+def slice_of(token: Token) -> slice:
+    """Where a token is in the text."""
+    return slice(token.start, token.end + 1)
+
+
+def span_of(token: Token) -> SourceSpan:
+    """The place of a token."""
+    return SourceSpan(token.start, token.end + 1)

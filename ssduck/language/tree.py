@@ -1,0 +1,332 @@
+"""The tree of a program: frozen nodes that know their place in the text.
+
+Nodes know no simulator, no database and no variable; names are looked up when a program runs.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+from ssduck.errors import SourceSpan
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A part of a program; `span` is its place in the text.
+
+    Nodes are compared by identity, so that they are quick to look up.
+    """
+
+    span: SourceSpan
+
+    def children(self) -> Iterator[Node]:
+        """The nodes directly below this one, in text order."""
+        for name in self.__dataclass_fields__:  # as `fields` gives them, and quicker
+            value = getattr(self, name)
+            for item in value if isinstance(value, tuple) else (value,):
+                if isinstance(item, Node):
+                    yield item
+
+    def walk(self) -> Iterator[Node]:
+        """The node itself and all below it."""
+        yield self
+        for child in self.children():
+            yield from child.walk()
+
+    def replaced(self, change: Callable[[Node], Node | None]) -> Node:
+        """The node with parts of it changed, from the outside in.
+
+        Args:
+            change: a part to what stands in its place, None to look into it.
+
+        Returns:
+            The node itself if nothing changes.
+        """
+        changed = change(self)
+        if changed is not None:
+            return changed
+        parts: dict[str, Any] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            part: Any = value
+            if isinstance(value, Node):
+                part = value.replaced(change)
+            elif isinstance(value, tuple):
+                part = tuple(v.replaced(change) if isinstance(v, Node) else v for v in value)
+                part = value if all(map(operator.is_, part, value)) else part
+            if part is not value:
+                parts[field.name] = part
+        return replace(self, **parts) if parts else self
+
+
+@dataclass(frozen=True, eq=False)
+class Literal(Node):
+    """A number, a text, True or False."""
+
+    value: int | float | str | bool
+
+
+@dataclass(frozen=True, eq=False)
+class ListLiteral(Node):
+    """`[a, b, …]`."""
+
+    items: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Name(Node):
+    """A variable, or in SELECT, GROUP BY and ORDER BY a key or a function of `this`."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class UnresolvedName(Node):
+    """A name in SELECT, GROUP BY or ORDER BY whose meaning differs from row to row.
+
+    A key of the current element where that is a dict that has it, else a variable, else a
+    function of `this`. No text has it: a `Name` becomes one when the sources are known.
+    """
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Placeholder(Node):
+    """A value that is given from outside; no text has it."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class TimeIndex(Node):
+    """`v{5.0}`: of a variable's history; `v{}`, all of it, has no age."""
+
+    name: str
+    age: Node | None
+
+
+@dataclass(frozen=True, eq=False)
+class This(Node):
+    """The current element of a source: `this`, or `alias.this`."""
+
+    alias: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class QualifiedName(Node):
+    """`a.id`, where `a` is an alias: of the current element the key, or the function.
+
+    Where there is a variable of the alias's name, it is what `index` is: an element of that.
+    """
+
+    alias: str
+    key: str
+    index: Index
+
+    @cached_property
+    def this(self) -> This:
+        """The current element."""
+        return This(self.span, self.alias)
+
+    def call(self, name: str) -> Call:
+        """The function of it.
+
+        Args:
+            name: what calls that function: a user's one may replace one of the language.
+        """
+        return Call(self.span, name, (self.this,), self.index.indices[0].span)
+
+    def children(self) -> Iterator[Node]:
+        """None: what is in `index` counts where there is a variable only."""
+        return iter(())
+
+
+@dataclass(frozen=True, eq=False)
+class Call(Node):
+    """`f(a, b)`; `name_span` is the place of `f` alone."""
+
+    name: str
+    arguments: tuple[Node, ...]
+    name_span: SourceSpan
+
+
+@dataclass(frozen=True, eq=False)
+class Index(Node):
+    """`x[i]`, `x[i, j]` and `x.key`."""
+
+    base: Node
+    indices: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Unary(Node):
+    """`-x`, `+x`, `NOT x`; `x IS NULL`, whose operator is `IS NULL`."""
+
+    operator: str
+    operand: Node
+
+
+@dataclass(frozen=True, eq=False)
+class Binary(Node):
+    """`a + b` and the like; the operator as in `LEVELS`."""
+
+    operator: str
+    left: Node
+    right: Node
+
+
+@dataclass(frozen=True, eq=False)
+class OperatorChain(Node):
+    """`a + b - c …`: so many operators of one level in a row that they are kept flat.
+
+    Attributes:
+        operators: one less than there are operands.
+        operands: from the left.
+        ends: where the text of each operand ends.
+    """
+
+    operators: tuple[str, ...]
+    operands: tuple[Node, ...]
+    ends: tuple[int, ...]
+
+    def until(self, index: int) -> SourceSpan:
+        """The place of the operands up to this one."""
+        return SourceSpan(self.span.start, self.ends[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Branch(Node):
+    """An `IF` that is all there is in the else branch of another one, without its own."""
+
+    condition: Node
+    then: tuple[Node, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class If(Node):
+    """`IF(condition; then, …; else, …)`: of each branch the last value counts.
+
+    Attributes:
+        condition: what decides.
+        then: what is evaluated where it holds.
+        otherwise: what is evaluated where nothing holds.
+        further: what is asked where it does not hold, one after another.
+    """
+
+    condition: Node
+    then: tuple[Node, ...]
+    otherwise: tuple[Node, ...]
+    further: tuple[Branch, ...] = ()
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """All conditions, with what is evaluated where they hold."""
+        return (Branch(self.span, self.condition, self.then), *self.further)
+
+
+@dataclass(frozen=True, eq=False)
+class UnboundedHorizon(Node):
+    """`{}` in `name{} = value`: a horizon without end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assignment(Node):
+    """`name = value`, or `name{horizon} = value`.
+
+    Attributes:
+        name: of the variable.
+        horizon: how long it keeps its values.
+        value: what it is assigned.
+        is_bare: whether it stands as a whole in SELECT or WHERE, where `==` may have been meant.
+    """
+
+    name: str
+    horizon: Node | None
+    value: Node
+    is_bare: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Source(Node):
+    """One entry of FROM: what it is called, and what it ranges over."""
+
+    alias: str | None
+    value: Node
+
+
+@dataclass(frozen=True, eq=False)
+class OrderKey(Node):
+    """One entry of ORDER BY."""
+
+    value: Node
+    descending: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Recursion(Node):
+    """`START WITH … CONNECT BY … STOP WITH …`; `memorize` is the n of `MEMORIZE n`.
+
+    In `start` and `step` are assignments to state variables, and what is evaluated beside those.
+    """
+
+    start: tuple[Node, ...]
+    no_cycle: bool
+    unique: bool
+    memorizes: bool
+    memorize: Node | None
+    maximum: Node | None
+    step: tuple[Node, ...]
+    stop: Node
+
+
+@dataclass(frozen=True, eq=False)
+class AdapterClause(Node):
+    """`AS name(arguments)`."""
+
+    name: str
+    arguments: tuple[Node, ...] = ()
+    named: tuple[Assignment, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Query(Node):
+    """A SELECT; no items mean `*`."""
+
+    items: tuple[Node, ...]
+    sources: tuple[Source, ...]
+    where: Node | None = None
+    recursion: Recursion | None = None
+    group: tuple[Node, ...] = ()
+    having: Node | None = None
+    order: tuple[OrderKey, ...] = ()
+    limit: Node | None = None
+    adapter: AdapterClause | None = None
+    distinct: bool = False
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """What is probably a mistake, though it has a meaning.
+
+    Attributes:
+        span: where it is.
+        message: why, and what to write instead.
+    """
+
+    span: SourceSpan
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A parsed text: its statements in order, and what in it is probably a mistake."""
+
+    text: str
+    statements: tuple[Node, ...]
+    explain: bool = False
+    doubts: tuple[Suspicion, ...] = ()

@@ -1,0 +1,155 @@
+"""What stands for values in sets and as keys, and for parts of a tree."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any, cast
+
+import numpy as np
+
+from ssduck.errors import ArgumentError, SourceSpan
+from ssduck.formatting import kind_of
+from ssduck.language.tree import Node, Query
+
+
+def written(node: Node) -> str:
+    """A part so that parts are written alike only if they mean the same where they stand."""
+    if isinstance(node, Query):
+        return f"Query({id(node)})"
+    values = (getattr(node, field.name) for field in fields(node))
+    parts = ", ".join(_written(value) for value in values if not isinstance(value, SourceSpan))
+    return f"{type(node).__name__}({parts})"
+
+
+def _written(value: Any) -> str:
+    """What is in a part: another one, some of them, or a name, a number, a text."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_written, value))})"
+    return written(value) if isinstance(value, Node) else repr(value)
+
+
+ATOMS = frozenset((int, float, str, bool, type(None)))
+NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
+
+
+def plain(value: Any) -> Any:
+    """A value whose lists, tuples and dicts hold Python's numbers, truths and texts, not numpy's.
+
+    numpy's would overflow, and be infinite where Python's raise. It is the value itself where
+    there are none.
+    """
+    kind = type(value)
+    if kind is dict:
+        parts = {plain(key): plain(part) for key, part in value.items()}
+        same = all(map(operator.is_, parts.values(), value.values()))
+        return value if same and all(map(operator.is_, parts, value)) else parts
+    if kind is list or kind is tuple:
+        if ATOMS.issuperset(map(type, value)):
+            return value
+        elements = kind(map(plain, value))
+        return value if all(map(operator.is_, elements, value)) else elements
+    return value.item() if isinstance(value, NUMPYS) else value
+
+
+def hashable(value: Any) -> Any:
+    """What stands for a value in sets: alike for equal values, lists and dicts included.
+
+    Raises:
+        ArgumentError: values of its type cannot be told apart.
+    """
+    kind = type(value)
+    if kind in ATOMS:
+        return value
+    if kind is list or kind is tuple:
+        return (kind, *[part if type(part) in ATOMS else hashable(part) for part in value])
+    if kind is dict:
+        return (dict, frozenset((key, hashable(part)) for key, part in value.items()))
+    try:
+        hash(value)
+    except TypeError as error:
+        raise ArgumentError(
+            f"{kind_of(value)} cannot be told apart from others: {error}"
+        ) from error
+    return cast("Any", value)
+
+
+_EXACT_ATOMS = frozenset((int, str, bool, type(None)))
+
+
+def exactly(value: Any) -> Any:
+    """What stands for a value in sets: alike only for values that no function tells apart.
+
+    1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart. So it may be
+    with equal values of any other type.
+
+    Raises:
+        ArgumentError: values of its type cannot be told apart.
+    """
+    kind = type(value)
+    if kind in _EXACT_ATOMS:
+        return (kind, value)
+    if kind is float:
+        return (float, repr(value))
+    if kind is list or kind is tuple:
+        types = tuple(map(type, value))
+        if _EXACT_ATOMS.issuperset(types):
+            return (kind, types, *value)
+        return (kind, *map(exactly, value))
+    if kind is dict:
+        return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])
+    moment = getattr(value, "moment", None)  # an entity at another tick is another one
+    return (kind, hashable(value), _told_apart(value), moment and moment.tick)
+
+
+def _told_apart(value: Any) -> str:
+    try:
+        return repr(value)
+    except Exception as error:
+        raise ArgumentError(f"{kind_of(value)} cannot be told apart from others") from error
+
+
+class ValueKeys:
+    """What stands for values, so that it is quick to look up; for one search.
+
+    Lists that were seen before are known by what they are, without being looked into; they
+    must not change meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[int, tuple[Any, int]] = {}
+        self._exact: dict[Any, int] = {}
+        self._equal: dict[int, Any] = {}
+        self._numbers: dict[Any, int] = {}
+
+    def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
+        """What stands for each of some values, alike only for what no function tells apart."""
+        seen = self._seen
+        return tuple(
+            [seen[id(value)][1] if id(value) in seen else self._exactly(value) for value in values]
+        )
+
+    def _exactly(self, value: Any) -> Any:
+        if type(value) is not list:
+            return exactly(value)
+        number = self._exact.setdefault(exactly(value), len(self._exact))
+        self._seen[id(value)] = (value, number)
+        return number
+
+    def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
+        """A number for what is selected of a row and what it is called, alike for equal ones."""
+        parts = [value if type(value) in ATOMS else self._part(value) for value in values]
+        called = names if ATOMS.issuperset(map(type, names)) else hashable(names)
+        return self._numbers.setdefault((*parts, called), len(self._numbers))
+
+    def _part(self, value: Any) -> Any:
+        if type(value) is not list:
+            return hashable(value)
+        seen = self._seen.get(id(value))
+        if seen is None:
+            return (list, *[part if type(part) in ATOMS else self._part(part) for part in value])
+        part = self._equal.get(seen[1])
+        if part is None:
+            part = self._equal[seen[1]] = hashable(value)
+        return part

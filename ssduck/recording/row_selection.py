@@ -1,0 +1,148 @@
+"""Which rows of a tick's tables are kept, and copying them into rings."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.geometry.arrays import Indices
+from ssduck.recording.buffers import FRAMES, STORED, RowBuffer
+from ssduck.recording.spec import chosen_members
+from ssduck.world.layout import TableLayout
+from ssduck.world.live_tables import LiveTable
+from ssduck.world.snapshot import Snapshot
+
+
+class RecordedRows:
+    """Which rows of a world's tables are kept, while its entities are the same.
+
+    Args:
+        snapshot: of a tick.
+        names: of the entities that are kept; None for all.
+    """
+
+    def __init__(self, snapshot: Snapshot, names: Collection[str] | None) -> None:
+        self._layout = snapshot.layout
+        self._of = snapshot.disabled, snapshot.hidden
+        members = self._layout.members
+        self.members = members if names is None else chosen_members(members, names)
+        self._ids = np.array([member.id for member in self.members], dtype=np.int64)
+        kept = {member.id for member in self.members}
+        absent = snapshot.disabled, snapshot.hidden
+        bodies = [member.body for member in self.members]
+        self._flags = {
+            name: np.array([body is not None and body not in gone for body in bodies], np.uint8)
+            for name, gone in zip(("enabled", "visible"), absent, strict=True)
+        }
+        self._frames = [
+            _frames_of(part, self._layout, kept)
+            for part in (self._layout.still, self._layout.moving)
+        ]
+        self._frames_count = sum(len(frames.places) for frames in self._frames)
+        self._picked: dict[str, Indices | None] = {
+            table: None if names is None else self._pick(snapshot, table)
+            for table in ("entities", "joints", "shapes")
+        }
+        self._picked["links"] = self._links(kept)
+
+    def fit(self, snapshot: Snapshot) -> bool:
+        """Whether the entities are still the same, and their flags."""
+        return snapshot.layout is self._layout and (
+            (snapshot.disabled, snapshot.hidden) == self._of
+        )
+
+    def _pick(self, snapshot: Snapshot, table: str) -> Indices:
+        owner = snapshot.tables[table]["id" if table == "entities" else "entity"]
+        return np.flatnonzero(np.isin(owner, self._ids))
+
+    def _links(self, kept: Collection[int]) -> Indices:
+        """The rows of links of bodies that have several."""
+        owners = [(id, len(body.links)) for id, body in self._layout.bodies for _ in body.links]
+        rows = [row for row, (id, links) in enumerate(owners) if links > 1 and id in kept]
+        return np.array(rows, dtype=np.intp)
+
+    def count(self, snapshot: Snapshot, table: str) -> int:
+        """How many rows of a table there are to be kept."""
+        if table == FRAMES:
+            return self._frames_count
+        picked = self._selected(snapshot, table)
+        return snapshot.tables[table].count if picked is None else len(picked)
+
+    def _selected(self, snapshot: Snapshot, table: str) -> Indices | None:
+        """The rows that are kept; None for all."""
+        if table in self._picked:
+            return self._picked[table]
+        if table == "ticks" or self._picked["entities"] is None:
+            return None
+        sides = ("a", "b") if table == "contacts" else ("sensor", "entity")
+        live = snapshot.tables[table]
+        return np.flatnonzero(np.logical_and(*(np.isin(live[side], self._ids) for side in sides)))
+
+    def copy(self, snapshot: Snapshot, table: str, ring: RowBuffer, count: int) -> None:
+        """Copy the rows of a table, of which there are so many, into a ring."""
+        if table in self._picked or table == FRAMES:
+            ring.lay(self, count, lambda: self._fixed(snapshot, table))
+        run = ring.run(count)
+        ring.ticks[run] = snapshot.number
+        if table == FRAMES:
+            self._copy_frames(snapshot, ring, run)
+            return
+        live: LiveTable = snapshot.tables[table]
+        stored, picked = STORED[table], self._selected(snapshot, table)
+        reals = live.reals(*stored.reals)
+        ring.reals[:, run] = reals if picked is None else reals[:, picked]
+        if table not in self._picked:
+            for name in stored.integers[1:]:
+                column = live[name]
+                ring.integers[name][run] = column if picked is None else column[picked]
+
+    def _fixed(self, snapshot: Snapshot, table: str) -> dict[str, npt.NDArray[Any]]:
+        """The columns of integers and flags, but for the ticks."""
+        if table == FRAMES:
+            owners = {"entity": [f.entities for f in self._frames]}
+            links = {"link": [f.links for f in self._frames]}
+            return {name: np.concatenate(parts) for name, parts in (owners | links).items()}
+        stored, picked = STORED[table], self._picked[table]
+        live = snapshot.tables[table]
+        own = {n: live[n] if picked is None else live[n][picked] for n in stored.integers[1:]}
+        return own | {name: self._flags[name] for name in stored.flags}
+
+    def _copy_frames(self, snapshot: Snapshot, ring: RowBuffer, run: slice) -> None:
+        ring.reals[0, run] = snapshot.time
+        first = run.start
+        for own, (_, frames) in zip(self._frames, snapshot.parts, strict=True):
+            if not len(own.places):
+                continue
+            to = slice(first, first + len(own.places))
+            first = to.stop
+            ring.reals[1:4, to] = frames.positions.take(own.places, axis=0).T
+            ring.reals[4:, to] = frames.states[:, 3:7].take(own.places, axis=0).T
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """Of the bodies of several links that are read together: which frames, and whose."""
+
+    places: Indices
+    entities: Indices
+    links: Indices
+
+
+def _frames_of(part: Any, layout: TableLayout, kept: Collection[int]) -> _Frames:
+    ids = {body: id for id, body in layout.bodies}
+    runs = [
+        (ids[body], run)
+        for body, run in part.runs.items()
+        if len(body.links) > 1 and ids[body] in kept
+    ]
+    counts = [run.stop - run.start for _, run in runs]
+    empty = np.zeros(0, dtype=np.intp)
+    return _Frames(
+        np.concatenate([empty, *(np.arange(run.start, run.stop) for _, run in runs)]),
+        np.repeat(np.array([id for id, _ in runs], dtype=np.int64), counts),
+        np.concatenate([empty, *map(np.arange, counts)]),
+    )

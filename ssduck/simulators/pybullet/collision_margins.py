@@ -1,0 +1,107 @@
+"""The collision margins of PyBullet's shapes: how far apart things are that rest on each other.
+
+Bullet grows hulls and the triangles of concave meshes by a margin, and takes what is so near for
+touching. Boxes and cylinders shrink by it first, spheres and capsules are nothing but margin,
+half-spaces have none: these rest where their surfaces meet. PyBullet gives one number for each
+link. Where the link is a compound, which it is if it has several shapes, or one that is not in
+the frame of its centre of mass, that is the compound's own margin, which does nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ssduck.geometry.shapes import PlacedGeometry
+from ssduck.simulators.interface import Body
+from ssduck.simulators.pybullet.console import pybullet
+
+# What PyBullet gives hulls and compounds, and concave meshes that are made by a call, metres.
+DEFAULT = 1e-3
+_PADDED = ("hull", "mesh")
+# So little is a shape turned or shifted that is in the frame of its centre of mass.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True)
+class KnownMargins:
+    """What PyBullet tells of the margins of a link.
+
+    Attributes:
+        margin: its number, metres; None where it tells none.
+        is_compound: whether that is of a compound of the shapes.
+        is_of_file: whether a shape is of a mesh file; such a hull is a compound of its own.
+    """
+
+    margin: float | None
+    is_compound: bool = False
+    is_of_file: bool = False
+
+
+def told_of(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> KnownMargins:
+    """What PyBullet tells of the margins of a link.
+
+    Args:
+        dynamics: of `getDynamicsInfo`.
+        entries: of `getCollisionShapeData`; None where it is not to be asked.
+    """
+    if entries is None:
+        return KnownMargins(None)
+    off = [np.abs((*entry[5], *entry[6][:3])).max() > _NOTHING for entry in entries]
+    is_of_file = any(
+        entry[2] == pybullet.GEOM_MESH and entry[4] not in (b"", b"unknown_file")
+        for entry in entries
+    )
+    return KnownMargins(float(dynamics[11]), len(entries) > 1 or any(off), is_of_file)
+
+
+def margin_of(type: str, told: KnownMargins) -> float:
+    """The margin of a shape, metres.
+
+    What `changeDynamics` sets does not reach the hulls of a mesh file in a compound. Of a compound
+    of hulls it cannot be told whether a margin of 0 was set; it is taken for not set.
+
+    Args:
+        type: of its geometry.
+        told: what PyBullet tells of its link.
+    """
+    if type not in _PADDED:
+        return 0.0
+    default = 0.0 if type == "mesh" and told.is_of_file else DEFAULT
+    if told.margin is None:
+        return default
+    if not told.is_compound:
+        return told.margin
+    if told.margin in (0.0, DEFAULT) or (type == "hull" and told.is_of_file):
+        return default
+    return told.margin
+
+
+def with_margins(shapes: Sequence[PlacedGeometry], told: KnownMargins) -> list[PlacedGeometry]:
+    """The shapes of a link with their margins."""
+    return [replace(shape, margin=margin_of(shape.geometry.type, told)) for shape in shapes]
+
+
+def margins_of(client: int, body: Body, told: Sequence[KnownMargins]) -> list[float]:
+    """The margins of a body's shapes as they are now, metres.
+
+    Args:
+        client: the client that has it.
+        body: the body.
+        told: what was told of each of its links when it came; nothing where its margins stay.
+    """
+    links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if told else set()
+    now = {
+        link: replace(
+            told[link], margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11])
+        )
+        for link in links
+        if told[link].margin is not None
+    }
+    return [
+        margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin
+        for shape in body.shapes
+    ]

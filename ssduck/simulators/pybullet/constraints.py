@@ -1,0 +1,44 @@
+"""Fixed constraints by which a link of a body holds another body, in a PyBullet client."""
+
+from __future__ import annotations
+
+from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.scene_loader import make_constraint
+from ssduck.simulators.scenes import ConstraintSpec
+
+
+def tie(client: int, on: tuple[int, int], to: int) -> None:
+    """Tie the base of a body to a link, as they are now, with a fixed constraint.
+
+    Args:
+        client: the client.
+        on: the number of a body, and PyBullet's of its link; -1 is the base.
+        to: the number of the other body.
+    """
+    # Constraints are between frames of centres of mass.
+    handle, link = on
+    place, turn = (
+        pybullet.getBasePositionAndOrientation(handle, client)
+        if link < 0
+        else pybullet.getLinkState(handle, link, 0, 1, client)[:2]
+    )
+    other = pybullet.getBasePositionAndOrientation(to, client)
+    position, (x, y, z, w) = pybullet.multiplyTransforms(
+        *pybullet.invertTransform(place, turn), *other
+    )
+    spec = ConstraintSpec("fixed", on="", position=position, orientation=(w, x, y, z))
+    make_constraint(spec, on, (to, -1), client)
+
+
+def ties_of(client: int, on: int, to: int) -> list[int]:
+    """The numbers of the fixed constraints between links of a body and the base of another."""
+    numbers = [
+        pybullet.getConstraintUniqueId(index, physicsClientId=client)
+        for index in range(pybullet.getNumConstraints(client))
+    ]
+    return [
+        number
+        for number in numbers
+        for info in [pybullet.getConstraintInfo(number, client)]
+        if (info[0], info[2], info[3], info[4]) == (on, to, -1, pybullet.JOINT_FIXED)
+    ]

@@ -1,0 +1,129 @@
+"""Shapes that a caller knows of bodies whose shapes PyBullet does not tell.
+
+A key says which shapes: a body, for all of its base; (body, link), for all of a link; or (body,
+link, number), for one of them. Bodies and links are PyBullet's numbers: the base is link -1. A
+value is a mesh in the frame of the link, in metres, or a list of meshes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssduck import validation
+from ssduck.errors import ArgumentError
+from ssduck.formatting import shown
+from ssduck.geometry.arrays import Array, Triangles
+from ssduck.geometry.mesh_files import load_mesh
+from ssduck.geometry.shapes import Geometry
+from ssduck.simulators.backends import ShapesByBody
+from ssduck.simulators.pybullet.bodies import GivenShapes
+from ssduck.simulators.pybullet.console import pybullet
+
+_KEYS = "a body, (body, link) or (body, link, number), by PyBullet's numbers"
+_MESHES = "a trimesh.Trimesh, (vertices, faces), the path of a mesh file, or a list of these"
+
+
+def given_shapes(
+    client: int, handles: Sequence[int], shapes: ShapesByBody | None
+) -> dict[int, GivenShapes]:
+    """The shapes that a caller gave, by body.
+
+    Raises:
+        ArgumentError: a key is none, there is no such body or link, two keys say the same, or a
+            value is no mesh.
+    """
+    found: dict[int, dict[tuple[int, int | None], Sequence[Geometry]]] = {}
+    for key, value in (shapes or {}).items():
+        body, link, number = _key(client, handles, key)
+        own = found.setdefault(body, {})
+        others = {at for at, _ in own}
+        if (link, number) in own or (((link, None) in own or number is None) and link in others):
+            raise ArgumentError(
+                f"shapes: {key!r} and another key say what link {link - 1} of body {body} is"
+            )
+        own[link, number] = _geometries(key, value)
+    return dict(found)
+
+
+def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int | None]:
+    """The body, the link (the base is 0) and the number that a key says."""
+    parts = key if isinstance(key, tuple) else (key,)
+    if not 1 <= len(parts) <= 3 or not all(map(validation.is_whole, parts)):
+        raise ArgumentError(f"shapes: {shown(key)} is no key: a key is {_KEYS}")
+    body, link = int(parts[0]), int(parts[1]) if len(parts) > 1 else -1
+    number = int(parts[2]) if len(parts) > 2 else None
+    if body not in handles:
+        listed = ", ".join(map(str, handles)) or "none"
+        raise ArgumentError(f"shapes: PyBullet has no body {body}; its bodies: {listed}")
+    count = pybullet.getNumJoints(body, client)
+    if not -1 <= link < count:
+        raise ArgumentError(
+            f"shapes: body {body} has no link {link}; its links: -1 (the base) to {count - 1}"
+        )
+    return body, link + 1, number
+
+
+def _geometries(key: Any, value: Any) -> list[Geometry]:
+    if isinstance(value, list) and value and not _is_pair(value):
+        return [_geometry(key, one) for one in value]
+    return [_geometry(key, value)]
+
+
+def _is_pair(value: Any) -> bool:
+    """Whether a list is [vertices, faces] rather than some meshes."""
+    return len(value) == 2 and all(np.ndim(_ragged(part)) == 2 for part in value)
+
+
+def _ragged(part: Any) -> Any:
+    """Numbers as an array; None for what is none."""
+    try:
+        return np.asarray(part, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+
+
+def _geometry(key: Any, value: Any) -> Geometry:
+    if isinstance(value, str | Path):
+        try:
+            return load_mesh(Path(value), (1.0, 1.0, 1.0))
+        except ValueError as error:
+            raise ArgumentError(f"shapes: {key!r}: {error}") from error
+    if hasattr(value, "vertices") and hasattr(value, "faces"):
+        value = value.vertices, value.faces
+    if not (isinstance(value, tuple | list) and len(value) == 2):
+        raise ArgumentError(f"shapes: {key!r}: {shown(value)} is no mesh: a mesh is {_MESHES}")
+    vertices = _vertices(key, value[0])
+    if value[1] is None:
+        return Geometry.hull(vertices)
+    return Geometry("mesh", (0.0, 0.0, 0.0), vertices, _faces(key, value[1], len(vertices)))
+
+
+def _vertices(key: Any, told: Any) -> Array:
+    vertices = _ragged(told)
+    if vertices is None or vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3:
+        raise ArgumentError(f"shapes: {key!r}: vertices are to be numbers (n, 3), at least three")
+    if not np.isfinite(vertices).all():
+        row = int(np.argmax(~np.isfinite(vertices).all(axis=1)))
+        raise ArgumentError(f"shapes: {key!r}: vertex {row} is not finite: {vertices[row]}")
+    return np.array(vertices)
+
+
+def _faces(key: Any, told: Any, count: int) -> Triangles:
+    faces = _ragged(told)
+    if faces is None or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+        raise ArgumentError(
+            f"shapes: {key!r}: faces are to be numbers of vertices (n, 3), at least one triangle"
+        )
+    wrong = (faces != np.floor(faces)) | ~((faces >= 0) & (faces < count))
+    if wrong.any():
+        row = int(np.argmax(wrong.any(axis=1)))
+        raise ArgumentError(
+            f"shapes: {key!r}: face {row} is {faces[row].tolist()}; the vertices have the numbers "
+            f"0 to {count - 1}"
+        )
+    triangles: Triangles = faces.astype(np.int32)
+    return triangles

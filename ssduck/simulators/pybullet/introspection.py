@@ -1,0 +1,147 @@
+"""What PyBullet, or a record, tells of bodies and constraints, as models and scenes say it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ssduck.errors import UnsupportedError
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.bounds import Boxer
+from ssduck.simulators.interface import SETTABLE, Body, LinkPoses
+from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
+from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, next_to_zero
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
+from ssduck.simulators.scenes import ConstraintSpec
+
+# A link of a client: the body's number, and PyBullet's of the link; -1, -1 is the world.
+End: TypeAlias = tuple[int, int]
+
+_SOFT_BODY = 3
+# What a model's file calls them.
+_ELEMENTS = {
+    "rolling_friction": 6,
+    "spinning_friction": 7,
+    "restitution": 5,
+    "damping": 8,
+    "stiffness": 9,
+}
+
+
+def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
+    """What a model's file would say of a body.
+
+    Raises:
+        UnsupportedError: it is soft.
+    """
+    client, handle = simulator.client, body.handle
+    dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, len(body.joints))]
+    if dynamics[0][10] == _SOFT_BODY:
+        raise UnsupportedError(f"{body.name!r} is soft: PyBullet does not tell what it is made of")
+    known = simulator.description_of(body)
+    assert known is not None
+    infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
+    frames = simulator.read_frames((body,), links_move=True)
+    joints = simulator.read_joints([body] if body.joints else [])
+    return BodyModel(
+        body,
+        zero_poses(body, frames, positions_by_link(body, joints)),
+        known.com,
+        np.array([dynamic[2] for dynamic in dynamics]),
+        [info[6] for info in infos],
+        [_contact(dynamic) for dynamic in dynamics],
+        list(_drawn(simulator, body)),
+    )
+
+
+def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
+    """What contacts with a link are like; 0 and -1 are what PyBullet begins with."""
+    told = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
+    return {element: value for element, value in told.items() if value not in (0.0, -1.0)} | {
+        "lateral_friction": float(dynamic[1])
+    }
+
+
+def guessed_model(body: Body, frames: LinkPoses, joints: Array) -> BodyModel:
+    """What a record tells of a body; its masses are in the middles of its shapes."""
+    positions = positions_by_link(body, joints)
+    com = np.array([_middle(body, link) for link in range(len(body.links))])
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
+    return BodyModel(
+        body,
+        zero_poses(body, frames, positions),
+        (com, turns),
+        None,
+        [0.0] * len(body.joints),
+        [{}] * len(body.links),
+        None,
+    )
+
+
+def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
+    """Where joints are, by link; of what nobody knows, 0 or the limit next to it."""
+    found = {}
+    for joint, states in zip(body.joints, joints, strict=True):
+        if joint.type in SETTABLE:
+            position = float(states[0])
+            found[joint.link] = next_to_zero(joint) if math.isnan(position) else position
+    return found
+
+
+def _middle(body: Body, link: int) -> Array:
+    """The middle of a link's shapes in its frame, by the volumes of their boxes."""
+    shapes = [replace(shape, frame=0) for shape in body.shapes if shape.frame == link]
+    if not shapes or any(shape.geometry.type == "plane" for shape in shapes):
+        return np.zeros(3)
+    boxer = Boxer(shapes, range(len(shapes)), len(shapes))
+    boxes = boxer.boxes(np.zeros((1, 3)), np.eye(3)[None])
+    low, high = boxes[:3].T, boxes[3:].T
+    volumes = np.prod(high - low, axis=1)
+    middle: Array = np.average((low + high) / 2, axis=0, weights=volumes + 1e-12)
+    return middle
+
+
+def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
+    entries = pybullet.getVisualShapeData(body.handle, physicsClientId=simulator.client)
+    colours = simulator.colours_of(body)
+    for entry, (link, _, colour) in zip(entries, colours, strict=True):
+        geometry = primitive_of(entry[2], entry[3])
+        yield Visual(
+            link + 1,
+            geometry,
+            entry[4].decode(errors="replace"),
+            entry[3],
+            np.array(entry[5]),
+            wxyz(np.array([entry[6]]))[0],
+            colour,
+        )
+
+
+def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, End, End]]:
+    """The constraints of a client, with the links that each is between; -1, -1 is the world."""
+    names = {number: name for name, number in CONSTRAINTS.items()}
+    for index in range(pybullet.getNumConstraints(client)):
+        number = pybullet.getConstraintUniqueId(index, physicsClientId=client)
+        info = pybullet.getConstraintInfo(number, client)
+        (turn,), (to_turn,) = (wxyz(np.array([info[at]])).tolist() for at in (8, 9))
+        spec = ConstraintSpec(
+            type=names[info[4]],
+            on="",
+            axis=info[5],
+            position=info[6],
+            orientation=tuple(turn),
+            to_position=info[7],
+            to_orientation=tuple(to_turn),
+            max_force=info[10],
+            gear_ratio=info[11],
+            gear_link=info[12],
+            gear_target=info[13],
+            erp=info[14],
+        )
+        yield spec, (info[0], info[1]), (info[2], info[3])

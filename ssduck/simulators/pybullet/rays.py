@@ -1,0 +1,75 @@
+"""Rays in a PyBullet client.
+
+PyBullet tells the nearest hit of a ray, or all its hits one by one, in no order. A ray that meets
+the body that it is to pass through is therefore cast again for its other hits, until it has no
+more; casting on from behind the hit would miss what touches that body, for Bullet does not see a
+convex shape that a ray begins in.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+from operator import itemgetter
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.simulators.interface import RayHits
+from ssduck.simulators.pybullet.console import pybullet
+
+# PyBullet refuses more rays than its maximum in one call, and of as many it tells nothing.
+MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
+# Waking other threads takes longer than casting fewer rays than this.
+WORTH_THREADS = 50
+_ALL_THREADS = 0
+_body = itemgetter(0)
+_fraction = itemgetter(2)
+
+
+def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayHits:
+    """The nearest hit of each ray, but for hits of the body that it passes through."""
+    bodies, fractions = _cast(client, starts, ends)
+    blocked = np.flatnonzero((bodies == through) & (bodies >= 0))
+    if blocked.size:
+        bodies[blocked], fractions[blocked] = _behind(
+            client, starts[blocked], ends[blocked], through[blocked]
+        )
+    return RayHits(bodies, fractions)
+
+
+def _behind(client: int, starts: Array, ends: Array, through: Indices) -> tuple[Indices, Array]:
+    """The nearest of all hits but those of the bodies that the rays pass through."""
+    bodies = np.full(len(starts), -1, dtype=np.intp)
+    fractions = np.ones(len(starts))
+    left = np.arange(len(starts))
+    for number in count():
+        found, where = _cast(client, starts[left], ends[left], number)
+        there = found >= 0
+        nearer = there & (found != through[left]) & (where < fractions[left])
+        bodies[left[nearer]] = found[nearer]
+        fractions[left[nearer]] = where[nearer]
+        left = left[there]
+        if not left.size:
+            break
+    return bodies, fractions
+
+
+def _cast(client: int, starts: Array, ends: Array, number: int = -1) -> tuple[Indices, Array]:
+    """The bodies and the fractions of the nearest hits, or of those of that number."""
+    total = len(starts)
+    threads = 1 if total < WORTH_THREADS else _ALL_THREADS
+    hits = [
+        hit
+        for first in range(0, total, MOST_RAYS)
+        for hit in pybullet.rayTestBatch(
+            starts[first : first + MOST_RAYS],
+            ends[first : first + MOST_RAYS],
+            numThreads=threads,
+            reportHitNumber=number,
+            physicsClientId=client,
+        )
+    ]
+    return (
+        np.fromiter(map(_body, hits), np.intp, total),
+        np.fromiter(map(_fraction, hits), np.float64, total),
+    )

@@ -1,0 +1,344 @@
+"""Loading a scene's models into a PyBullet client."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from ssduck.errors import SceneError, nearest
+from ssduck.geometry.poses import compose
+from ssduck.simulators.interface import SETTABLE, Joint, Kind, MotorTarget
+from ssduck.simulators.kinematics import SLACK
+from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, xyzw
+from ssduck.simulators.pybullet.console import captured, pybullet
+from ssduck.simulators.scenes import BodySpec, ConstraintSpec, Scene
+
+CONSTRAINTS = {
+    "fixed": pybullet.JOINT_FIXED,
+    "point": pybullet.JOINT_POINT2POINT,
+    "prismatic": pybullet.JOINT_PRISMATIC,
+    "gear": pybullet.JOINT_GEAR,
+}
+# PyBullet's names of what `Engine` sets.
+_ENGINE = {
+    "substeps": "numSubSteps",
+    "iterations": "numSolverIterations",
+    "joint_iterations": "numNonContactInnerIterations",
+}
+# Stands before each of Bullet's messages, which do not end in a new line.
+_MARK = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
+
+
+@dataclass(frozen=True, eq=False)
+class SceneOrigin:
+    """Which entry of a scene a body was loaded from, and which of the bodies in its file it is."""
+
+    spec: BodySpec
+    number: int
+
+
+@dataclass(eq=False)
+class LoadedBodies:
+    """What is known of the bodies that ssduck put into a client, by PyBullet body number.
+
+    Attributes:
+        names: as the scene says.
+        kinds: as the scene says.
+        origins: where bodies come from that were loaded from a file.
+        held: by links, where motors hold joints.
+        described: bodies of which it is known what they are made of.
+        disabled: bodies that are to take no part in collisions.
+        hidden: bodies that are not to be drawn.
+        time: that it is to begin with, s.
+        elastic: whether nothing is to lose energy.
+    """
+
+    names: dict[int, str] = field(default_factory=dict)
+    kinds: dict[int, Kind] = field(default_factory=dict)
+    origins: dict[int, SceneOrigin] = field(default_factory=dict)
+    held: dict[int, dict[int, float]] = field(default_factory=dict)
+    described: dict[int, BodyDescription] = field(default_factory=dict)
+    disabled: set[int] = field(default_factory=set)
+    hidden: set[int] = field(default_factory=set)
+    time: float = 0.0
+    elastic: bool = False
+
+
+def load_models(scene: Scene, client: int) -> LoadedBodies:
+    """Fill a new client with a scene.
+
+    Raises:
+        SceneError: a model cannot be loaded, or a constraint cannot be made: file, key and reason.
+    """
+    pybullet.setTimeStep(scene.timestep, client)
+    pybullet.setGravity(*scene.gravity, physicsClientId=client)
+    engine = {name: value for name, value in asdict(scene.engine).items() if value is not None}
+    set_engine(engine, client)
+    if scene.elastic:
+        set_elastic(client)
+    filled = LoadedBodies(time=scene.time, elastic=scene.elastic)
+    for index, spec in enumerate(scene.bodies):
+        # A model that is loaded by itself has no entry in a scene's file.
+        load_body(spec, f"{scene.path}: body[{index}]." if spec.name else "", filled, client)
+    _make_constraints(scene, filled, client)
+    # Contacts and rays of the first tick are of where things are now.
+    pybullet.performCollisionDetection(client)
+    return filled
+
+
+def set_elastic(client: int) -> None:
+    """Let collisions lose no energy, whatever is loaded."""
+    pybullet.setPhysicsEngineParameter(
+        # Slow contacts bounce, too, and none is pushed apart afterwards, which would speed it up.
+        restitutionVelocityThreshold=0.0,
+        contactERP=0.0,
+        physicsClientId=client,
+    )
+
+
+def make_elastic(handle: int, client: int) -> None:
+    """Let a body lose no energy: neither where it meets something nor in between."""
+    for link in range(-1, pybullet.getNumJoints(handle, client)):
+        pybullet.changeDynamics(
+            handle,
+            link,
+            restitution=1.0,
+            lateralFriction=0.0,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            # A contact that begins before shapes meet would brake them. The world's own bound,
+            # contactBreakingThreshold, is one for all clients of a process.
+            contactProcessingThreshold=0.0,
+            physicsClientId=client,
+        )
+
+
+def set_engine(engine: Mapping[str, int], client: int) -> None:
+    """Set how the solver works, by the names of `Engine`; nothing that is so already."""
+    for name, value in engine.items():
+        if engine_of(client)[name] != value:
+            pybullet.setPhysicsEngineParameter(physicsClientId=client, **{_ENGINE[name]: value})
+
+
+def engine_of(client: int) -> dict[str, int]:
+    """How the solver works, by the names of `Engine`."""
+    told = pybullet.getPhysicsEngineParameters(client)
+    return {name: int(told[called]) for name, called in _ENGINE.items()}
+
+
+def load_body(spec: BodySpec, place: str, filled: LoadedBodies, client: int) -> Sequence[int]:
+    """Load an entry of a scene; gives the numbers of its bodies, of which a file may have some.
+
+    Args:
+        spec: the entry.
+        place: what errors say where it is.
+        filled: is told of them.
+        client: where to.
+
+    Raises:
+        SceneError: the model cannot be loaded: file, key and reason.
+    """
+    handles = load_model(spec, place, client)
+    for number, handle in enumerate(handles):
+        filled.origins[handle] = SceneOrigin(spec, number)
+        if spec.name:
+            filled.names[handle] = spec.name
+        if spec.kind:
+            filled.kinds[handle] = spec.kind
+        if not spec.enabled:
+            filled.disabled.add(handle)
+        if not spec.visible:
+            filled.hidden.add(handle)
+        held = _set_joints(handle, spec, place, client)
+        if held:
+            filled.held[handle] = held
+        if filled.elastic:
+            make_elastic(handle, client)
+    return handles
+
+
+def load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
+    """Load a model file; an SDF or MJCF file may hold several bodies."""
+    file = str(spec.model)
+    suffix = spec.model.suffix.lower()
+    with captured() as lines:
+        try:
+            if suffix == ".urdf":
+                return (_load_urdf(spec, file, client),)
+            load = pybullet.loadSDF if suffix == ".sdf" else pybullet.loadMJCF
+            return cast("Sequence[int]", load(file, physicsClientId=client))
+        except (pybullet.error, UnicodeEncodeError) as error:
+            failure = error
+    said = [part.strip() for part in _MARK.split(" ".join(lines)) if part.strip()]
+    reason = "; ".join(said) or str(failure)
+    where = f"{place}urdf: " if place else ""
+    raise SceneError(f"{where}{file} cannot be loaded: {reason}") from failure
+
+
+def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
+    flags = pybullet.URDF_USE_IMPLICIT_CYLINDER  # PyBullet would make prisms of cylinders
+    if spec.own_inertia:
+        flags |= pybullet.URDF_USE_INERTIA_FROM_FILE
+    handle = int(
+        pybullet.loadURDF(file, useFixedBase=spec.fixed, flags=flags, physicsClientId=client)
+    )
+    # loadURDF's own position is that of the root's centre of mass or of its link frame
+    # according to its flags; placing the link frame here leaves no doubt.
+    dynamics = pybullet.getDynamicsInfo(handle, -1, client)
+    link = np.array([spec.position]), np.array([spec.orientation])
+    com = np.array([dynamics[3]]), wxyz(np.array([dynamics[4]]))
+    position, orientation = compose(*link, *com)
+    pybullet.resetBasePositionAndOrientation(
+        handle, position[0].tolist(), xyzw(orientation)[0].tolist(), client
+    )
+    if any(spec.velocity):
+        linear, spin = np.array(spec.velocity[:3]), np.array(spec.velocity[3:])
+        linear = linear + np.cross(spin, position[0] - link[0][0])
+        pybullet.resetBaseVelocity(handle, linear.tolist(), spin.tolist(), client)
+    return handle
+
+
+def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[int, float]:
+    """Set the initial joint states, and let motors hold joints with limits where they are.
+
+    A joint that the scene does not set is at 0, or at its limit next to 0. Joints without
+    limits are wheels and the like; their motors hold them at velocity 0.
+
+    Returns:
+        Where they are held, by link; none if PyBullet's own motors are left as they are.
+    """
+    count = pybullet.getNumJoints(handle, client)
+    joints = [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
+    for key in ("joints", "held"):
+        for name, value in getattr(spec, key).items():
+            _check_joint(name, value, joints, f"{place}{key}.{name}: {spec.model.name}")
+    for name in spec.joint_velocities:
+        _check_joint(name, None, joints, f"{place}joint_velocities.{name}: {spec.model.name}")
+    held: dict[int, float] = {}
+    for joint in joints:
+        if joint.type not in SETTABLE:
+            continue
+        value = spec.joints.get(joint.name, next_to_zero(joint))
+        velocity = spec.joint_velocities.get(joint.name, 0.0)
+        pybullet.resetJointState(handle, joint.link - 1, value, velocity, client)
+        if spec.hold:
+            held[joint.link] = spec.held.get(joint.name, value)
+            hold_joint(handle, joint, held[joint.link], client)
+    return held
+
+
+def hold_joint(handle: int, joint: Joint, value: float, client: int) -> None:
+    """Let a joint's motor hold it there; one without limits is held at velocity 0."""
+    position = None if joint.lower is None else value
+    set_motor(handle, joint.link, MotorTarget(position, 0.0, joint.max_effort or 0.0, None), client)
+
+
+def set_motor(handle: int, link: int, motor: MotorTarget, client: int) -> None:
+    """Let the motor of a link's joint act so from the next step on."""
+    bounds: dict[str, Any] = {} if motor.speed is None else {"maxVelocity": motor.speed}
+    target: dict[str, Any] = (
+        {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": motor.velocity}
+        if motor.position is None
+        else {"controlMode": pybullet.POSITION_CONTROL, "targetPosition": motor.position}
+    )
+    pybullet.setJointMotorControl2(
+        handle, link - 1, force=motor.effort, physicsClientId=client, **target, **bounds
+    )
+
+
+def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place: str) -> None:
+    """Complain of a joint that is not there, or cannot be put there."""
+    known = {joint.name: joint for joint in joints}
+    if name not in known:
+        raise SceneError(f"{place} has no such joint", suggestions=nearest(name, known))
+    joint = known[name]
+    if joint.type not in SETTABLE:
+        raise SceneError(f"{place}: a {joint.type} joint has no position")
+    low, high = _range(joint)
+    # Solvers leave a joint a little beyond its limits, and worlds are saved so.
+    if value is not None and not low - SLACK < value < high + SLACK:
+        raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
+
+
+def _make_constraints(scene: Scene, filled: LoadedBodies, client: int) -> None:
+    handles = {name: handle for handle, name in filled.names.items()}
+    for index, spec in enumerate(scene.constraints):
+        place = f"{scene.path}: constraint[{index}]."
+        ends = []
+        for key, body, link in (("on", spec.on, spec.link), ("to", spec.to, spec.to_link)):
+            if body is None:
+                ends.append((-1, -1))
+                continue
+            handle = handles[body]
+            names = _link_names(handle, client)
+            if link is not None and link not in names:
+                raise SceneError(
+                    f"{place}{key}_link: {body!r} has no link {link!r}",
+                    suggestions=nearest(link, names),
+                )
+            ends.append((handle, -1 if link is None else names.index(link) - 1))
+        make_constraint(spec, ends[0], ends[1], client)
+
+
+def _link_names(handle: int, client: int) -> list[str]:
+    infos = [
+        pybullet.getJointInfo(handle, index, client)[12]
+        for index in range(pybullet.getNumJoints(handle, client))
+    ]
+    base = pybullet.getBodyInfo(handle, client)[0]
+    return [name.decode(errors="replace") for name in (base, *infos)]
+
+
+def make_constraint(
+    spec: ConstraintSpec, on: tuple[int, int], to: tuple[int, int], client: int
+) -> None:
+    """Make a constraint between two links, each a body's number and PyBullet's of the link."""
+    number = pybullet.createConstraint(
+        *on,
+        *to,
+        CONSTRAINTS[spec.type],
+        spec.axis,
+        spec.position,
+        spec.to_position,
+        _as_pybullet(spec.orientation),
+        _as_pybullet(spec.to_orientation),
+        physicsClientId=client,
+    )
+    settings: dict[str, Any] = {}
+    # What PyBullet calls 500 N to begin with is an impulse of 500 N s; set, it would be 500 N.
+    if spec.max_force != ConstraintSpec.max_force:
+        settings["maxForce"] = spec.max_force
+    if spec.type == "gear":
+        settings |= {
+            "gearRatio": spec.gear_ratio,
+            "gearAuxLink": spec.gear_link,
+            "relativePositionTarget": spec.gear_target,
+        }
+    if spec.erp:
+        settings["erp"] = spec.erp
+    if settings:
+        pybullet.changeConstraint(number, physicsClientId=client, **settings)
+
+
+def _as_pybullet(orientation: Sequence[float]) -> list[float]:
+    w, *vector = orientation
+    return [*vector, w]
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    if joint.lower is None or joint.upper is None:
+        return -math.inf, math.inf
+    return joint.lower, joint.upper
+
+
+def next_to_zero(joint: Joint) -> float:
+    """0, or a joint's limit next to it."""
+    low, high = _range(joint)
+    return min(max(0.0, low), high)

@@ -1,0 +1,607 @@
+"""PyBullet behind the interface of `ssduck.simulators.interface`.
+
+This module and its neighbours of the same prefix are the only ones that import pybullet.
+PyBullet reports the pose of a link's centre of mass; what leaves this module is the link
+frame: `X_W_link = X_W_com * inverse(X_link_com)`, X_link_com from `getDynamicsInfo`. Its
+quaternions are x, y, z, w. Its padded boxes are not used: shapes are read once and boxed
+exactly (ssduck.geometry.bounds).
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import repeat
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck import validation
+from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
+from ssduck.formatting import listed, shown
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import compose
+from ssduck.simulators.backends import ShapesByBody
+from ssduck.simulators.clock import Clock
+from ssduck.simulators.interface import (
+    Body,
+    CameraView,
+    Contact,
+    Kind,
+    LinkPoses,
+    MotorTarget,
+    RayHits,
+)
+from ssduck.simulators.pybullet.bodies import (
+    BodyDescription,
+    GivenShapes,
+    describe,
+    masses_of,
+    xyzw,
+)
+from ssduck.simulators.pybullet.bullet_file import SavedShapes
+from ssduck.simulators.pybullet.collision_margins import margins_of
+from ssduck.simulators.pybullet.console import captured, pybullet
+from ssduck.simulators.pybullet.constraints import tie, ties_of
+from ssduck.simulators.pybullet.given_shapes import given_shapes
+from ssduck.simulators.pybullet.link_frames import LinkPosesReader
+from ssduck.simulators.pybullet.rays import cast_rays
+from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, load_models, set_motor
+from ssduck.simulators.scenes import Camera, Scene
+
+T = TypeVar("T")
+
+# What a camera's picture shows, metres: PyBullet's own bounds of a camera, about.
+NEAREST_DRAWN = 0.01
+FARTHEST_DRAWN = 100.0
+
+# Bullet's groups and masks of collisions: what cannot move meets all else but its like.
+_FREE, _FIXED = (1, -1), (2, -3)
+
+
+class PyBulletSimulator:
+    """A PyBullet client as a `Simulator`.
+
+    Args:
+        client: the number of a connected client.
+        owned: whether ssduck made the client and disconnects it; else others may change it.
+        names: names of the bodies that are there now by PyBullet body number, instead of those
+            of the models.
+        kinds: kinds of these bodies, instead of robot for what has movable joints.
+        shapes: of these bodies, those that the caller knows.
+        filled: what else is known of them if ssduck put them there.
+
+    Attributes:
+        filled: the same; where its motors hold joints is kept there.
+        clock: counts the simulated time: the steps that ssduck runs, and in a client of
+            the user's those that ticks tell of.
+    """
+
+    def __init__(
+        self,
+        client: int,
+        *,
+        owned: bool,
+        names: Mapping[int, str] | None = None,
+        kinds: Mapping[int, Kind] | None = None,
+        shapes: Mapping[int, GivenShapes] | None = None,
+        filled: LoadedBodies | None = None,
+    ) -> None:
+        self.client = client
+        self.watched = not owned
+        # Of a client that ssduck filled.
+        self.filled = filled or LoadedBodies()
+        self._names = dict(names or {})
+        self._kinds = dict(kinds or {})
+        self._given = dict(shapes or {})
+        self.disabled: frozenset[Body] = frozenset()
+        self.hidden: frozenset[Body] = frozenset()
+        # Of hidden bodies: link, number among its visual shapes, colour.
+        self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
+        self._known: dict[int, BodyDescription] = {}
+        # Two worlds on one client must not take each other's tags for their own.
+        self._tag = f"ssduck.{id(self)}"
+        self._listed: tuple[list[int], list[int]] = ([], [])
+        self._described = False
+        # Bodies that were removed since `describe` was called.
+        self._removed: list[Body] = []
+        # Why the client is not to be asked any more. PyBullet gives the number of one that is
+        # gone to the next one, which is none of ours.
+        self._lost: str | None = None
+        self._layout: tuple[tuple[Body, ...], LinkPosesReader] = ((), LinkPosesReader([], []))
+        self.clock = Clock(self._clients_timestep(), self.filled.time)
+
+    # -- bodies ---------------------------------------------------------------------------
+
+    def describe(self) -> tuple[list[Body], list[Body]] | None:
+        """Bodies that came and went since the last call.
+
+        PyBullet gives the number of a removed body to the next one at once, so every known
+        body carries a tag (user data, which goes with it) that tells the two apart.
+        """
+        if self._described and not self.watched:
+            gone, self._removed = self._removed, []
+            return ([], gone) if gone else None
+        handles = self._call(lambda: _handles(self.client))
+        tags = self._call(lambda: self._tags_of(handles))
+        if self._listed == (handles, tags):
+            return None
+        known = dict(zip(*self._listed, strict=True))
+        kept = {h for h, tag in zip(handles, tags, strict=True) if known.get(h) == tag}
+        unknown = [handle for handle in handles if handle not in kept]
+        saved = SavedShapes(self.client, unknown)
+        with captured():  # PyBullet mutters about shapes that it does not tell
+            new = self._call(lambda: {handle: self._read(handle, saved) for handle in unknown})
+        _warn_of_guesses([one.body for one in new.values() if not one.exact])
+        gone = [one.body for handle, one in self._known.items() if handle not in kept]
+        self._forget(gone)
+        self._known = {handle: self._known[handle] for handle in kept} | new
+        self._listed = handles, self._call(lambda: self._tags_of(handles))
+        # They were said of the bodies of that time, not of later ones of the same numbers.
+        self._names, self._kinds, self._given, self._described = {}, {}, {}, True
+        self._begin_absent()
+        return [one.body for one in new.values()], gone
+
+    def _begin_absent(self) -> None:
+        """Let bodies be what they begin as: without collisions, or not drawn."""
+        for handle in self.filled.disabled:
+            self.enable(self._known[handle].body, on=False)
+        for handle in self.filled.hidden:
+            self.show(self._known[handle].body, on=False)
+        self.filled.disabled, self.filled.hidden = set(), set()
+
+    def remove(self, body: Body) -> None:
+        """Take a body out of a client that ssduck made."""
+        self._call(lambda: pybullet.removeBody(body.handle, self.client))
+        # What rested on it is to fall with the next step.
+        self._call(lambda: pybullet.performCollisionDetection(self.client))
+        self._forget([body])
+        del self._known[body.handle]
+        for known in (self.filled.origins, self.filled.held):
+            known.pop(body.handle, None)
+        self._removed.append(body)
+
+    def description_of(self, body: Body) -> BodyDescription | None:
+        """What was read of a body, if the client has it still."""
+        known = self._known.get(body.handle)
+        if known is None or known.body is not body or self._lost is not None:
+            return None
+        if self.watched:
+            # Its number may be another's by now.
+            handles, tags = self._listed
+            tag = dict(zip(handles, tags, strict=True)).get(body.handle)
+            if self._call(lambda: self._tags_of([body.handle])) != [tag]:
+                return None
+        return known
+
+    def count(self) -> int:
+        """How many bodies the client has now."""
+        return self._call(lambda: int(pybullet.getNumBodies(self.client)))
+
+    def colours_of(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
+        """What a body is drawn in, or would be: link, number among its visual shapes, colour."""
+        return self._colours.get(body) or self._call(lambda: colours_of(self.client, body.handle))
+
+    def _forget(self, gone: Sequence[Body]) -> None:
+        if not self.disabled.isdisjoint(gone):
+            self.disabled -= frozenset(gone)
+        if not self.hidden.isdisjoint(gone):
+            self.hidden -= frozenset(gone)
+            self._colours = {body: self._colours[body] for body in self.hidden}
+
+    def _tags_of(self, handles: Sequence[int]) -> list[int]:
+        get = pybullet.getUserDataId
+        none = repeat(-1)
+        return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
+
+    def _read(self, handle: int, saved: SavedShapes) -> BodyDescription:
+        read = self.filled.described.pop(handle, None) or describe(
+            self.client,
+            handle,
+            self._names.get(handle),
+            self._kinds.get(handle),
+            saved,
+            self._given.get(handle),
+        )
+        pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
+        return read
+
+    # -- state ----------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds, as the clock has counted them."""
+        return self.clock.time
+
+    @property
+    def timestep(self) -> float:
+        """Simulated seconds that the next step takes, as the client is set now."""
+        return self._clients_timestep()
+
+    def set_clock(self, clock: Clock) -> None:
+        """Go by another clock from now on."""
+        self.clock = clock
+
+    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:
+        """All frames of these bodies as they are now, body after body."""
+        if self._layout[0] is not bodies:
+            self._layout = (
+                bodies,
+                LinkPosesReader(bodies, [self._known[b.handle].com for b in bodies]),
+            )
+        return self._call(lambda: self._layout[1].read(self.client, links_move))
+
+    def read_joints(self, bodies: Sequence[Body]) -> Array:
+        """Position, velocity and effort of these bodies' joints, (joints, 3)."""
+
+        def read() -> Iterator[tuple[float, float, float]]:
+            for body in bodies:
+                indices = range(len(body.joints))
+                for state in pybullet.getJointStates(body.handle, list(indices), self.client):
+                    yield state[0], state[1], state[3]
+
+        rows = self._call(lambda: list(read()))
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The masses of these bodies' links as they are now; of what is gone, as they were."""
+        there = self._are_there(bodies)
+        client = self.client
+        return self._call(
+            lambda: [masses_of(client, b) if b in there else b.masses for b in bodies]
+        )
+
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """The collision margins of these bodies' shapes; of what is gone, as they were."""
+        told = {body: self._known[body.handle].told for body in self._are_there(bodies)}
+        return self._call(
+            lambda: [margins_of(self.client, body, told.get(body, ())) for body in bodies]
+        )
+
+    def _are_there(self, bodies: Sequence[Body]) -> set[Body]:
+        """Those of the bodies that the client still has."""
+        tags = dict(zip(*self._listed, strict=True))
+        now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
+        return {b for b, tag in zip(bodies, now, strict=True) if tag == tags.get(b.handle)}
+
+    def read_contacts(self) -> Iterable[Contact]:
+        """The points of the last step at which shapes meet; PyBullet's near misses left out."""
+        for entry in self._call(lambda: pybullet.getContactPoints(physicsClientId=self.client)):
+            if entry[8] <= 0.0:
+                yield Contact(
+                    body_a=entry[1],
+                    link_a=entry[3] + 1,
+                    body_b=entry[2],
+                    link_b=entry[4] + 1,
+                    point_a=entry[5],
+                    point_b=entry[6],
+                    normal=entry[7],
+                    depth=-entry[8],
+                    force=entry[9],
+                    friction=_friction(entry),
+                )
+
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
+        """The nearest body that each ray meets; see `ssduck.simulators.pybullet.rays`."""
+        return self._call(lambda: cast_rays(self.client, starts, ends, through))
+
+    def step(self, count: int) -> None:
+        """Advance by that many steps."""
+        timestep = self._clients_timestep()
+
+        def run() -> None:
+            done = 0
+            try:
+                for _ in range(count):
+                    # Ctrl-C is heard behind the call: what is counted before has been run.
+                    done += 1
+                    pybullet.stepSimulation(self.client)
+            finally:
+                self.clock = self.clock.after(done, timestep)
+
+        self._call(run)
+
+    def _clients_timestep(self) -> float:
+        """Whoever made the client may set it at any time."""
+        return float(self.parameters()["fixedTimeStep"])
+
+    def parameters(self) -> dict[str, Any]:
+        """What PyBullet tells of gravity, time step and solver."""
+        told: dict[str, Any] = self._call(lambda: pybullet.getPhysicsEngineParameters(self.client))
+        return told
+
+    def place(self, body: Body, position: Array, orientation: Array) -> None:
+        """Put a body's base link frame there, at rest."""
+        com = self._known[body.handle].com
+        place, turn = compose(position[None], orientation[None], com[0][:1], com[1][:1])
+
+        def put() -> None:
+            pybullet.resetBasePositionAndOrientation(
+                body.handle, place[0].tolist(), xyzw(turn)[0].tolist(), self.client
+            )
+            # Else its contacts would be those of the place where it was.
+            pybullet.performCollisionDetection(self.client)
+
+        self._call(put)
+
+    def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
+        """Set joints by the numbers of their links, at rest.
+
+        The motors of a client that ssduck made go on holding, at the new positions.
+        """
+
+        def put() -> None:
+            for link, position in positions.items():
+                pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
+                if not self.watched:
+                    hold_joint(body.handle, body.joints[link - 1], position, self.client)
+                    self.filled.held.setdefault(body.handle, {})[link] = position
+            pybullet.performCollisionDetection(self.client)
+
+        self._call(put)
+
+    def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
+        """Set motors of joints by the numbers of their links; they act in the next steps."""
+
+        def put() -> None:
+            for link, motor in motors.items():
+                set_motor(body.handle, link, motor, self.client)
+
+        self._call(put)
+
+    def are_tied(self, body: Body, other: Body) -> bool:
+        """Whether a fixed constraint is between a link of a body and the base of another."""
+        return bool(self._call(lambda: ties_of(self.client, body.handle, other.handle)))
+
+    def tie(self, body: Body, link: int, other: Body) -> None:
+        """Make a fixed constraint between a link of a body and the base of another, as they are."""
+        self._call(lambda: tie(self.client, (body.handle, link - 1), other.handle))
+
+    def untie(self, body: Body, other: Body) -> None:
+        """Remove the fixed constraints between links of a body and the base of another."""
+
+        def untie() -> None:
+            for number in ties_of(self.client, body.handle, other.handle):
+                pybullet.removeConstraint(number, self.client)
+
+        self._call(untie)
+
+    def enable(self, body: Body, on: bool) -> None:
+        """Let a body take part in collisions, or not.
+
+        PyBullet does not tell what it may collide with; afterwards it is what PyBullet begins
+        with.
+        """
+        if on == (body not in self.disabled):
+            return
+
+        def put() -> None:
+            for link, part in enumerate(body.links):
+                fixed = link == 0 and part.mass == 0.0
+                group, mask = (_FIXED if fixed else _FREE) if on else (0, 0)
+                pybullet.setCollisionFilterGroupMask(
+                    body.handle, link - 1, group, mask, self.client
+                )
+            pybullet.performCollisionDetection(self.client)
+
+        self._call(put)
+        self.disabled = self.disabled - {body} if on else self.disabled | {body}
+
+    def show(self, body: Body, on: bool) -> None:
+        """Draw a body in the colours that it had, or do not."""
+        if on == (body not in self.hidden):
+            return
+        colours = self.colours_of(body)
+
+        def put() -> None:
+            for link, shape, (*rgb, alpha) in colours:
+                colour = [*rgb, alpha if on else 0.0]
+                pybullet.changeVisualShape(
+                    body.handle, link, shape, rgbaColor=colour, physicsClientId=self.client
+                )
+
+        self._call(put)
+        self.hidden = self.hidden - {body} if on else self.hidden | {body}
+        self._colours = {kept: self._colours.get(kept, colours) for kept in self.hidden}
+
+    def render(
+        self, camera: Camera, width: int, height: int, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
+        """A colour picture by PyBullet's software renderer, (height, width, 3)."""
+        return self._drawn(width, height, *_seen(camera, width, height), shadow=shadow)
+
+    def segment(self, camera: Camera, width: int, height: int) -> Indices:
+        """The number of the body that each pixel of that picture shows, -1 for none."""
+        view, lens = _seen(camera, width, height)
+        bodies = self._call(
+            lambda: pybullet.getCameraImage(
+                width,
+                height,
+                view,
+                lens,
+                renderer=pybullet.ER_TINY_RENDERER,
+                physicsClientId=self.client,
+            )
+        )[4]
+        return np.asarray(bodies, dtype=np.intp).reshape(height, width)
+
+    def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
+        """A colour picture by PyBullet's software renderer, without shadows."""
+        target = view.position + view.matrix[:, 0]
+        seen = pybullet.computeViewMatrix(
+            view.position.tolist(), target.tolist(), view.matrix[:, 2].tolist()
+        )
+        lens = pybullet.computeProjectionMatrixFOV(
+            view.fov, view.width / view.height, NEAREST_DRAWN, FARTHEST_DRAWN
+        )
+        return self._drawn(view.width, view.height, seen, lens, shadow=False)
+
+    def _drawn(
+        self, width: int, height: int, view: Any, lens: Any, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
+        picture = self._call(
+            lambda: pybullet.getCameraImage(
+                width,
+                height,
+                view,
+                lens,
+                lightDirection=(4.0, -6.0, 8.0),
+                lightDistance=8.0,
+                lightAmbientCoeff=0.65,
+                lightDiffuseCoeff=0.6,
+                lightSpecularCoeff=0.05,
+                shadow=int(shadow),
+                renderer=pybullet.ER_TINY_RENDERER,
+                physicsClientId=self.client,
+            )
+        )[2]
+        pixels = np.asarray(picture, dtype=np.uint8).reshape(height, width, 4)
+        return np.ascontiguousarray(pixels[:, :, :3])
+
+    def close(self) -> None:
+        """Take the tags off the bodies, and disconnect the client if ssduck made it."""
+        if self._lost is not None:
+            return
+        self._lost = "the world is closed"
+        if not pybullet.isConnected(self.client):
+            return
+        if self.watched:
+            for tag in self._listed[1]:
+                pybullet.removeUserData(tag, self.client)
+        else:
+            pybullet.disconnect(self.client)
+
+    def _call(self, function: Callable[[], T]) -> T:
+        """Call PyBullet; its errors say which of ssduck's they are."""
+        if self._lost is not None:
+            raise SimulatorError(f"{self._lost}; load or attach the world again")
+        try:
+            return function()
+        except pybullet.error as error:
+            if not pybullet.isConnected(self.client):
+                self._lost = f"PyBullet client {self.client} is disconnected"
+                raise SimulatorError(f"{self._lost}; load or attach the world again") from error
+            raise SimulatorError(f"PyBullet: {error}") from error
+
+
+def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
+    """PyBullet's matrices of a camera's view and lens."""
+    view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
+    # A view much deeper than the scene leaves too little depth apart: shadows get rings.
+    depth = 3.0 * math.dist(camera.eye, camera.target)
+    return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
+
+
+def _handles(client: int) -> list[int]:
+    """The numbers of the client's bodies."""
+    count = pybullet.getNumBodies(client)
+    return list(map(pybullet.getBodyUniqueId, range(count), repeat(client)))
+
+
+def _warn_of_guesses(bodies: Sequence[Body]) -> None:
+    if bodies:
+        warn(
+            f"{listed([body.name for body in bodies])}: PyBullet does not give back "
+            "all shapes (a height field is such a shape); bounding boxes are used instead, which "
+            "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
+            "the shapes themselves",
+        )
+
+
+def colours_of(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
+    """What a body is drawn in: link, number among its visual shapes, colour."""
+    shapes: Counter[int] = Counter()
+    colours = []
+    for entry in pybullet.getVisualShapeData(handle, physicsClientId=client):
+        colours.append((entry[1], shapes[entry[1]], entry[7]))
+        shapes[entry[1]] += 1
+    return colours
+
+
+# -- the two ways to a simulator --------------------------------------------------------------
+
+
+def load(scene: Scene) -> PyBulletSimulator:
+    """A new PyBullet simulation of a scene.
+
+    Raises:
+        SceneError: a model cannot be loaded: file, key and reason.
+    """
+    with new_client() as client:
+        filled = load_models(scene, client)
+        return PyBulletSimulator(
+            client, owned=True, names=filled.names, kinds=filled.kinds, filled=filled
+        )
+
+
+@contextmanager
+def new_client() -> Iterator[int]:
+    """A new client, that is disconnected again if what is done with it fails.
+
+    Raises:
+        SimulatorError: there are as many as PyBullet can have.
+    """
+    client = _connected()
+    if client < 0:
+        # Worlds that nobody has any more may wait to be collected, and hold theirs so long.
+        gc.collect()
+        client = _connected()
+    if client < 0:
+        raise SimulatorError("PyBullet could not make another client; close worlds")
+    try:
+        yield client
+    except BaseException:
+        pybullet.disconnect(client)
+        raise
+
+
+def _connected() -> int:
+    try:
+        return int(pybullet.connect(pybullet.DIRECT))
+    except pybullet.error:
+        return -1
+
+
+def attach(
+    client: Any,
+    names: Mapping[int, str] | None,
+    kinds: Mapping[int, Kind] | None,
+    shapes: ShapesByBody | None = None,
+) -> PyBulletSimulator:
+    """The user's own client: its number, or an object that holds it as `_client`.
+
+    Raises:
+        SimulatorError: the client is not connected.
+        SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
+    """
+    number = getattr(client, "_client", client)
+    if not validation.is_whole(number) or not pybullet.isConnected(int(number)):
+        raise SimulatorError(f"{client!r} is no connected PyBullet client")
+    number = int(number)
+    handles = _handles(number)
+    for own, what in ((names, "names"), (kinds, "kinds")):
+        if not isinstance(own, Mapping | None):
+            raise ArgumentError(f"attach: {what}: {shown(own)} is no dict by the bodies' numbers")
+    for handle in (*(names or {}), *(kinds or {})):
+        if not validation.is_whole(handle) or handle not in handles:
+            listed = ", ".join(map(str, handles)) or "none"
+            raise SelectScriptError(f"PyBullet has no body {shown(handle)}; its bodies: {listed}")
+    for handle, kind in (kinds or {}).items():
+        if kind not in ("robot", "kinbody"):
+            raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
+    for handle, name in (names or {}).items():
+        if not isinstance(name, str):
+            raise ArgumentError(f"attach: names: body {handle}: {shown(name)} is no text")
+    given = given_shapes(number, handles, shapes)
+    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
+
+
+def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:
+    """The force of friction on body A, along two directions across the normal."""
+    (first, along), (second, beside) = (entry[10], entry[11]), (entry[12], entry[13])
+    x, y, z = (first * a + second * b for a, b in zip(along, beside, strict=True))
+    return x, y, z

@@ -1,0 +1,291 @@
+"""Models of bodies that have no file, or not any more: what is known of one, written as URDF.
+
+Loaded again with `URDF_USE_INERTIA_FROM_FILE`, primitives go on in PyBullet to the last digit as
+those of `createMultiBody` do; hulls get another margin there, and rest up to 1e-5 m off.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import compose, invert, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.simulators.interface import Body, LinkPoses
+from ssduck.simulators.kinematics import moved
+
+Numbers = Sequence[float]
+
+# What a joint without a limit of effort or velocity is given; PyBullet takes 0 for none.
+_NONE = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """What is drawn of a link: a shape or a mesh's file, its pose in the link frame, its colour.
+
+    Attributes:
+        link: its index; the base is 0.
+        geometry: the shape; None for a mesh of a file.
+        file: of a mesh.
+        scale: of a mesh, or 1s.
+        position: in the link frame, metres.
+        orientation: in the link frame, w, x, y, z.
+        colour: red, green, blue, alpha, from 0 to 1.
+    """
+
+    link: int
+    geometry: Geometry | None
+    file: str
+    scale: Numbers
+    position: Array
+    orientation: Array
+    colour: Numbers
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """A body as a model file tells of it.
+
+    Attributes:
+        body: its links, joints and shapes.
+        zero: of each joint, the pose of its link in the frame of the parent at position 0,
+            (joints, 3) and (joints, 4).
+        com: poses of the centres of mass in the link frames, (links, 3) and (links, 4).
+        inertias: about the axes of these, (links, 3), kg m²; None for what the shapes give.
+        damping: of the joints.
+        contacts: of the links, what contacts with them are like, by PyBullet's elements.
+        drawn: what is drawn; None for the shapes.
+    """
+
+    body: Body
+    zero: tuple[Array, Array]
+    com: tuple[Array, Array]
+    inertias: Array | None
+    damping: Numbers
+    contacts: Sequence[Mapping[str, float]]
+    drawn: Sequence[Visual] | None
+
+
+def zero_poses(
+    body: Body, frames: LinkPoses, positions: Mapping[int, float]
+) -> tuple[Array, Array]:
+    """The poses of links in their parents' frames at joint positions of 0.
+
+    Args:
+        body: whose.
+        frames: where its links are.
+        positions: of its joints there, by link; of those that have one.
+    """
+    back = {link: -position for link, position in positions.items()}
+    zero = moved(body, frames, None, back)
+    parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
+    places, turns = zero.positions, zero.states[:, 3:7]
+    inverse = invert(places[parents], turns[parents])
+    return compose(*inverse, places[1:], turns[1:])
+
+
+def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
+    """Write a model and the meshes that it needs into a folder; the URDF file is `stem.urdf`."""
+    robot = ET.Element("robot", name=model.body.name)
+    meshes = _Meshes(folder, stem)
+    names = unique_names(link.name for link in model.body.links)
+    for index, name in enumerate(names):
+        element = ET.SubElement(robot, "link", name=name)
+        contact = ET.SubElement(element, "contact")
+        for kind, value in model.contacts[index].items():
+            ET.SubElement(contact, kind, value=_told(value))
+        _add_inertial(element, model, index)
+        shapes = [shape for shape in model.body.shapes if shape.frame == index]
+        for shape in shapes:
+            part = _add_geometry(element, "collision", shape, meshes)
+            if shape.geometry.type == "mesh":
+                part.set("concave", "yes")
+        _add_drawn(element, index, shapes, model.drawn, meshes)
+    for number in range(len(model.body.joints)):
+        _add_joint(robot, model, number, names)
+    path = folder / f"{stem}.urdf"
+    ET.indent(robot)
+    ET.ElementTree(robot).write(path, encoding="utf-8", xml_declaration=True)
+    return path
+
+
+def _add_inertial(element: ET.Element, model: BodyModel, index: int) -> None:
+    inertial = ET.SubElement(element, "inertial")
+    _add_origin(inertial, model.com[0][index], model.com[1][index])
+    ET.SubElement(inertial, "mass", value=_told(model.body.links[index].mass))
+    moments = np.zeros(3) if model.inertias is None else model.inertias[index]
+    told = dict(zip(("ixx", "iyy", "izz"), map(_told, moments), strict=True))
+    ET.SubElement(inertial, "inertia", told, ixy="0", ixz="0", iyz="0")
+
+
+def _add_drawn(
+    element: ET.Element,
+    index: int,
+    shapes: Sequence[PlacedGeometry],
+    drawn: Sequence[Visual] | None,
+    meshes: _Meshes,
+) -> None:
+    if drawn is None:
+        for shape in shapes:
+            _add_geometry(element, "visual", shape, meshes)
+        return
+    for number, one in enumerate(one for one in drawn if one.link == index):
+        colour = f"{element.get('name')}_{number}"
+        if one.geometry is not None:
+            placed = PlacedGeometry(index, one.geometry, one.position, one.orientation)
+            visuals = [_add_geometry(element, "visual", placed, meshes)]
+        elif Path(one.file).is_file():
+            visual = ET.SubElement(element, "visual")
+            _add_origin(visual, one.position, one.orientation)
+            scale = " ".join(map(_told, one.scale))
+            ET.SubElement(
+                ET.SubElement(visual, "geometry"),
+                "mesh",
+                filename=meshes.copied(Path(one.file)),
+                scale=scale,
+            )
+            visuals = [visual]
+        else:  # its corners are not told; the shapes are the nearest
+            visuals = [_add_geometry(element, "visual", shape, meshes) for shape in shapes]
+        for visual in visuals:
+            material = ET.SubElement(visual, "material", name=colour)
+            ET.SubElement(material, "color", rgba=" ".join(map(_told, one.colour)))
+
+
+def _add_geometry(
+    element: ET.Element, kind: str, shape: PlacedGeometry, meshes: _Meshes
+) -> ET.Element:
+    part = ET.SubElement(element, kind)
+    _add_origin(part, shape.position, shape.orientation)
+    geometry = ET.SubElement(part, "geometry")
+    a, b, c = map(_told, shape.geometry.size)
+    match shape.geometry.type:
+        case "box":
+            ET.SubElement(geometry, "box", size=f"{a} {b} {c}")
+        case "sphere":
+            ET.SubElement(geometry, "sphere", radius=a)
+        case "cylinder" | "capsule" as round:
+            ET.SubElement(geometry, round, radius=a, length=b)
+        case "plane":
+            ET.SubElement(geometry, "plane", normal=f"{a} {b} {c}")
+        case "hull" | "mesh":
+            ET.SubElement(geometry, "mesh", filename=meshes.written(shape.geometry))
+    return part
+
+
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Names that a model can have: each but once, and none is empty."""
+    found: dict[str, None] = {}
+    for name in names:
+        told = name or "_"
+        others = (f"{told}_{number}" for number in count(2))
+        found[told if told not in found else next(o for o in others if o not in found)] = None
+    return list(found)
+
+
+def _add_joint(robot: ET.Element, model: BodyModel, number: int, names: Sequence[str]) -> None:
+    joint = model.body.joints[number]
+    limited = joint.lower is not None and joint.upper is not None
+    kind = joint.type
+    element = ET.SubElement(
+        robot,
+        "joint",
+        name=unique_names(joint.name for joint in model.body.joints)[number],
+        type="continuous" if kind == "revolute" and not limited else kind,
+    )
+    ET.SubElement(element, "parent", link=names[model.body.links[joint.link].parent])
+    ET.SubElement(element, "child", link=names[joint.link])
+    _add_origin(element, model.zero[0][number], model.zero[1][number])
+    if kind in ("revolute", "prismatic"):
+        ET.SubElement(element, "axis", xyz=" ".join(map(_told, joint.axis)))
+    ET.SubElement(element, "dynamics", damping=_told(model.damping[number]))
+    # To PyBullet a range of nothing is no limit.
+    low, high = (joint.lower, joint.upper) if limited else (0.0, -1.0)
+    ET.SubElement(
+        element,
+        "limit",
+        lower=_told(low or 0.0),
+        upper=_told(high or 0.0),
+        effort=_told(joint.max_effort or _NONE),
+        velocity=_told(joint.max_velocity or _NONE),
+    )
+
+
+def _add_origin(element: ET.Element, position: Array, orientation: Array) -> None:
+    ET.SubElement(
+        element,
+        "origin",
+        xyz=" ".join(map(_told, position)),
+        rpy=" ".join(map(_told, angles(orientation))),
+    )
+
+
+def angles(orientation: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw, rad, of a quaternion w, x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    By arctangents only: the arcsine of PyBullet's own function loses half of the digits near a
+    pitch of 90°.
+    """
+    matrix = rotation_matrices(np.asarray(orientation, dtype=np.float64)[None])[0]
+    level = math.hypot(matrix[0, 0], matrix[1, 0])
+    pitch = math.atan2(-matrix[2, 0], level)
+    if level < 1e-9:  # straight up or down: only one of the others matters
+        return math.atan2(-matrix[1, 2], matrix[1, 1]), pitch, 0.0
+    return (
+        math.atan2(matrix[2, 1], matrix[2, 2]),
+        pitch,
+        math.atan2(matrix[1, 0], matrix[0, 0]),
+    )
+
+
+class _Meshes:
+    """The mesh files of a model, each written once."""
+
+    def __init__(self, folder: Path, stem: str) -> None:
+        self._folder = folder
+        self._stem = stem
+        self._names: dict[str, str] = {}
+
+    def written(self, geometry: Geometry) -> str:
+        """The name of a file that has a hull or a mesh."""
+        if geometry.key not in self._names:
+            name = self._next(".obj")
+            (self._folder / name).write_text(_obj(geometry), encoding="utf-8")
+            self._names[geometry.key] = name
+        return self._names[geometry.key]
+
+    def copied(self, file: Path) -> str:
+        """The name of a copy of a mesh file."""
+        key = str(file.resolve())
+        if key not in self._names:
+            name = self._next(file.suffix)
+            shutil.copyfile(file, self._folder / name)
+            self._names[key] = name
+        return self._names[key]
+
+    def _next(self, suffix: str) -> str:
+        return f"{self._stem}_{len(self._names) + 1}{suffix}"
+
+
+def _obj(geometry: Geometry) -> str:
+    corners = geometry.vertices
+    faces: Iterable[Iterable[int]] = geometry.faces
+    if not len(geometry.faces):
+        # Of a hull PyBullet takes the corners of its faces, whatever they are.
+        faces = [(0, i, i + 1) for i in range(1, len(corners) - 1)]
+    lines = ["v " + " ".join(map(_told, corner)) for corner in corners]
+    lines += ["f " + " ".join(str(int(corner) + 1) for corner in face) for face in faces]
+    return "\n".join(lines) + "\n"
+
+
+def _told(number: float) -> str:
+    return repr(float(number))

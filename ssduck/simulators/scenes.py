@@ -1,0 +1,426 @@
+"""Scene descriptions: a small TOML format that names bodies, models, poses and sensors.
+
+The format is documented in docs/scenes.md. Reading one checks all of it, so that what is
+wrong is said with file, key and reason before a simulator is started.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from ssduck.errors import SceneError, UnknownNameError, nearest
+from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting, SensorType
+from ssduck.simulators.toml_reader import REQUIRED, TomlTable
+
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
+MODEL_SUFFIXES = (".urdf", ".sdf", ".mjcf", ".xml")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole view: where it is, what it looks at (metres), its vertical angle (degrees)."""
+
+    eye: Vector = (3.0, -3.0, 2.5)
+    target: Vector = (0.0, 0.0, 0.5)
+    fov: float = 50.0
+
+
+@dataclass(frozen=True)
+class BodySpec:
+    """A body of a scene: position (metres) and orientation (w, x, y, z) of its base link frame.
+
+    `velocity` is what it begins with, of its centre of mass, m/s, and angular, rad/s, in the
+    world frame.
+    """
+
+    name: str | None
+    kind: Literal["robot", "kinbody"] | None
+    model: Path
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    fixed: bool = False
+    joints: dict[str, float] = field(default_factory=dict)
+    # Of its base link's frame, m/s, then rad/s; and of joints.
+    velocity: tuple[float, ...] = (0.0,) * 6
+    joint_velocities: dict[str, float] = field(default_factory=dict)
+    # Whether motors hold its joints, and where, if not where they are.
+    hold: bool = True
+    held: dict[str, float] = field(default_factory=dict)
+    enabled: bool = True
+    visible: bool = True
+    # Whether moments of inertia are the model's; else those of its shapes.
+    own_inertia: bool = False
+
+
+CONSTRAINT_TYPES = ("fixed", "point", "prismatic", "gear")
+
+
+@dataclass(frozen=True)
+class ConstraintSpec:
+    """What ties a link of a body to one of another, or to the world.
+
+    Attributes:
+        type: one of `CONSTRAINT_TYPES`.
+        on: the body.
+        to: the other one; None for the world.
+        link: of the body; None for its base.
+        to_link: of the other one.
+        axis: of a prismatic one.
+        position: in the frame of the link's centre of mass, metres.
+        orientation: in that frame, w, x, y, z.
+        to_position: in that of the other link's, or in the world.
+        to_orientation: the same.
+        max_force: newtons.
+        gear_ratio: of a gear.
+        gear_link: of a gear, the number of a third link.
+        gear_target: of a gear, how far apart they are to be.
+        erp: how much of an error is made up for in a step; 0 for PyBullet's own.
+    """
+
+    type: str
+    on: str
+    to: str | None = None
+    link: str | None = None
+    to_link: str | None = None
+    axis: Vector = (0.0, 0.0, 0.0)
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    to_position: Vector = (0.0, 0.0, 0.0)
+    to_orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    max_force: float = 500.0
+    gear_ratio: float = 0.0
+    gear_link: int = 0
+    gear_target: float = 0.0
+    erp: float = 0.0
+
+
+@dataclass(frozen=True)
+class Engine:
+    """How the solver works; None for PyBullet's own.
+
+    Attributes:
+        substeps: into so many parts a step is cut; 0 for none.
+        iterations: of the solver, at most, in a step.
+        joint_iterations: of joints and constraints in each of these.
+    """
+
+    substeps: int | None = None
+    iterations: int | None = None
+    joint_iterations: int | None = None
+
+
+@dataclass(frozen=True)
+class SensorSpec:
+    """A sensor and where it sits: its pose in the frame of a body's link.
+
+    A sensor looks along its own +x with z up. `settings` are those of its type; `max_range` is
+    0 for a type that has none.
+    """
+
+    name: str
+    on: str
+    link: str | None
+    type: str
+    position: Vector
+    orientation: Quaternion
+    period: float
+    max_range: float
+    settings: dict[str, float]
+    powered: bool = True
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A whole scene; bodies and sensors in load order.
+
+    In an `elastic` one there is neither friction nor damping, and collisions lose no energy.
+    """
+
+    name: str
+    path: Path
+    description: str = ""
+    gravity: Vector = (0.0, 0.0, -9.81)
+    timestep: float = 1.0 / 240.0
+    time: float = 0.0
+    camera: Camera = Camera()
+    bodies: tuple[BodySpec, ...] = ()
+    sensors: tuple[SensorSpec, ...] = ()
+    elastic: bool = False
+    constraints: tuple[ConstraintSpec, ...] = ()
+    engine: Engine = Engine()
+
+
+def shipped_scenes() -> dict[str, Path]:
+    """The scenes that come with ssduck: name to the scene's file."""
+    return {path.parent.name: path for path in sorted(_shipped_folder().glob("*/scene.toml"))}
+
+
+def _shipped_folder() -> Path:
+    """In a wheel the scenes lie inside the package, in a checkout beside it."""
+    package = Path(str(files("ssduck")))
+    inside = package / "scenes"
+    return inside if inside.is_dir() else package.parent / "scenes"
+
+
+def find_scene(name: str | Path) -> Scene:
+    """A scene by the name of a shipped one, or by the path of a scene or a model file.
+
+    Raises:
+        UnknownNameError: there is neither, with the nearest shipped names.
+        SceneError: there is a file, and it cannot be used: file, key and reason.
+    """
+    shipped = shipped_scenes()
+    if str(name) in shipped:
+        return read_scene(shipped[str(name)])
+    path = Path(name)
+    if _is(path, Path.is_dir):
+        path = path / "scene.toml"
+        if not path.is_file():
+            raise SceneError(f"{path.parent} is a folder without a scene.toml")
+    if not _is(path, Path.is_file):
+        raise UnknownNameError(
+            f"there is no scene {str(name)!r}: neither a shipped one ({', '.join(shipped)}) "
+            "nor a file of that name",
+            suggestions=nearest(name, shipped),
+        )
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
+        return read_scene(path)
+    if suffix in MODEL_SUFFIXES:
+        body = BodySpec(name=None, kind=None, model=path.resolve())
+        return Scene(name=variable_name(path.stem), path=path, bodies=(body,))
+    raise SceneError(
+        f"{path}: cannot tell what this is; a scene ends in .toml, "
+        f"a model in {', '.join(MODEL_SUFFIXES)}"
+    )
+
+
+def _is(path: Path, check: Callable[[Path], bool]) -> bool:
+    """What the check says; a name that no file can have is no file's."""
+    try:
+        return check(path)
+    except OSError:
+        return False
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene file.
+
+    Raises:
+        SceneError: with file, key and reason.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise SceneError(f"{path}: {reason}") from error
+    return _scene(TomlTable(path, "", table), path)
+
+
+def _scene(table: TomlTable, path: Path) -> Scene:
+    bodies = tuple(_body(entry, path) for entry in table.tables("body"))
+    _check_unique(path, "body", [body.name for body in bodies])
+    sensors = tuple(
+        _sensor(entry, {str(body.name) for body in bodies}) for entry in table.tables("sensor")
+    )
+    _check_unique(path, "sensor", [sensor.name for sensor in sensors], bodies)
+    constraints = tuple(
+        _constraint(entry, {str(body.name) for body in bodies})
+        for entry in table.tables("constraint")
+    )
+    camera = table.table("camera")
+    engine = table.table("engine")
+    scene = Scene(
+        name=table.text("name", _default_name(path)),
+        path=path,
+        description=table.text("description", "", empty=True),
+        gravity=_three(table.numbers("gravity", 3, Scene.gravity)),
+        timestep=table.number("timestep", Scene.timestep, above=0.0),
+        time=table.number("time", Scene.time, at_least=0.0),
+        camera=Camera(
+            _three(camera.numbers("eye", 3, Camera.eye)),
+            _three(camera.numbers("target", 3, Camera.target)),
+            camera.number("fov", Camera.fov, above=0.0, below=180.0),
+        ),
+        bodies=bodies,
+        sensors=sensors,
+        elastic=table.flag("elastic", False),
+        constraints=constraints,
+        engine=Engine(
+            engine.whole("substeps", at_least=0),
+            engine.whole("iterations", at_least=1),
+            engine.whole("joint_iterations", at_least=1),
+        ),
+    )
+    if scene.camera.eye == scene.camera.target:
+        camera.fail("target", "the camera looks at where it is")
+    if not scene.name.isidentifier():
+        table.fail("name", f"{scene.name!r} is no name: letters, digits and _ only")
+    camera.end()
+    engine.end()
+    table.end()
+    return scene
+
+
+def _body(table: TomlTable, path: Path) -> BodySpec:
+    kind = table.text("kind", "") or None
+    if kind not in (None, "robot", "kinbody"):
+        table.fail(
+            "kind",
+            f"{kind!r} is neither 'robot' nor 'kinbody'",
+            nearest(kind, ("robot", "kinbody")),
+        )
+    model = (path.parent / table.text("urdf")).resolve()
+    if not model.is_file():
+        table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
+    if model.suffix.lower() != ".urdf":
+        table.fail("urdf", f"{model.name!r} does not end in .urdf")
+    joints, speeds, held = map(table.table, ("joints", "joint_velocities", "held"))
+    spec = BodySpec(
+        name=table.text("name"),
+        kind=kind,  # type: ignore[arg-type]  # checked above
+        model=model,
+        position=_three(table.numbers("position", 3, BodySpec.position)),
+        orientation=_unit(table, "orientation"),
+        fixed=table.flag("fixed", False),
+        joints=joints.all_numbers(),
+        velocity=table.numbers("velocity", 6, BodySpec.velocity),
+        joint_velocities=speeds.all_numbers(),
+        hold=table.flag("hold", True),
+        held=held.all_numbers(),
+        enabled=table.flag("enabled", True),
+        visible=table.flag("visible", True),
+        own_inertia=table.flag("own_inertia", False),
+    )
+    if spec.fixed and any(spec.velocity):
+        table.fail("velocity", "what is fixed does not move")
+    table.end()
+    return spec
+
+
+def _constraint(table: TomlTable, bodies: Collection[str]) -> ConstraintSpec:
+    type = table.text("type")
+    if type not in CONSTRAINT_TYPES:
+        table.fail("type", f"no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
+    ends = table.text("on"), table.text("to", "") or None
+    for key, body in zip(("on", "to"), ends, strict=True):
+        if body is not None and body not in bodies:
+            table.fail(key, f"the scene has no body {body!r}", nearest(body, bodies))
+    plain = ConstraintSpec
+    spec = ConstraintSpec(
+        type,
+        *ends,
+        link=table.text("link", "") or None,
+        to_link=table.text("to_link", "") or None,
+        axis=_three(table.numbers("axis", 3, plain.axis)),
+        position=_three(table.numbers("position", 3, plain.position)),
+        orientation=_unit(table, "orientation"),
+        to_position=_three(table.numbers("to_position", 3, plain.to_position)),
+        to_orientation=_unit(table, "to_orientation"),
+        max_force=table.number("max_force", plain.max_force, at_least=0.0),
+        gear_ratio=table.number("gear_ratio", plain.gear_ratio),
+        gear_link=table.whole("gear_link") or plain.gear_link,
+        gear_target=table.number("gear_target", plain.gear_target),
+        erp=table.number("erp", plain.erp, at_least=0.0),
+    )
+    table.end()
+    return spec
+
+
+def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpec:
+    """A sensor from what a `[[sensor]]` of a scene file would say.
+
+    Raises:
+        SceneError: key and reason.
+    """
+    return _sensor(TomlTable(None, "", dict(values)), bodies)
+
+
+def _sensor(table: TomlTable, bodies: Collection[str]) -> SensorSpec:
+    name = table.text("type")
+    if name not in SENSOR_TYPES:
+        table.fail("type", f"there is no sensor type {name!r}", nearest(name, SENSOR_TYPES))
+    kind = SENSOR_TYPES[name]
+    on = table.text("on")
+    if on not in bodies:
+        table.fail("on", f"the scene has no body {on!r}", nearest(on, bodies))
+    spec = SensorSpec(
+        name=table.text("name"),
+        on=on,
+        link=table.text("link", "") or None,
+        type=name,
+        position=_three(table.numbers("position", 3, (0.0, 0.0, 0.0))),
+        orientation=_unit(table, "orientation"),
+        period=table.number("period", 0.0, at_least=0.0),
+        max_range=table.number("max_range", above=0.0) if kind.has_range else 0.0,
+        settings=_settings(table, kind),
+        powered=table.flag("powered", True),
+    )
+    table.end()
+    return spec
+
+
+def _settings(table: TomlTable, kind: SensorType) -> dict[str, float]:
+    """What a sensor of that type is set by."""
+    settings = {setting.name: _setting(table, setting) for setting in kind.settings}
+    fault = kind.fault(settings)
+    if fault is not None:
+        table.fail(*fault)
+    return settings
+
+
+def _setting(table: TomlTable, setting: SensorSetting) -> float:
+    value = table.number(
+        setting.name,
+        REQUIRED if setting.default is None else setting.default,
+        above=setting.above,
+        at_least=setting.at_least,
+        below=setting.below,
+        at_most=setting.at_most,
+    )
+    if setting.whole and not value.is_integer():
+        table.fail(setting.name, f"{value:g} is no whole number")
+    return value
+
+
+def _unit(table: TomlTable, key: str) -> Quaternion:
+    """A rotation w, x, y, z, made exactly of unit length; far from it is a mistake."""
+    w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if abs(length - 1.0) > 1e-3:
+        table.fail(key, f"not a rotation: w, x, y, z have length {length:.4g}, not 1")
+    return (w / length, x / length, y / length, z / length)
+
+
+def _three(values: tuple[float, ...]) -> Vector:
+    x, y, z = values
+    return (x, y, z)
+
+
+def _check_unique(
+    path: Path, what: str, names: Sequence[str | None], others: Sequence[BodySpec] = ()
+) -> None:
+    taken = {body.name for body in others}
+    for index, name in enumerate(names):
+        if name in taken or name in names[:index]:
+            raise SceneError(f"{path}: {what}[{index}].name: {name!r} is there already")
+
+
+def _default_name(path: Path) -> str:
+    """What a scene is called by its file: `name.toml`, or `name/scene.toml`."""
+    place = path.resolve()
+    return variable_name(place.parent.name if place.name == "scene.toml" else place.stem)
+
+
+def variable_name(text: str) -> str:
+    """A name for a scene, which is a variable of programs, made from another one."""
+    name = "".join(letter if letter.isalnum() or letter == "_" else "_" for letter in text)
+    return name if name.isidentifier() else f"world_{name}".rstrip("_")

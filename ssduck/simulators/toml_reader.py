@@ -1,0 +1,124 @@
+"""Tables of a TOML file, read key by key, so that what is wrong is told with file and key."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ssduck.errors import SceneError, nearest
+
+# What a key's default is if it must be there.
+REQUIRED: Any = object()
+
+
+class TomlTable:
+    """A TOML table that is read key by key, so that what is left over is a mistake."""
+
+    def __init__(self, path: Path | None, where: str, values: dict[str, Any]) -> None:
+        self.path = path
+        self.where = where
+        self.values = values
+        self.asked: set[str] = set()
+
+    def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
+        """Complain of a key."""
+        place = f"{self.where}.{key}" if self.where else key
+        file = f"{self.path}: " if self.path else ""
+        raise SceneError(f"{file}{place}: {reason}", suggestions=suggestions)
+
+    def end(self) -> None:
+        """Complain of keys that nothing asked for."""
+        for key in self.values:
+            if key not in self.asked:
+                self.fail(key, "there is no such key", nearest(key, self.asked))
+
+    def text(self, key: str, default: str = REQUIRED, *, empty: bool = False) -> str:
+        """A text, that is not blank unless it may be."""
+
+        def fits(value: object) -> bool:
+            return isinstance(value, str) and (empty or value.strip() != "")
+
+        return self._get(key, default, fits, "a text")  # type: ignore[no-any-return]
+
+    def flag(self, key: str, default: bool) -> bool:
+        """True or false."""
+        return self._get(key, default, lambda value: isinstance(value, bool), "true or false")  # type: ignore[no-any-return]
+
+    def number(
+        self,
+        key: str,
+        default: float = REQUIRED,
+        above: float = -math.inf,
+        at_least: float = -math.inf,
+        below: float = math.inf,
+        at_most: float = math.inf,
+    ) -> float:
+        """A finite number within bounds."""
+        value = float(self._get(key, default, _is_number, "a finite number"))
+        if value <= above:
+            self.fail(key, f"{value:g} is not above {above:g}")
+        if value >= below:
+            self.fail(key, f"{value:g} is not below {below:g}")
+        if value < at_least:
+            self.fail(key, f"{value:g} is less than {at_least:g}")
+        if value > at_most:
+            self.fail(key, f"{value:g} is more than {at_most:g}")
+        return value
+
+    def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
+        """So many finite numbers."""
+
+        def fits(value: object) -> bool:
+            return (
+                isinstance(value, list | tuple)
+                and len(value) == count
+                and all(map(_is_number, value))
+            )
+
+        return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
+
+    def all_numbers(self) -> dict[str, float]:
+        """The numbers of all keys."""
+        return {key: self.number(key) for key in list(self.values)}
+
+    def whole(self, key: str, at_least: float = -math.inf) -> int | None:
+        """A whole number; None if it is not there."""
+        if key not in self.values:
+            self.asked.add(key)
+            return None
+        value = self.number(key, at_least=at_least)
+        if not value.is_integer():
+            self.fail(key, f"{value:g} is no whole number")
+        return int(value)
+
+    def table(self, key: str) -> TomlTable:
+        """A table in this one."""
+        values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
+        return TomlTable(self.path, f"{self.where}.{key}" if self.where else key, values)
+
+    def tables(self, key: str) -> Iterator[TomlTable]:
+        """The tables of a list of such."""
+
+        def fits(value: object) -> bool:
+            return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)
+
+        for index, values in enumerate(self._get(key, [], fits, f"tables, written [[{key}]]")):
+            yield TomlTable(self.path, f"{key}[{index}]", values)
+
+    def _get(self, key: str, default: Any, fits: Callable[[Any], bool], what: str) -> Any:
+        self.asked.add(key)
+        if key not in self.values:
+            if default is REQUIRED:
+                self.fail(key, "missing", nearest(key, set(self.values) - self.asked))
+            return default
+        value = self.values[key]
+        if not fits(value):
+            self.fail(key, f"expected {what}, found {value!r}")
+        return value
+
+
+def _is_number(value: object) -> bool:
+    # By comparison: math.isfinite cannot take an integer of 400 digits.
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e300 < value < 1e300

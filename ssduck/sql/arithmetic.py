@@ -1,0 +1,146 @@
+"""Sums, products, quotients, remainders and powers as SQL that means what Python means."""
+
+from __future__ import annotations
+
+from sqlglot import exp
+
+from ssduck.language import tree
+from ssduck.language.tree import Binary
+from ssduck.sql.sql_values import (
+    FloatDomain,
+    NotSqlError,
+    SqlValue,
+    StatementContext,
+    copied,
+    failure,
+    wrapped,
+)
+from ssduck.sql.types import EXACT, INTEGER, REAL, SqlType
+
+_SUMS = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
+MOST_EXPONENT = 64
+
+
+def arithmetic(
+    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue
+) -> SqlValue:
+    """The value of + - * / % ^ of two numbers.
+
+    Raises:
+        NotSqlError: SQL has other ideas of it.
+    """
+    sign = node.operator
+    for value in (left, right):
+        if not value.tag.is_number or value.tag.nullable:
+            raise NotSqlError
+    kinds = {left.tag.type, right.tag.type}
+    tag = SqlType("number") if "number" in kinds and "real" not in kinds else REAL
+    if kinds == {"integer"}:
+        tag = INTEGER
+    elif left.wide or right.wide:
+        raise NotSqlError  # rounded in another place than Python does
+    if sign in _SUMS:
+        return _sum(context, _SUMS[sign], left, right, tag)
+    if sign == "/":
+        if left.wide or right.wide:
+            raise NotSqlError
+        return _quotient(context, node, left, right)
+    if sign == "%" and "number" not in kinds:
+        return _remainder(context, node, left, right, tag)
+    if sign == "^" and "number" not in kinds:
+        return _power(context, node, left, tag)
+    raise NotSqlError
+
+
+def _sum(
+    context: StatementContext, kind: type[exp.Binary], left: SqlValue, right: SqlValue, tag: SqlType
+) -> SqlValue:
+    if tag == INTEGER:
+        context.risk()  # Python's integers have no end
+    sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
+    extent = FloatDomain.FINITE if tag == INTEGER else _extent(kind, left, right)
+    # Copied at each term, a long sum would take time that grows with the square of its length.
+    return SqlValue(exp.paren(sql, copy=False), tag, wide=tag == INTEGER, extent=extent)
+
+
+def _quotient(context: StatementContext, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
+    divided = exp.Div(
+        this=wrapped(left.sql), expression=wrapped(right.sql), typed=False, safe=False
+    )
+    extent = _extent(exp.Div, left, right)
+    return SqlValue(_unless_zero(context, node, right, divided, REAL), REAL, extent=extent)
+
+
+def _remainder(
+    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue, tag: SqlType
+) -> SqlValue:
+    """Python's: it has the sign of the divisor."""
+    a, b = wrapped(left.sql), wrapped(right.sql)
+    rest = exp.paren(exp.Mod(this=a, expression=b))
+    copied(rest)
+    zero = exp.Literal.number(0)
+    if tag == INTEGER and isinstance(right.sql, exp.Literal) and int(right.sql.name) > 0:
+        if left.natural:  # as DuckDB's; over millions of ticks each operation counts
+            return SqlValue(rest, tag, wide=left.wide, natural=True)
+        negative = exp.LT(this=rest, expression=zero)
+        case = exp.case().when(negative, exp.Add(this=rest.copy(), expression=b.copy()))
+        return SqlValue(case.else_(rest.copy()), tag, wide=left.wide, extent=FloatDomain.FINITE)
+    apart = exp.NEQ(
+        this=exp.paren(exp.LT(this=rest, expression=zero)),
+        expression=exp.paren(exp.LT(this=b.copy(), expression=zero.copy())),
+    )
+    nonzero = exp.NEQ(this=rest.copy(), expression=zero.copy())
+    shifted = exp.Add(this=rest.copy(), expression=b.copy())
+    case = exp.case().when(exp.and_(nonzero, apart), shifted)
+    if tag != INTEGER:  # a remainder of 0 has the sign of the divisor as well
+        none = exp.Mul(this=b.copy(), expression=zero.copy())
+        case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
+    case = case.else_(rest.copy())
+    extent = FloatDomain.NAN if left.extent or right.extent else FloatDomain.FINITE
+    sql = _unless_zero(context, node, right, case, tag)
+    return SqlValue(sql, tag, wide=left.wide, extent=extent)
+
+
+def _unless_zero(
+    context: StatementContext, node: Binary, right: SqlValue, sql: exp.Expr, tag: SqlType
+) -> exp.Expr:
+    """Fail where the divisor is 0; SQL would yield nothing there."""
+    if isinstance(node.right, tree.Literal) and node.right.value:
+        return exp.paren(sql)
+    context.risk()
+    is_zero = exp.EQ(this=wrapped(copied(right.sql)), expression=exp.Literal.number(0))
+    return exp.case().when(is_zero, failure(tag)).else_(sql)
+
+
+def _power(context: StatementContext, node: Binary, left: SqlValue, tag: SqlType) -> SqlValue:
+    """With a small whole exponent; of other powers SQL has other ideas."""
+    match node.right:
+        case tree.Literal(value=exponent) if (
+            type(exponent) is int and 0 <= exponent <= MOST_EXPONENT
+        ):
+            context.risk()
+            power = exp.Pow(this=double_of(left), expression=exp.Literal.number(exponent))
+            beyond: float = EXACT if tag == INTEGER else 1.7976931348623157e308
+            too_large = exp.GT(
+                this=exp.func("abs", copied(power)), expression=exp.Literal.number(repr(beyond))
+            )
+            whole: exp.Expr = exp.cast(power, "BIGINT") if tag == INTEGER else power
+            return SqlValue(exp.case().when(too_large, failure(tag)).else_(whole), tag)
+    raise NotSqlError
+
+
+def _extent(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
+    """Which reals a sum, a product or a quotient may be: finite ones add up to infinite ones."""
+    extents = (left.extent, right.extent)
+    if max(extents) == FloatDomain.NAN or extents == (FloatDomain.INFINITE, FloatDomain.INFINITE):
+        return FloatDomain.NAN
+    if kind is exp.Mul and max(extents) == FloatDomain.INFINITE:  # infinity times 0
+        finite = left if left.extent == FloatDomain.FINITE else right
+        is_factor = isinstance(finite.sql, exp.Literal) and float(finite.sql.this) != 0
+        return FloatDomain.INFINITE if is_factor else FloatDomain.NAN
+    return FloatDomain.INFINITE
+
+
+def double_of(value: SqlValue) -> exp.Expr:
+    """A number as a DOUBLE."""
+    return value.sql.copy() if value.tag.type == "real" else exp.cast(value.sql.copy(), "DOUBLE")

@@ -1,0 +1,190 @@
+"""Function calls of a query as SQL: relations, functions of the language, users' functions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from sqlglot import exp
+
+from ssduck.errors import ArgumentError
+from ssduck.language.analysis import IMPURE, OVER_TIME
+from ssduck.language.overrides import SIGNS, SIGNS_OF_ONE
+from ssduck.language.tree import Binary, Call, Node, Query, Unary
+from ssduck.sql import subqueries
+from ssduck.sql.arithmetic import double_of
+from ssduck.sql.lists import element_at
+from ssduck.sql.relation_calls import expanded, looked_up
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.relations.relation import Parameter, Relation
+from ssduck.sql.scope import ExpressionScope
+from ssduck.sql.sql_values import (
+    FloatDomain,
+    NotSqlError,
+    SqlValue,
+    StatementContext,
+    copied,
+    failure,
+    or_failure,
+)
+from ssduck.sql.types import INTEGER, REAL, TEXT, SqlType
+
+# Functions of reals that C has, so that SQL and Python agree to the last digit.
+_OF_REALS = ("sin", "cos", "tan", "atan")
+
+
+def call(sql: ExpressionScope, node: Call) -> SqlValue:
+    """A function call.
+
+    Raises:
+        NotSqlError: it is left to Python.
+        SelectScriptError: there is no such function, or what it is given is wrong.
+    """
+    sql.names.check_call(node)
+    if node.name in IMPURE or node.name in OVER_TIME:
+        raise NotSqlError
+    if node.name in RELATIONS:
+        return _relation(sql, RELATIONS[node.name], node)
+    if node.name in SIGNS:
+        left, right = node.arguments
+        return sql.value(Binary(node.span, SIGNS[node.name], left, right))
+    if node.name in SIGNS_OF_ONE:
+        return sql.value(Unary(node.span, SIGNS_OF_ONE[node.name], *node.arguments))
+    if node.name == "count" and isinstance(node.arguments[0], Query):
+        return subqueries.counted(sql, node.arguments[0])
+    values = [sql.value(argument) for argument in node.arguments]
+    builtin = _builtin(sql.context, node.name, values)
+    if builtin is not None:
+        return builtin
+    signature = sql.names.signature(node.name, tuple(value.tag for value in values))
+    if signature is None or any(value.tag.nullable or value.wide for value in values):
+        raise NotSqlError
+    sql.context.risk()
+    sql.context.signatures.add(signature)
+    arguments = [
+        exp.cast(value.sql.copy(), tag.sql_type, dialect="duckdb")
+        for value, tag in zip(values, signature.parameters, strict=True)
+    ]
+    return SqlValue(
+        exp.Anonymous(this=exp.to_identifier(signature.name, quoted=True), expressions=arguments),
+        signature.result,
+    )
+
+
+def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
+    count = len(node.arguments)
+    if relation.may_fail and (sql.rows or sql.around is not None):
+        sql.context.risk()  # of rows that no condition before it has left
+    values = {
+        parameter.name: _argument(sql, relation, parameter, argument)
+        for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
+    }
+    sql.ticks.follow(values)
+    then = sql.ticks.at_all(relation, values, count)
+    if then is not None:
+        return then
+    formula = relation.expressions[count]
+    if relation.result == "entity":
+        (entity,) = values.values()
+
+        def column(name: str) -> exp.Expr:
+            return expanded(formula, values, name)
+
+        return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
+    if relation.tables:
+        formula = looked_up(relation, formula, values)
+    found = expanded(formula, values)
+    extent = FloatDomain.INFINITE if relation.is_unbounded else FloatDomain.FINITE
+    if isinstance(found, exp.Array):
+        elements = tuple(SqlValue(part, REAL, extent=extent) for part in found.expressions)
+        length = 3 if len(elements) == 3 else None
+        return SqlValue(found, SqlType("list", REAL, length), elements=elements, extent=extent)
+    tag = SqlType(relation.yields(count))
+    if tag.type == "list":
+        element = SqlType(relation.element)
+        tag = SqlType("list", SqlType("list", REAL) if relation.element == "list" else element)
+    return SqlValue(found, tag, natural=relation.name == "tick", extent=extent)
+
+
+def _argument(
+    sql: ExpressionScope, relation: Relation, parameter: Parameter, node: Node
+) -> SqlValue:
+    value = sql.value(node)
+    if value.tag.nullable:
+        raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
+    if value.extent and parameter.type == "real":
+        value = sql.context.certain(value)  # a distance may be infinite
+    elif value.extent:
+        raise NotSqlError  # of what is infinite, a formula may be no number
+    if value.risky:
+        raise NotSqlError
+    if value.tag.type == parameter.type or (parameter.type == "real" and value.tag.is_number):
+        return value
+    if parameter.type == "place" and value.tag.type == "entity":
+        return value
+    element = value.tag.element
+    if parameter.type == "place" and value.tag.type == "list" and element and element.is_number:
+        if value.tag.length != 3:
+            raise _wrong(sql, relation, parameter, "a list of another length", node)
+        index = {"x": 1, "y": 2, "z": 3}
+        return replace(value, column=lambda name: element_at(value, index[name]))
+    raise _wrong(sql, relation, parameter, value.tag.words, node)
+
+
+def _wrong(
+    sql: ExpressionScope, relation: Relation, parameter: Parameter, found: str, node: Node
+) -> Exception:
+    """What to raise of an argument: in a query it is wrong only if a row comes to it."""
+    if sql.rows or sql.around is not None:
+        return NotSqlError()
+    message = f"{relation.name}: {parameter.name} is to be {parameter.meaning}, not {found}"
+    return ArgumentError(message, span=node.span)
+
+
+def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> SqlValue | None:
+    """A function of the language that SQL has too."""
+    match name, values:
+        case "count", [SqlValue(tag=SqlType(type="list")) as value]:
+            return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
+        case "abs", [SqlValue(tag=SqlType(type="real" | "integer")) as value] if not value.wide:
+            return SqlValue(exp.func("abs", value.sql.copy()), value.tag, extent=value.extent)
+        case name, [value] if name in _OF_REALS and value.tag.is_number and not value.wide:
+            return _of_real(context, name, value)
+        case "floor" | "ceil", [SqlValue(tag=SqlType(type="real")) as value]:
+            context.risk()
+            whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
+            return SqlValue(exp.cast(whole, "BIGINT"), INTEGER, wide=True)
+        case "str", [SqlValue(tag=SqlType(type="text")) as value]:
+            return value
+        case "str", [SqlValue(tag=SqlType(type="integer")) as value]:
+            return SqlValue(exp.cast(value.sql.copy(), "VARCHAR"), TEXT)
+        case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="integer"))) as value]:
+            context.risk()
+            total = exp.cast(_of_list("sum", value), "BIGINT")
+            nothing = exp.Literal.number(0)
+            return SqlValue(exp.Coalesce(this=total, expressions=[nothing]), INTEGER, wide=True)
+        case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="real"))) as value]:
+            zero = exp.cast(exp.Literal.number(0), "DOUBLE")
+            found = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
+            # The sum of nothing is an integer.
+            extent = FloatDomain.NAN if value.extent else FloatDomain.INFINITE
+            return SqlValue(found, SqlType("number"), extent=extent)
+        case "min" | "max", [
+            SqlValue(tag=SqlType(type="list", element=SqlType() as element)) as v
+        ] if element.type in ("real", "integer", "text"):
+            context.risk()
+            return SqlValue(or_failure(_of_list(name, v), element), element, extent=v.extent)
+    return None
+
+
+def _of_real(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
+    """Where it is infinite, Python has no value and SQL has one that is no number."""
+    context.risk()
+    sql: exp.Expr = exp.Anonymous(this=name, expressions=[double_of(value)])
+    if value.extent:
+        finite = exp.func("isfinite", copied(double_of(value)))
+        sql = exp.case().when(finite, sql).else_(failure(REAL))
+    return SqlValue(sql, REAL)
+
+
+def _of_list(function: str, value: SqlValue) -> exp.Expr:
+    return exp.Anonymous(this=f"list_{function}", expressions=[value.sql.copy()])

@@ -1,0 +1,103 @@
+"""Comparisons of values as SQL, membership in lists, and what holds as a condition."""
+
+from __future__ import annotations
+
+from sqlglot import exp
+
+from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext, wrapped
+from ssduck.sql.types import FLAG, SqlType, merged
+
+COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
+# Of these values none is equal to one of another kind.
+_APART = ("text", "list", "number")
+
+
+def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
+    """One of the six comparisons."""
+    if left.tag.nullable or right.tag.nullable:
+        raise NotSqlError  # NULL is equal to nothing, not even to NULL
+    kinds = tuple("number" if v.tag.is_number else v.tag.type for v in (left, right))
+    equality = sign in ("==", "!=")
+    if equality and kinds[0] != kinds[1] and all(kind in _APART for kind in kinds):
+        return SqlValue(exp.convert(sign == "!="), FLAG)
+    alike = kinds in (("number", "number"), ("text", "text")) or (
+        equality and _may_be_equal(left.tag, right.tag)
+    )
+    if kinds == ("number", "number") and (left.wide or right.wide):
+        alike = left.tag.type == right.tag.type == "integer"
+    if not alike:
+        raise NotSqlError
+    kind = COMPARISONS[sign]
+    if kinds == ("entity", "entity"):
+        return SqlValue(kind(this=left.identity, expression=right.identity), FLAG)
+    sides = (wrapped(context.certain(value).sql) for value in (left, right))
+    return SqlValue(kind(this=next(sides), expression=next(sides)), FLAG)
+
+
+def _may_be_equal(left: SqlType, right: SqlType) -> bool:
+    if left.type == right.type == "entity" and left.schema == right.schema:
+        return True
+    both = merged((left, right))
+    if any(tag.element and tag.element.past for tag in (left, right)):
+        return False  # equal are those of one entity, their keys or not
+    return both is not None and both.type in ("entity", "flag", "list") and both.is_sql
+
+
+def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> SqlValue:
+    """Whether a value is among the elements of a list, or a text is part of another."""
+    if left.tag.nullable or right.tag.nullable:
+        raise NotSqlError
+    if left.tag.type == right.tag.type == "text":
+        return SqlValue(exp.func("contains", right.sql, left.sql), FLAG)
+    if right.tag.type != "list":
+        raise NotSqlError
+    if right.tag.element is None:
+        return SqlValue(exp.false(), FLAG)
+    if right.elements is not None:
+        if right.risky:
+            raise NotSqlError  # behind an equal one no other would be evaluated
+        found = [comparison(context, "==", left, element).sql for element in right.elements]
+        return SqlValue(exp.paren(exp.or_(*found)), FLAG)
+    both = merged((left.tag, right.tag.element))
+    if both is None or not both.is_sql or left.wide or both.past:
+        raise NotSqlError
+    if left.tag.is_number != right.tag.element.is_number:
+        raise NotSqlError
+    return SqlValue(exp.func("list_contains", right.sql, context.certain(left).sql), FLAG)
+
+
+def likeness(left: SqlValue, right: SqlValue) -> SqlValue:
+    """Whether a text is as a pattern says."""
+    if any(value.tag.type != "text" or value.tag.nullable for value in (left, right)):
+        raise NotSqlError
+    return SqlValue(
+        exp.paren(exp.Like(this=wrapped(left.sql), expression=wrapped(right.sql))), FLAG
+    )
+
+
+def missing(value: SqlValue) -> SqlValue:
+    """Whether a value is nothing."""
+    if not value.tag.is_sql or value.tag.type in ("any", "record") or value.risky:
+        raise NotSqlError
+    return SqlValue(exp.paren(exp.Is(this=wrapped(value.sql), expression=exp.Null())), FLAG)
+
+
+def truth(value: SqlValue) -> exp.Expr:
+    """A value as a condition: numbers are true unless 0, texts and lists unless empty."""
+    zero = exp.Literal.number(0)
+    match value.tag.type:
+        case "flag":
+            return value.sql
+        case "real" | "integer" | "number" if not value.tag.nullable:
+            return exp.NEQ(this=wrapped(value.sql), expression=zero)
+        case "text" if not value.tag.nullable:
+            return exp.NEQ(this=wrapped(value.sql), expression=exp.Literal.string(""))
+        case "list" if not value.tag.nullable:
+            if value.elements is not None:
+                if value.risky:
+                    raise NotSqlError
+                return exp.convert(bool(value.elements))
+            return exp.GT(this=exp.func("len", value.sql.copy()), expression=zero)
+        case "entity":
+            return exp.Not(this=exp.Is(this=value.sql, expression=exp.Null()))
+    raise NotSqlError

@@ -1,0 +1,84 @@
+"""The SQL of a plan for other engines, the values of variables put in."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import sqlglot
+from sqlglot import exp
+from sqlglot.errors import UnsupportedError as SqlglotError
+
+from ssduck.errors import UnknownNameError, UnsupportedError, nearest
+from ssduck.formatting import shown
+from ssduck.language.tree import Query
+from ssduck.sql.plan import Plan
+from ssduck.sql.sql_values import written
+
+# What sqlglot writes for any engine, though only DuckDB, or few, have it.
+_OURS = (
+    (exp.Array, "lists"),
+    (exp.Unnest, "lists"),
+    (exp.Explode, "lists"),
+    (exp.List, "lists"),
+    (exp.ArrayContains, "lists"),
+    (exp.ArraySlice, "lists"),
+    (exp.GenerateSeries, "lists"),
+    (exp.Anonymous, "functions of DuckDB"),
+)
+
+
+def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:
+    """The SQL of a query for an engine.
+
+    Args:
+        query: the query.
+        plan: its plan; None if it runs row by row.
+        values: those of the plan's parameters.
+        dialect: the engine, as sqlglot calls it.
+
+    Raises:
+        UnknownNameError: sqlglot knows no such engine.
+        UnsupportedError: a part is left to Python, or is nothing that the engine has.
+    """
+    known = {name for name in sqlglot.Dialect.classes if name}
+    if not isinstance(dialect, str) or dialect not in known:
+        raise UnknownNameError(
+            f"there is no SQL dialect {shown(dialect)}", suggestions=nearest(dialect, known)
+        )
+    if plan is None:
+        raise UnsupportedError("this query runs row by row in Python", span=query.span)
+    for node in plan.left:
+        raise UnsupportedError("this is left to Python", span=node.span)
+    for clause in plan.rest.clauses:
+        raise UnsupportedError(f"{clause} is left to Python", span=query.span)
+    if plan.tables or plan.signatures:
+        what = "a table of Python's" if plan.tables else "a Python function"
+        raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)
+    select = plan.select.transform(written(values))
+    if dialect != "duckdb":
+        select = select.transform(_without_infinity)
+        _refuse(select, query, dialect)
+    try:
+        return select.sql(dialect=dialect, unsupported_level=sqlglot.ErrorLevel.RAISE, pretty=True)
+    except SqlglotError as error:
+        raise UnsupportedError(f"{dialect}: {error}", span=query.span) from error
+
+
+def _without_infinity(part: exp.Expr) -> exp.Expr:
+    """`x < infinity` by the largest number that there is: not all engines have infinities."""
+    match part:
+        case exp.LT(this=value, expression=exp.Cast(this=exp.Literal(this="infinity"))):
+            return exp.LTE(this=value, expression=exp.Literal.number(repr(sys.float_info.max)))
+    return part
+
+
+def _refuse(select: exp.Expr, query: Query, dialect: str) -> None:
+    for node in select.walk():
+        for kind, words in _OURS:
+            if isinstance(node, kind):
+                raise UnsupportedError(
+                    f"{dialect} has no {words} as DuckDB has them: "
+                    f"{node.sql(dialect='duckdb')[:60]}",
+                    span=query.span,
+                )

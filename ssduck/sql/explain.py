@@ -1,0 +1,99 @@
+"""EXPLAIN: the SQL that the queries of a program become, and what is left to Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TypeAlias
+
+from ssduck.formatting import listed
+from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, UnresolvedName
+from ssduck.sql.plan import Plan
+from ssduck.sql.relations.registry import RELATIONS
+
+# By world, the entities of which boxes stand in for shapes.
+StandIns: TypeAlias = Mapping[str, Sequence[str]]
+PlanOf: TypeAlias = Callable[[Query], Plan | None]
+
+
+def told(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
+    """What becomes of the queries in a statement.
+
+    Args:
+        text: the program.
+        statement: the statement.
+        plan_of: the plan of a query; None for one that runs row by row.
+        stand_ins: where answers about shapes are not exact.
+    """
+    return "\n\n".join(
+        _told(text, query, plan, stand_ins)
+        for query, plan in _plans(outermost([statement]), plan_of)
+    )
+
+
+def outermost(nodes: Iterable[Node]) -> list[Query]:
+    """The queries in parts of a program that are in no other query."""
+    found: list[Query] = []
+    for node in nodes:
+        found.extend([node] if isinstance(node, Query) else outermost(node.children()))
+    return found
+
+
+def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, Plan | None]]:
+    """The queries with their plans, and those that are evaluated before them."""
+    for query in queries:
+        plan = plan_of(query)
+        yield query, plan
+        if plan is None:
+            yield from _plans(outermost(query.children()), plan_of)
+            continue
+        given = [
+            source.value
+            for source, shape in zip(query.sources, plan.shapes, strict=True)
+            if shape.given
+        ]
+        yield from _plans(outermost([*given, *plan.constants, *plan.once]), plan_of)
+
+
+def _told(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:
+    if plan is None:
+        lines = [f"-- row by row in Python: {_source(text, query)}"]
+    else:
+        lines = [plan.select.sql(dialect="duckdb", pretty=True)]
+        lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
+        lines += [f"-- left to Python: {clause}" for clause in plan.rest.clauses]
+    return "\n".join([*lines, *_narrow(query), *_inexact(query, stand_ins)])
+
+
+def _narrow(query: Query) -> list[str]:
+    """What the shapes themselves are asked for, relation by relation."""
+    names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, Call))
+    asked = {name: RELATIONS[name].asked for name in names if name in RELATIONS}
+    return [f"-- the narrow phase: {name}, {pairs}" for name, pairs in asked.items() if pairs]
+
+
+def _named(node: Node) -> str:
+    """The function that a part may call; empty if it calls none."""
+    match node:
+        case (
+            Call(name=name) | UnresolvedName(name=name) | Name(name=name) | QualifiedName(key=name)
+        ):
+            return name
+    return ""
+
+
+def _inexact(query: Query, stand_ins: StandIns) -> list[str]:
+    """Of which entities boxes stand in for the shapes that relations ask."""
+    calls = (_named(node) for node in query.walk())
+    names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].is_of_shapes]
+    if not names:
+        return []
+    return [
+        f"-- not exact: {', '.join(names)} where boxes stand in for shapes: "
+        f"{listed(entities)} of {world}"
+        for world, entities in stand_ins.items()
+        if entities
+    ]
+
+
+def _source(text: str, node: Node) -> str:
+    return " ".join(text[node.span.start : node.span.end].split())

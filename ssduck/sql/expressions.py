@@ -1,0 +1,245 @@
+"""Expressions of a query as SQL, through sqlglot.
+
+A part becomes SQL when its types are known and SQL means the same by it; for everything else
+`NotSqlError` is raised, and the part is left to Python. What SQL could fail at (an overflow, a
+division by zero, an index out of range) is SQL unless the plan is to be cautious; if it does
+fail, the query runs again by a cautious plan, and Python has the last word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sqlglot import exp
+
+from ssduck.errors import ArgumentError
+from ssduck.language import tree
+from ssduck.language.analysis import is_impure
+from ssduck.language.operator_chains import MOST_JOINED, MOST_NESTED
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    If,
+    Index,
+    ListLiteral,
+    Name,
+    Node,
+    OperatorChain,
+    Placeholder,
+    QualifiedName,
+    Query,
+    This,
+    Unary,
+)
+from ssduck.sql import subqueries
+from ssduck.sql.arithmetic import arithmetic
+from ssduck.sql.calls import call
+from ssduck.sql.comparisons import COMPARISONS, comparison, likeness, membership, missing, truth
+from ssduck.sql.lists import concatenation, indexed, list_of
+from ssduck.sql.plan import ParameterBinding
+from ssduck.sql.scope import ExpressionScope
+from ssduck.sql.sql_values import (
+    NotSqlError,
+    SqlValue,
+    column_tag,
+    literal,
+    wrapped,
+)
+from ssduck.sql.types import FLAG, TEXT
+
+LOGIC = ("AND", "OR", "XOR")
+# Longer lists of literals are parameters.
+MOST_WRITTEN = 32
+
+
+class Expressions(ExpressionScope):
+    """The expressions of one query, over the elements of its sources."""
+
+    def value(self, node: Node) -> SqlValue:
+        """A part as SQL.
+
+        Raises:
+            NotSqlError: it is left to Python.
+        """
+        before = self.context.risks
+        value = self._value(node)
+        if self.context.risks == before or value.risky:
+            return value
+        if isinstance(value.given, exp.Boolean):
+            raise NotSqlError  # what could fail would not be evaluated
+        return replace(value, risky=True)
+
+    def _value(self, node: Node) -> SqlValue:
+        match node:
+            case This() if node.alias is None or self.element(node.alias) is not None:
+                return self._this(node)
+            case tree.Literal():
+                return self._literal(node)
+            case QualifiedName() if self._is_variable(node):
+                return self.value(node.index)
+            case QualifiedName() if self.element(node.alias) is not None:
+                is_record = self._this(node.this).tag.type == "record"
+                return self._index(self._key_of(node)) if is_record else self._function_of(node)
+            case Name(name=name) if name in self.locals:
+                return self.locals[name]
+            case Name(name=name) if (deferred := self.context.list_in(name)) is not None:
+                return self.value(deferred)
+            case Query():
+                return self._query(node)
+            case ListLiteral(items=items) if _is_short(items):
+                return list_of(self.context, [self.value(item) for item in items])
+        if self.is_constant(node):
+            return self._constant(node)
+        match node:
+            case Call():
+                return call(self, node)
+            case Unary(operator="NOT", operand=operand):
+                return SqlValue(exp.Not(this=wrapped(truth(self.value(operand)))), FLAG)
+            case Unary(operator="IS NULL", operand=operand):
+                return missing(self.value(operand))
+            case Unary(operator=sign, operand=operand):
+                inner = self.number(operand)
+                if sign == "+":
+                    return inner
+                return replace(inner, given=exp.Neg(this=wrapped(inner.sql)), elements=None)
+            case Binary():
+                return self._binary(node)
+            case OperatorChain():
+                return self._chain(node)
+            case Index():
+                return self._index(node)
+            case ListLiteral(items=items):
+                return list_of(self.context, [self.value(item) for item in items])
+            case If(otherwise=(otherwise,)) if len(node.further) < MOST_NESTED:
+                return self._choice(node, otherwise)
+        raise NotSqlError
+
+    def _function_of(self, node: QualifiedName) -> SqlValue:
+        return call(self, node.call(self.names.meant(node.key)))
+
+    def _key_of(self, node: QualifiedName) -> Index:
+        return Index(node.span, node.this, node.index.indices)
+
+    def _query(self, node: Query) -> SqlValue:
+        """A nested query: a part of the statement, else a constant if it sees no row of it."""
+        try:
+            if is_impure(node):
+                raise NotSqlError
+            return subqueries.value(self, node)
+        except NotSqlError:
+            if not self.is_constant(node):
+                raise
+        return self._constant(node)
+
+    def _literal(self, node: tree.Literal) -> SqlValue:
+        tag = self.names.tag(node)
+        match node.value:
+            case _ if not tag.is_sql:  # a number too large for SQL
+                raise NotSqlError
+            case value:
+                return SqlValue(literal(value), tag)
+
+    def _this(self, node: This) -> SqlValue:
+        value = self.element(node.alias)
+        if value is None:
+            told = ", ".join(f"{name}.this" for name in self.rows)
+            raise ArgumentError(
+                f"'this' alone is ambiguous here; write one of {told}", span=node.span
+            )
+        if value.tag.type == "any":
+            raise NotSqlError
+        return value
+
+    def _constant(self, node: Node) -> SqlValue:
+        tag = self.context.constants.setdefault(node, self.names.tag(node))
+        if not tag.is_sql or tag.type == "record":
+            raise NotSqlError
+        stem = node.name if isinstance(node, Name | Placeholder) else "value"
+        if tag.type != "entity":
+            parameter = self.context.parameter(stem, ParameterBinding("", node, tag=tag))
+            if tag.type == "list":
+                parameter = exp.cast(parameter, tag.sql_type, dialect="duckdb")
+            return SqlValue(parameter, tag)
+
+        def column(name: str) -> exp.Expr:
+            wanted = ParameterBinding("", node, name, tag=column_tag(name))
+            return self.context.parameter(f"{stem}_{name}", wanted)
+
+        return SqlValue(None, tag, column)  # its columns become parameters as they are asked for
+
+    # -- operators --------------------------------------------------------------------------
+
+    def _binary(self, node: Binary) -> SqlValue:
+        sign = node.operator
+        if sign in LOGIC:
+            sides = [truth(self.value(side)) for side in (node.left, node.right)]
+            return SqlValue(_joined(sign, sides), FLAG)
+        if sign in ("==", "!="):
+            found = subqueries.emptiness(self, node) or subqueries.equality(self, node)
+            if found is not None:
+                return SqlValue(found, FLAG)
+        if sign == "IN" and isinstance(node.right, Query):
+            found = subqueries.membership(self, node.left, node.right)
+            if found is not None:
+                return SqlValue(found, FLAG)
+        left_value, right_value = self.value(node.left), self.value(node.right)
+        if sign in COMPARISONS:
+            return comparison(self.context, sign, left_value, right_value)
+        if sign == "IN":
+            return membership(self.context, left_value, right_value)
+        if sign == "LIKE":
+            return likeness(left_value, right_value)
+        if sign == "+" and left_value.tag.type == right_value.tag.type == "text":
+            joined = exp.DPipe(this=wrapped(left_value.sql), expression=wrapped(right_value.sql))
+            return SqlValue(exp.paren(joined, copy=False), TEXT)
+        if sign == "+" and left_value.tag.type == right_value.tag.type == "list":
+            return concatenation(left_value, right_value)
+        return arithmetic(self.context, node, left_value, right_value)
+
+    def _chain(self, node: OperatorChain) -> SqlValue:
+        """AND, OR, XOR in any order of brackets; all else would be nested too deeply for SQL."""
+        sign = node.operators[0]
+        if sign not in LOGIC or len(node.operands) > MOST_JOINED:
+            raise NotSqlError
+        return SqlValue(_joined(sign, [truth(self.value(side)) for side in node.operands]), FLAG)
+
+    def _index(self, node: Index) -> SqlValue:
+        if len(node.indices) > MOST_NESTED:
+            raise NotSqlError
+        value = self.value(node.base)
+        for index in node.indices:
+            value = indexed(self, value, index)
+        return value
+
+    def _choice(self, node: If, otherwise: Node) -> SqlValue:
+        if any(len(branch.then) != 1 for branch in node.branches):
+            raise NotSqlError
+        values = [self.value(branch.then[0]) for branch in node.branches]
+        last = self.value(otherwise)
+        if last.tag.type == "entity" or any(value.tag != last.tag for value in values):
+            raise NotSqlError
+        case = exp.case()
+        for branch, value in zip(node.branches, values, strict=True):
+            case = case.when(truth(self.value(branch.condition)), value.sql)
+        every = (*values, last)
+        extent = max(value.extent for value in every)
+        wide = any(value.wide for value in every)
+        return SqlValue(case.else_(last.sql), last.tag, wide=wide, extent=extent)
+
+
+def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
+    """Conditions with AND, OR or XOR between them, nested as little as can be."""
+    if len(sides) == 1:
+        return sides[0]
+    middle = (len(sides) + 1) // 2
+    left, right = _joined(sign, sides[:middle]), _joined(sign, sides[middle:])
+    if sign == "XOR":
+        return exp.paren(exp.NEQ(this=wrapped(left), expression=wrapped(right)), copy=False)
+    connect = exp.and_ if sign == "AND" else exp.or_
+    return exp.paren(connect(left, right, copy=False), copy=False)
+
+
+def _is_short(items: Sequence[Node]) -> bool:
+    """Whether a list is so short that it is written out."""
+    return 0 < len(items) <= MOST_WRITTEN and all(isinstance(i, tree.Literal) for i in items)

@@ -1,0 +1,285 @@
+"""The sources of a query as tables: their elements, and the order that these are in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from sqlglot import exp
+
+from ssduck.schema import MOST_IDS
+from ssduck.sql.relations.relation import CandidatePairs
+from ssduck.sql.sql_values import NotSqlError, SqlValue
+from ssduck.sql.types import ANY, FLAG, IDS, SqlType
+
+
+@dataclass(frozen=True)
+class FromItem:
+    """A source in SQL.
+
+    Attributes:
+        value: its current element.
+        table: what stands in FROM.
+        position: the keys by which its elements are in their order.
+    """
+
+    value: SqlValue
+    table: exp.Expr
+    position: tuple[exp.Ordered, ...]
+
+
+def product_of(elements: Sequence[FromItem]) -> exp.Select:
+    """A SELECT of all combinations of sources, without columns yet."""
+    select = exp.Select()
+    for index, element in enumerate(elements):
+        table = element.table.copy()
+        if index:
+            select.append("joins", exp.Join(this=table, kind="CROSS"))
+        else:
+            select.from_(table, copy=False)
+    return select
+
+
+def world_table(schema: str, name: str) -> FromItem:
+    """The entities of a world."""
+    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name))
+    return FromItem(
+        entity_value(schema, name),
+        table,
+        (
+            ascending(
+                exp.NEQ(this=column_of(name, "kind"), expression=exp.Literal.string("sensor"))
+            ),
+            ascending(column_of(name, "id")),
+        ),
+    )
+
+
+def past_table(
+    schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
+) -> FromItem:
+    """The entities of a world at recorded ticks, or one of them."""
+    rows = exp.Select(expressions=[exp.Star()])
+    rows.from_(exp.table_("entities_history", db=schema), copy=False)
+    rows.where(exp.Between(this=exp.column("tick"), low=first, high=last), copy=False)
+    if id is not None:
+        rows.where(exp.EQ(this=exp.column("id"), expression=id), copy=False)
+    return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
+
+
+def present_table(schema: str, name: str) -> FromItem:
+    """The entities of a world at its present tick, beside its past."""
+    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name, quoted=True))
+    return replace(_past(schema, name), table=table)
+
+
+def _past(schema: str, name: str) -> FromItem:
+    live = world_table(schema, name)
+    position = (ascending(column_of(name, "tick")), *live.position)
+    return FromItem(past_value(schema, name), live.table, position)
+
+
+def past_value(schema: str, name: str) -> SqlValue:
+    """The current row of a table of entities at recorded ticks."""
+    tag = SqlType("entity", schema=schema, past=True)
+    return SqlValue(None, tag, lambda column: column_of(name, column))
+
+
+def entity_value(schema: str | None, name: str) -> SqlValue:
+    """The current row of a table of entities."""
+    tag = SqlType("entity", schema=schema)
+    return SqlValue(column_of(name, "id"), tag, lambda column: column_of(name, column))
+
+
+def unnested(name: str, values: SqlValue) -> FromItem:
+    """The elements of a list; of any other value itself."""
+    rows, tag = values.sql, values.tag.element
+    if values.tag.type != "list":
+        rows, tag = exp.Array(expressions=[values.sql]), values.tag
+    if tag is None or not tag.is_sql or tag.nullable:
+        raise NotSqlError
+    numbers = exp.func("generate_subscripts", rows.copy(), exp.Literal.number(1))
+    what = "id" if tag.type == "entity" else "value"
+    table: exp.Select = exp.select(
+        exp.alias_(exp.func("unnest", rows.copy()), what), exp.alias_(numbers, "n")
+    )
+    position = (ascending(column_of(name, "n")),)
+    alias = exp.to_identifier(name)
+    if tag.type != "entity":
+        value = SqlValue(column_of(name, "value"), tag, extent=values.extent)
+        return FromItem(value, table.subquery(alias), position)
+    if tag.past:
+        return _unnested_past(table, tag, name, position)
+    entities = exp.table_("entities", db=tag.schema, alias="e")
+    joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
+    return FromItem(entity_value(tag.schema, name), joined.subquery(alias), position)
+
+
+@dataclass(frozen=True)
+class JoinedEntity:
+    """An entity at the tick of another row: its row, and how that is joined."""
+
+    value: SqlValue
+    join: exp.Join
+
+
+def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
+    """An entity at the tick of a row; unknown where it was not there."""
+    table = exp.table_("entities_history", db=schema, alias=exp.to_identifier(name, quoted=True))
+    same_tick = exp.EQ(this=column_of(name, "tick"), expression=tick.copy())
+    same_id = exp.EQ(this=column_of(name, "id"), expression=id.copy())
+    join = exp.Join(this=table, side="LEFT", on=exp.and_(same_tick, same_id))
+    return JoinedEntity(past_value(schema, name), join)
+
+
+def pairs_then(
+    candidates: CandidatePairs,
+    apart: exp.Expr,
+    row: TickRange,
+    ids: tuple[exp.Expr, exp.Expr],
+    columns: tuple[exp.Expr, exp.Expr],
+    name: str,
+) -> JoinedEntity:
+    """Whether a relation holds of two entities at the tick of a row: all ticks asked at once.
+
+    Args:
+        candidates: whose pairs: those that collide, touch, or are within a distance.
+        apart: that distance, or the depth.
+        row: the ticks, and that of the row.
+        ids: of the entities, as far as they are the same at each tick.
+        columns: their ids at the row.
+        name: what the table of pairs is called.
+    """
+    arguments: list[exp.Expr] = [
+        exp.Literal.string(row.schema),
+        row.first.copy(),
+        row.last.copy(),
+        *(exp.Literal.number(0) if isinstance(id, exp.Column) else id.copy() for id in ids),
+    ]
+    called = f"then {candidates.of}"
+    if candidates.take_distance:
+        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
+    each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
+    parts = [
+        exp.alias_(exp.func("struct_extract", exp.column("p"), exp.Literal.string(part)), part)
+        for part in ("tick", "a", "b", "known")
+    ]
+    table = exp.select(*parts).from_(each).subquery(exp.to_identifier(name, quoted=True))
+    equal = zip(("tick", "a", "b"), (row.tick, *columns), strict=True)
+    on = exp.and_(*(exp.EQ(this=column_of(name, c), expression=e.copy()) for c, e in equal))
+    join = exp.Join(this=table, side="LEFT", on=on)
+    none = exp.Is(this=column_of(name, "tick"), expression=exp.Null())
+    known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
+    holds = exp.case().when(none, exp.false()).when(known, exp.true())
+    return JoinedEntity(SqlValue(holds, FLAG), join)
+
+
+def needed(followers: Iterable[JoinedEntity], select: exp.Select) -> list[exp.Join]:
+    """The joins of those followers that a SELECT, or one behind them, reads a column of.
+
+    None of them makes rows more or fewer.
+    """
+    found: list[exp.Join] = []
+    for follower in reversed(list(followers)):
+        name = follower.join.this.alias
+        parts: list[exp.Expr] = [select, *found]
+        if any(column.table == name for part in parts for column in part.find_all(exp.Column)):
+            found.append(follower.join)
+    return found[::-1]
+
+
+@dataclass(frozen=True)
+class TickRange:
+    """The ticks that rows of the past are of, the tick of the current one, the only id."""
+
+    schema: str
+    first: exp.Expr
+    last: exp.Expr
+    tick: exp.Expr
+    id: exp.Expr | None = None
+
+
+def _unnested_past(
+    keys: exp.Select, tag: SqlType, name: str, position: tuple[exp.Ordered, ...]
+) -> FromItem:
+    """Entities at recorded ticks, by their keys."""
+    assert tag.schema is not None
+    entities = exp.table_("entities_history", db=tag.schema, alias="e")
+    ids = exp.Literal.number(IDS)
+    tick = exp.IntDiv(this=exp.column("id"), expression=ids)
+    id = exp.Mod(this=exp.column("id"), expression=ids.copy())
+    parts = exp.select(exp.alias_(tick, "tick"), exp.alias_(id, "id"), "n").from_(
+        keys.subquery("k")
+    )
+    joined = (
+        exp.select("e.*", "i.n").from_(parts.subquery("i")).join(entities, using=["tick", "id"])
+    )
+    table = joined.subquery(exp.to_identifier(name, quoted=True))
+    return FromItem(past_value(tag.schema, name), table, position)
+
+
+@dataclass(frozen=True)
+class PairTable:
+    """A table of pairs of ids, each pair both ways.
+
+    Attributes:
+        table: what stands in FROM.
+        columns: the two ids.
+        position: the key by which they are in the order of both.
+    """
+
+    table: exp.Expr
+    columns: tuple[exp.Expr, exp.Expr]
+    position: exp.Ordered
+
+
+def pairs_of(candidates: CandidatePairs, apart: exp.Expr, schema: str, name: str) -> PairTable:
+    """All pairs of entities of a world of which a relation may hold."""
+    called = exp.to_identifier(f"narrow all_{candidates.of}", quoted=True)
+    arguments: list[exp.Expr] = [exp.Literal.string(schema)]
+    if candidates.take_distance:
+        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    numbers = exp.func("unnest", exp.Anonymous(this=called, expressions=arguments))
+    number, many = exp.column("n"), exp.Literal.number(MOST_IDS)
+    table = (
+        exp.select(
+            exp.alias_(exp.IntDiv(this=number.copy(), expression=many.copy()), "a"),
+            exp.alias_(exp.Mod(this=number.copy(), expression=many.copy()), "b"),
+            number,
+        )
+        .from_(exp.select(exp.alias_(numbers, "n")).subquery("numbered"))
+        .subquery(exp.to_identifier(name))
+    )
+    a, b, position = (column_of(name, column) for column in ("a", "b", "n"))
+    return PairTable(table, (a, b), ascending(position))
+
+
+def counted_rows(name: str, parameter: exp.Expr) -> FromItem:
+    """As many rows as there are values that SQL does not know."""
+    numbers = exp.func("generate_subscripts", parameter, exp.Literal.number(1))
+    table = exp.select(exp.alias_(numbers, "n")).subquery(exp.to_identifier(name))
+    value = SqlValue(column_of(name, "n"), ANY)
+    return FromItem(value, table, (ascending(column_of(name, "n")),))
+
+
+def record_table(name: str, table: str, tag: SqlType) -> FromItem:
+    """Records as a table: `n`, and a column a key."""
+    fields = {
+        key: SqlValue(column_of(name, f"f{index}"), part)
+        for index, (key, part) in enumerate(tag.fields)
+        if part.is_sql and part.type not in ("record", "entity")
+    }
+    value = SqlValue(column_of(name, "n"), tag, fields=fields)
+    source = exp.table_(table, quoted=True, alias=exp.to_identifier(name))
+    return FromItem(value, source, (ascending(column_of(name, "n")),))
+
+
+def column_of(table: str, name: str) -> exp.Expr:
+    """A column of a table."""
+    return exp.column(exp.to_identifier(name, quoted=" " in name), table=exp.to_identifier(table))
+
+
+def ascending(key: exp.Expr) -> exp.Ordered:
+    """A key of ORDER BY, the least first."""
+    return exp.Ordered(this=key, desc=False, nulls_first=False)

@@ -1,0 +1,97 @@
+"""Lists as SQL: written out, one behind the other, and their elements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sqlglot import exp
+
+from ssduck.language import tree
+from ssduck.language.tree import Node
+from ssduck.sql.scope import ExpressionScope
+from ssduck.sql.sql_values import (
+    FloatDomain,
+    NotSqlError,
+    SqlValue,
+    StatementContext,
+    copied,
+    or_failure,
+    wrapped,
+)
+from ssduck.sql.types import ANY, EXACT, SqlType, merged
+
+
+def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
+    """A list that is written out."""
+    tag = merged(value.tag for value in values)
+    if any(value.tag.nullable or value.wide for value in values):
+        raise NotSqlError
+    elements = tuple(map(context.certain, values))
+    extent = max((value.extent for value in elements), default=FloatDomain.FINITE)
+    if tag is None:
+        return SqlValue(
+            exp.cast(exp.Array(expressions=[]), "INTEGER[]"), SqlType("list"), elements=()
+        )
+    length = 3 if len(values) == 3 else None
+    if not tag.is_sql or tag.type == "record":
+        if all(value.tag.is_sql for value in values):  # its elements can be reached
+            return SqlValue(None, SqlType("list", ANY, length), elements=elements, extent=extent)
+        raise NotSqlError
+    sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in elements])
+    if tag.type == "list":
+        sql = exp.cast(sql, f"{tag.sql_type}[]", dialect="duckdb")
+    return SqlValue(sql, SqlType("list", tag, length), elements=elements, extent=extent)
+
+
+def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
+    """One list behind the other."""
+    tag = merged((left.tag, right.tag))
+    if tag is None or not tag.comes_back:
+        raise NotSqlError
+    sql = exp.Anonymous(this="list_concat", expressions=[left.sql.copy(), right.sql.copy()])
+    elements = None
+    if left.elements is not None and right.elements is not None:
+        elements = left.elements + right.elements
+    extent = max(left.extent, right.extent)
+    return SqlValue(sql, replace(tag, length=None), elements=elements, extent=extent)
+
+
+def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
+    """An element of a list, or what a key of a record holds."""
+    match index:
+        case tree.Literal(value=str() as key) if key in value.fields:
+            return value.fields[key]
+        case tree.Literal(value=number) if type(number) is int and value.elements is not None:
+            if value.risky:
+                raise NotSqlError  # nor would be the other elements
+            if -len(value.elements) <= number < len(value.elements):
+                return value.elements[number]
+    element = value.tag.element
+    if value.tag.type != "list" or element is None or value.tag.nullable:
+        raise NotSqlError
+    if not element.is_sql:
+        raise NotSqlError
+    sql.context.risk()
+    found = exp.Anonymous(this="list_extract", expressions=[value.sql.copy(), _place(sql, index)])
+    return SqlValue(or_failure(found, element), element, extent=value.extent)
+
+
+def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
+    """An index as SQL counts: from 1, or from the end."""
+    match index:
+        case tree.Literal(value=number) if type(number) is int and number < EXACT:
+            return exp.Literal.number(number + 1)
+    place = sql.number(index)
+    if place.tag.type != "integer":
+        raise NotSqlError
+    negative = exp.LT(this=wrapped(place.sql), expression=exp.Literal.number(0))
+    behind = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))
+    return exp.case().when(negative, copied(place.sql)).else_(behind)
+
+
+def element_at(value: SqlValue, place: int) -> exp.Expr:
+    """An element of a list that has so many, counted from 1."""
+    if value.elements is not None:
+        return value.elements[place - 1].sql
+    return exp.func("list_extract", value.sql.copy(), exp.Literal.number(place))

@@ -1,0 +1,187 @@
+"""What the names in a query mean, once its sources are known."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.language.analysis import states
+from ssduck.language.clauses import SelectedValue
+from ssduck.language.overrides import plain
+from ssduck.language.tree import (
+    Assignment,
+    Call,
+    Index,
+    Literal,
+    Name,
+    Node,
+    OrderKey,
+    QualifiedName,
+    Query,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
+from ssduck.sql.plan import SourceType, TypeEnvironment
+
+
+@dataclass
+class ResolvedQuery:
+    """A query whose bare names have been looked up.
+
+    Attributes:
+        query: the query; its names are variables, and what else they were is spelled out.
+        columns: what it selects.
+        bare: the names that were looked up, and whether there was a variable of that name.
+    """
+
+    query: Query
+    columns: tuple[SelectedValue, ...] = ()
+    bare: dict[str, bool] = field(default_factory=dict)
+
+
+def resolve(
+    query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, around: Collection[str] = ()
+) -> ResolvedQuery:
+    """Look up the bare names in SELECT, GROUP BY, HAVING and ORDER BY, and in WHERE functions.
+
+    Such a name is a key of the current element if that is a dict, else a variable, else the
+    function of that name applied to `this`.
+
+    Args:
+        query: the query.
+        shapes: what its sources are.
+        names: variables and functions.
+        around: the state variables of hierarchical queries around it.
+
+    Raises:
+        UnknownNameError: it is none of these.
+    """
+    return _Resolver(query, shapes, names, around).resolved()
+
+
+class _Resolver:
+    def __init__(
+        self,
+        query: Query,
+        shapes: Sequence[SourceType],
+        names: TypeEnvironment,
+        around: Collection[str],
+    ) -> None:
+        self._query = query
+        self._shapes = shapes
+        self._names = names
+        self._states = states(query).union(around)
+        self._bare: dict[str, bool] = {}
+        self._named = dict(_named(query))
+
+    def resolved(self) -> ResolvedQuery:
+        query = self._query
+        changed = replace(
+            query,
+            where=None if query.where is None else query.where.replaced(self._in_where),
+            group=tuple(map(self._key, query.group)),
+            having=None if query.having is None else self._key(query.having),
+            order=tuple(OrderKey(k.span, self._key(k.value), k.descending) for k in query.order),
+        )
+        return ResolvedQuery(changed, tuple(self._columns()), self._bare)
+
+    def _columns(self) -> Iterator[SelectedValue]:
+        if not self._query.items:
+            for shape in self._shapes:
+                yield SelectedValue(This(self._query.span, shape.alias), shape.alias)
+        for node in self._query.items:
+            match node:
+                case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                    yield SelectedValue(self._meant(value), name)
+                case Call(name="to", arguments=(value, name_node)):
+                    yield SelectedValue(self._meant(value), self._meant(name_node))
+                case Call(name="to"):
+                    raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
+                case Call(name=name) | Name(name=name) | TimeIndex(name=name):
+                    yield SelectedValue(self._meant(node), plain(name))
+                case Assignment(name=name, is_bare=True):
+                    yield SelectedValue(self._meant(node), name)
+                case QualifiedName(key=key):
+                    yield SelectedValue(node, key)
+                case This(alias=alias):
+                    yield SelectedValue(node, alias or "this")
+                case Index(indices=(*_, Literal(value=str() as key))):
+                    yield SelectedValue(self._meant(node), key)
+                case _:
+                    yield SelectedValue(self._meant(node), "value")
+
+    def _meant(self, node: Node) -> Node:
+        return node.replaced(self._looked_up)
+
+    def _key(self, node: Node) -> Node:
+        """A part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
+        return node.replaced(lambda part: self._column_named(part) or self._looked_up(part))
+
+    def _column_named(self, part: Node) -> Node | None:
+        if not isinstance(part, Name) or part.name not in self._named:
+            return None
+        if part.name in self._states or self._names.has_variable(part.name):
+            return None
+        only = self._shapes[0] if len(self._shapes) == 1 else None
+        if only is not None and (only.tag is not None and only.tag.type == "record"):
+            if any(key == part.name for key, _ in only.tag.fields):
+                return None
+        elif only is not None and (only.dicts or not only.known):
+            return None
+        name = self._names.meant(part.name)
+        call = Call(part.span, name, (This(part.span, None),), part.span)
+        try:
+            self._names.check_call(call)
+        except SelectScriptError:
+            self._bare[part.name] = False
+            return self._meant(self._named[part.name])
+        return None
+
+    def _in_where(self, part: Node) -> Node | None:
+        """A bare name in WHERE: a function of the only element, where there is no variable."""
+        if isinstance(part, Query | QualifiedName):
+            return part
+        if not isinstance(part, Name) or part.name in self._states:
+            return None
+        only = self._shapes[0] if len(self._shapes) == 1 else None
+        known = self._bare[part.name] = self._names.has_variable(part.name)
+        is_record = only is not None and only.tag is not None and only.tag.type == "record"
+        if known or only is None or only.dicts or is_record or not only.known:
+            return part
+        name = self._names.meant(part.name)
+        call = Call(part.span, name, (This(part.span, None),), part.span)
+        try:
+            self._names.check_call(call)
+        except SelectScriptError:  # where it is evaluated, the error tells more
+            return part
+        return call
+
+    def _looked_up(self, part: Node) -> Node | None:
+        if isinstance(part, Query | QualifiedName):
+            return part
+        if not isinstance(part, Name) or part.name in self._states:
+            return part if isinstance(part, Name) else None
+        only = self._shapes[0] if len(self._shapes) == 1 else None
+        if only is not None and only.tag is not None and only.tag.type == "record":
+            if any(key == part.name for key, _ in only.tag.fields):
+                key = Literal(part.span, part.name)
+                return Index(part.span, This(part.span, None), (key,))
+        elif only is not None and (only.dicts or not only.known):
+            return UnresolvedName(part.span, part.name)
+        known = self._bare[part.name] = self._names.has_variable(part.name)
+        if known:
+            return part
+        name = self._names.meant(part.name)
+        call = Call(part.span, name, (This(part.span, None),), part.span)
+        self._names.check_call(call)
+        return call
+
+
+def _named(query: Query) -> Iterator[tuple[str, Node]]:
+    """The columns that have names of their own: what `to` and AS name."""
+    for node in query.items:
+        match node:
+            case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                yield name, value

@@ -1,0 +1,110 @@
+"""Conditions on two entities that hold of near ones only: SQL that looks at no others.
+
+The narrow phase takes its time with each pair. So the pairs of a tick of which a relation may hold
+are found at once, where two sources are one world; and what is compared with a number is asked
+only of boxes that are near enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sqlglot import exp
+
+from ssduck.language import tree
+from ssduck.language.tree import Binary, Call, Node, This
+from ssduck.sql.expressions import Expressions
+from ssduck.sql.from_clause import pairs_of
+from ssduck.sql.relation_calls import expanded
+from ssduck.sql.relations.registry import BOXES_WITHIN, RELATIONS
+from ssduck.sql.sql_values import NotSqlError
+
+_LESS, _MORE = ("<", "<="), (">", ">=")
+
+
+@dataclass(frozen=True)
+class PairJoin:
+    """A condition on two sources of one world.
+
+    Attributes:
+        table: the pairs of which it may hold, to be joined.
+        condition: what is to hold of a row of the sources and of that table.
+        position: the key by which both sources are in their order.
+    """
+
+    table: exp.Expr
+    condition: exp.Expr
+    position: exp.Ordered
+
+
+def sides_of(node: Node) -> tuple[This, This] | None:
+    """The two sources of which a condition is whose pairs can be found at once."""
+    match node:
+        case Call(name=name, arguments=(This() as a, This() as b, *_)) if a.alias != b.alias:
+            relation = RELATIONS.get(name)
+            return (a, b) if relation is not None and relation.candidates is not None else None
+    return None
+
+
+def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) -> PairJoin | None:
+    """`near(a.this, b.this, 0.1)`: all its pairs at once; None if SQL does not know how near.
+
+    Args:
+        sql: the expressions of the query.
+        node: a call of a relation of `sides_of`.
+        sides: its sources, in their order.
+        schema: the world that both sources are.
+    """
+    relation, others = RELATIONS[node.name], node.arguments[2:]
+    assert relation.candidates is not None
+    if not all(map(sql.is_constant, others)):
+        return None
+    try:
+        holds = sql.condition(node)
+        names = [parameter.name for parameter in relation.parameters[2 : len(node.arguments)]]
+        known = dict(zip(names, map(sql.value, others), strict=True))
+    except NotSqlError:
+        return None
+    apart = expanded(relation.apart_of(len(node.arguments)), known)
+    pairs = pairs_of(relation.candidates, apart, schema, sql.context.alias("pairs"))
+    found = [
+        exp.EQ(this=sql.value(side).sql, expression=column)
+        for side, column in zip(sides, pairs.columns, strict=True)
+    ]
+    exact = () if relation.candidates.are_exact else (holds,)
+    return PairJoin(pairs.table, exp.and_(*found, *exact), pairs.position)
+
+
+def implied(sql: Expressions, node: Node) -> exp.Expr | None:
+    """What a condition such as `clearance(a, b) < 0.1` says of boxes; None if nothing."""
+    match node:
+        case Binary(operator=sign, left=Call() as call, right=limit) if sign in _LESS + _MORE:
+            is_less = sign in _LESS
+        case Binary(operator=sign, left=limit, right=Call() as call) if sign in _LESS + _MORE:
+            is_less = sign in _MORE
+        case _:
+            return None
+    relation = RELATIONS.get(call.name)
+    if relation is None or relation.far not in ("more", "nothing"):
+        return None
+    if is_less != (relation.far == "more") or not sql.is_constant(limit):
+        return None
+    apart: Node = limit
+    if not is_less:
+        is_strict = sign in ("<", ">")
+        if not _is_positive(limit, or_zero=is_strict):
+            return None
+        apart = tree.Literal(limit.span, 0)
+    values: Mapping[str, Node] = dict(zip("abd", (*call.arguments[:2], apart), strict=True))
+    try:
+        return expanded(BOXES_WITHIN, {name: sql.value(value) for name, value in values.items()})
+    except NotSqlError:
+        return None
+
+
+def _is_positive(limit: Node, *, or_zero: bool) -> bool:
+    match limit:
+        case tree.Literal(value=int() | float() as number):
+            return number > 0 or (or_zero and number == 0)
+    return False

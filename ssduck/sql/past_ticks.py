@@ -1,0 +1,174 @@
+"""At which ticks the entities in a query are: rows of the past, and handles beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from sqlglot import exp
+
+from ssduck.sql.from_clause import JoinedEntity, TickRange, follower, pairs_then
+from ssduck.sql.relation_calls import expanded
+from ssduck.sql.relations.relation import Relation
+from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
+
+
+class QueryTicks:
+    """The ticks of the sources of one query, and of what is asked of entities beside them.
+
+    Args:
+        context: what all expressions of the statement share.
+        rows: the current element of each source, by alias.
+        around: the same of the query around this one.
+
+    Attributes:
+        followers: handles at the ticks of rows of the past, by both; and pairs of entities.
+        spans: of sources that are several ticks, which ones, by the tick of the current row.
+        present: the ticks of sources that are a world at its present one, beside its past.
+    """
+
+    def __init__(
+        self, context: StatementContext, rows: Mapping[str, SqlValue], around: QueryTicks | None
+    ) -> None:
+        self._context = context
+        self._rows = rows
+        self._around = around
+        self.followers: dict[tuple[str, ...], JoinedEntity] = {}
+        self._parameters: dict[str, exp.Expr] = {}
+        self.spans: dict[str, TickRange] = {}
+        self.present: set[str] = set()
+
+    def follow(self, values: dict[str, SqlValue]) -> None:
+        """Take entities as they were at the tick of those that are of a recorded one.
+
+        A handle goes with its world; in a query of the past it goes with that.
+        """
+        entities = {name: value for name, value in values.items() if value.tag.type == "entity"}
+        rows = [value for value in entities.values() if value.tag.past]
+        handles = {name: value for name, value in entities.items() if not value.tag.past}
+        if not handles:
+            return
+        if not rows:
+            schemas = {handle.tag.schema for handle in handles.values()}
+            found = [v for v in self._all_rows() if v.tag.past and v.tag.schema in schemas]
+            rows = found[-1:]
+        if not rows:
+            return
+        row = rows[0]
+        if row.column is not None and row.column("tick").sql() in self.present:
+            return  # they are at that tick
+        for name, handle in handles.items():
+            if handle.tag.schema != row.tag.schema:
+                continue
+            if row.column is None or handle.column is None or handle.tag.nullable:
+                raise NotSqlError
+            tick, id = row.column("tick"), handle.column("id")
+            is_constant = isinstance(id, exp.Parameter)
+            if not is_constant or not self._is_of_own_row(tick):
+                raise NotSqlError
+            values[name] = self._follower(str(row.tag.schema), tick, id).value
+
+    def at_all(
+        self, relation: Relation, values: Mapping[str, SqlValue], count: int
+    ) -> SqlValue | None:
+        """A relation of shapes at all ticks of a window at once; None where there are none."""
+        candidates = relation.candidates
+        if candidates is None or not candidates.are_of_many_ticks:
+            return None
+        a, b, *others = values.values()
+        if not (a.tag.past and b.tag.past):
+            return None
+        if a.column is None or b.column is None or self._around is not None:
+            return None
+        span = self.spans.get(self._leading(a.column("tick")))
+        other = self.spans.get(self._leading(b.column("tick")))
+        if span is None or other is None or span.schema != other.schema:
+            return None
+        if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in others):
+            return None
+        known = dict(zip(list(values)[2:], others, strict=True))
+        apart = expanded(relation.apart_of(count), known)
+        ids = self._id_of(a), self._id_of(b)
+        key = (relation.name, apart.sql(), span.tick.sql(), *(id.sql() for id in ids))
+        if key not in self.followers:
+            name = self._context.alias("pairs then")
+            columns = self._id_at_row(a), self._id_at_row(b)
+            self.followers[key] = pairs_then(candidates, apart, span, ids, columns, name)
+        return self.followers[key].value
+
+    def note_only(self, alias: str, other: Callable[[], SqlValue]) -> None:
+        """Note that a source's element is one entity.
+
+        Args:
+            alias: of the source.
+            other: gives the entity, or its name: a constant.
+        """
+        value = self._rows.get(alias)
+        if value is None or value.column is None or not value.tag.past:
+            return
+        span = self.spans.get(value.column("tick").sql())
+        known = other() if span is not None and span.id is None else None
+        if span is None or known is None:
+            return
+        id: exp.Expr | None = None
+        if known.tag.type == "entity" and known.tag.schema == span.schema and known.column:
+            id = known.column("id")
+        elif known.tag.type == "text":
+            models = exp.table_("entities_model", db=span.schema)
+            of_name = exp.EQ(this=exp.column("name"), expression=known.sql.copy())
+            # There may have been several of a name: then it may be any.
+            told = exp.case(exp.Count(this=exp.Star())).when(
+                "1", exp.func("any_value", exp.column("id"))
+            )
+            told = told.when("0", exp.Literal.number(-1)).else_(exp.Literal.number(0))
+            id = exp.select(told).from_(models).where(of_name).subquery()
+        if id is not None:
+            self.spans[span.tick.sql()] = replace(span, id=id)
+
+    def _leading(self, tick: exp.Expr) -> str:
+        """The tick of the source that a handle goes with; of a source its own."""
+        for (row, *_), known in self.followers.items():
+            column = known.value.column
+            if column is not None and column("tick").sql() == tick.sql():
+                return row
+        return tick.sql()
+
+    def _id_of(self, value: SqlValue) -> exp.Expr:
+        """The id of an entity: a parameter where it is the same at each tick."""
+        assert value.column is not None
+        for (_, id, *_), known in self.followers.items():
+            if known.value is value:
+                return self._parameters[id]
+        span = self.spans.get(value.column("tick").sql())
+        return value.column("id") if span is None or span.id is None else span.id
+
+    def _id_at_row(self, value: SqlValue) -> exp.Expr:
+        """The id of an entity at a row, for a table of pairs of those that were there.
+
+        That of a handle is the same at each row: where it was, its own row need not be looked at.
+        """
+        assert value.column is not None
+        is_handle = any(known.value is value for known in self.followers.values())
+        return self._id_of(value) if is_handle else value.column("id")
+
+    def _all_rows(self) -> list[SqlValue]:
+        """The current elements of all sources, those of the queries around this one first."""
+        around = self._around._all_rows() if self._around is not None else []  # noqa: SLF001
+        return [*around, *self._rows.values()]
+
+    def _is_of_own_row(self, tick: exp.Expr) -> bool:
+        """Whether a tick is that of a source of this query, and not of one around it."""
+        own = {
+            value.column("tick").sql()
+            for value in self._rows.values()
+            if value.tag.past and value.column
+        }
+        return self._around is None and tick.sql() in own
+
+    def _follower(self, schema: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
+        key = tick.sql(), id.sql()
+        if key not in self.followers:
+            name = self._context.alias("handle then")
+            self.followers[key] = follower(schema, name, tick, id)
+            self._parameters[id.sql()] = id
+        return self.followers[key]

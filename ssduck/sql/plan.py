@@ -1,0 +1,202 @@
+"""How a query runs: what a plan depends on, and the plan itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, Protocol, TypeAlias
+
+from sqlglot import exp
+
+from ssduck.language.clauses import PythonClauses, SelectedValue
+from ssduck.language.tree import Call, Node, Query
+from ssduck.sql.types import Signature, SqlType
+
+Moments: TypeAlias = Literal["", "instant", "window", "now"]
+
+
+@dataclass(frozen=True)
+class SourceType:
+    """What a source is, and what it is called.
+
+    Attributes:
+        alias: what it is called.
+        schema: of a world, its schema.
+        moments: of a world's past, whether it is one tick, or several, or the present one beside
+            its past.
+        of_one: whether that is the past of one entity.
+        tag: of values, what they are.
+        given: whether its values are known before the query runs; else it is a part of it.
+        dicts: whether some of its elements are dicts.
+        known: whether it has elements, so that names can be looked up in them.
+    """
+
+    alias: str
+    schema: str | None = None
+    tag: SqlType | None = None
+    given: bool = True
+    dicts: bool = False
+    known: bool = True
+    moments: Moments = ""
+    of_one: bool = False
+
+
+class TypeEnvironment(Protocol):
+    """What the translator needs to know of the interpreter's names."""
+
+    @property
+    def deepest(self) -> int:
+        """How many rows a path of a hierarchical query may have."""
+
+    def has_variable(self, name: str) -> bool:
+        """Whether there is a variable of that name."""
+
+    def has_source(self, alias: str) -> bool:
+        """Whether a query around this one has a source of that name."""
+
+    def tag(self, node: Node) -> SqlType:
+        """The type of the value of an expression that depends on no row of this query."""
+
+    def world(self, node: Node) -> str | None:
+        """The schema of the world that such an expression is, None if it is none."""
+
+    def deferred(self, name: str) -> Node | None:
+        """The list that a variable holds for the query that uses it, None if it holds none."""
+
+    def meant(self, name: str) -> str:
+        """What calls the function of that name: the user's, where it replaces another."""
+
+    def check_call(self, node: Call) -> None:
+        """Complain of an unknown function, or of a wrong number of arguments."""
+
+    def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
+        """How SQL calls a user's function with such arguments, None if it cannot."""
+
+
+@dataclass(frozen=True)
+class ParameterBinding:
+    """A parameter of the SQL.
+
+    Attributes:
+        name: of the parameter.
+        node: the expression that it is the value of,
+        column: or the column of the entity that the expression is.
+        source: instead, the source that it lists the elements of,
+        end: or the past of a world that it is the first or the last tick of, or whose only entity.
+        tag: of the value.
+    """
+
+    name: str
+    node: Node | None = None
+    column: str | None = None
+    source: str | None = None
+    end: Literal["", "first", "last", "id"] = ""
+    tag: SqlType = field(default_factory=lambda: SqlType("list"))
+
+
+@dataclass(frozen=True)
+class OutputColumn:
+    """A column of the SQL: its place, and the type of its values."""
+
+    index: int
+    tag: SqlType
+
+
+@dataclass(frozen=True)
+class PathSearch:
+    """What is made of the edges that a statement yields: how long its paths, how many."""
+
+    longest: int
+    most: int | None
+
+
+@dataclass(eq=False)
+class Plan:
+    """How a query runs.
+
+    Attributes:
+        query: what it is a plan of, bare names looked up.
+        shapes: what the sources are.
+        select: the SQL as sqlglot's tree.
+        bindings: its parameters.
+        tables: sources that SQL reads as tables of their own, by alias: the table's name.
+        constants: what does not depend on rows, with the types that the plan relies on.
+        worlds: of these, the schemas of those that are worlds.
+        signatures: the users' functions that SQL calls.
+        known: the columns by the part of the tree that they are the value of.
+        elements: the column of each source's element, by alias.
+        once: constants that are evaluated in Python.
+        rest: what Python does with the rows.
+        outputs: the selected columns, if nothing is left to Python.
+        names: what the columns are called, if all of them are texts.
+        paths: whether each row of the SQL is a path, or an edge of a graph of paths.
+        graph: of a graph, which paths are wanted.
+        bare: names that were looked up, and whether there was a variable of that name.
+        deferred: lists that were put in for variables.
+        cautious: whether nothing in the SQL can fail.
+    """
+
+    query: Query
+    shapes: tuple[SourceType, ...]
+    select: exp.Select = field(default_factory=exp.Select)
+    bindings: list[ParameterBinding] = field(default_factory=list)
+    tables: dict[str, str] = field(default_factory=dict)
+    constants: dict[Node, SqlType] = field(default_factory=dict)
+    worlds: dict[Node, str | None] = field(default_factory=dict)
+    signatures: set[Signature] = field(default_factory=set)
+    known: dict[Node, OutputColumn] = field(default_factory=dict)
+    elements: dict[str, OutputColumn] = field(default_factory=dict)
+    once: list[Node] = field(default_factory=list)
+    rest: PythonClauses = field(default_factory=lambda: PythonClauses(()))
+    outputs: list[OutputColumn] | None = None
+    names: tuple[str, ...] = ()
+    paths: bool = False
+    graph: PathSearch | None = None
+    bare: dict[str, bool] = field(default_factory=dict)
+    deferred: dict[str, Node | None] = field(default_factory=dict)
+    cautious: bool = False
+
+    @cached_property
+    def sql(self) -> str:
+        """The text of the SQL; where values are written in, it is never asked for."""
+        return self.select.sql(dialect="duckdb")
+
+    @cached_property
+    def numbers(self) -> dict[str, Literal["real", "integer"]]:
+        """The types of those of its parameters that are numbers."""
+        types: dict[str, Literal["real", "integer"]] = {}
+        for binding in self.bindings:
+            if binding.end:  # by what is written in a statement, DuckDB leaves out what is older
+                continue
+            match binding.tag.type:
+                case "real" | "integer" as kind:
+                    types[binding.name] = kind
+        return types
+
+    @property
+    def left(self) -> list[Node]:
+        """What is left to Python."""
+        if self.paths:
+            return []
+        rest = self.rest
+        columns = [c.node for c in rest.columns if self.is_left(c.node)]
+        names = [c.name for c in rest.columns if isinstance(c.name, Node) and self.is_left(c.name)]
+        keys = [key.value for key in rest.order]
+        last = [node for node in (rest.having, rest.limit) if node is not None]
+        groups = [node for node in rest.group if self.is_left(node)]
+        return [*rest.conditions, *columns, *names, *keys, *groups, *last]
+
+    def is_left(self, node: Node) -> bool:
+        """Whether a part is evaluated in Python for each row."""
+        return node not in self.known and node not in self.once
+
+
+__all__ = [
+    "OutputColumn",
+    "ParameterBinding",
+    "Plan",
+    "SelectedValue",
+    "Signature",
+    "SourceType",
+    "TypeEnvironment",
+]

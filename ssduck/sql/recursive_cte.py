@@ -1,0 +1,402 @@
+"""Hierarchical queries as WITH RECURSIVE.
+
+Each row of the recursive table is a path: its state, the places of its rows in the sources,
+and what was selected at each of them. Paths come in the order of their places, which is the
+depth-first order of the sources. MEMORIZE keeps a row a distinct selected row instead (USING
+KEY), and yields the edges between them. UNIQUE depends on the order of the search itself, and
+runs row by row in `ssduck.language.hierarchy`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlglot import exp
+
+from ssduck.language import tree
+from ssduck.language.clauses import SelectedValue
+from ssduck.language.tree import Assignment, Query, Recursion
+from ssduck.sql.expressions import Expressions
+from ssduck.sql.from_clause import FromItem, world_table
+from ssduck.sql.plan import PathSearch
+from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, failure
+from ssduck.sql.types import FLAG, INTEGER, SqlType, merged
+
+# Breadth first, a search that has more open paths than this takes too much memory; depth first
+# in Python it takes little.
+MOST_OPEN = 1_000_000
+_PATHS = "paths"
+_STEPS = "steps"
+
+
+@dataclass(frozen=True)
+class RecursiveSearch:
+    """A search in SQL.
+
+    Attributes:
+        select: a row a path, a column a selected item, a list, a value a step; or a row an
+            edge of a graph: the places of its ends, whether the second is found, its items.
+        tags: the types of the columns.
+        graph: of a graph, how long its paths may be, and how many are wanted.
+    """
+
+    select: exp.Select
+    tags: tuple[SqlType, ...]
+    graph: PathSearch | None = None
+
+
+def searched(
+    sql: Expressions, query: Query, columns: Sequence[SelectedValue], elements: Sequence[FromItem]
+) -> RecursiveSearch:
+    """A hierarchical query as SQL.
+
+    Raises:
+        NotSqlError: it runs row by row.
+    """
+    recursion = query.recursion
+    assert recursion is not None
+    if recursion.unique or query.group or query.order or query.having is not None:
+        raise NotSqlError
+    if recursion.memorizes and recursion.memorize is None:
+        raise NotSqlError  # how many levels it takes is known once a path is found
+    if not all(isinstance(column.name, str) for column in columns):
+        raise NotSqlError
+    search = _Search(sql, query, recursion, columns, elements)
+    items = tuple(item.tag for item in search.items)
+    if not recursion.memorizes:
+        return RecursiveSearch(search.select(), tuple(SqlType("list", tag) for tag in items))
+    assert recursion.memorize is not None
+    levels = _number(recursion.memorize)
+    place = SqlType("list", INTEGER)
+    return RecursiveSearch(
+        search.edges(levels), (place, place, FLAG, *items), PathSearch(levels, search.most())
+    )
+
+
+class _Search:
+    def __init__(
+        self,
+        sql: Expressions,
+        query: Query,
+        recursion: Recursion,
+        columns: Sequence[SelectedValue],
+        elements: Sequence[FromItem],
+    ) -> None:
+        self.sql = sql
+        self.query = query
+        self.recursion = recursion
+        self.elements = elements
+        self.entities: dict[str, FromItem] = {}
+        self.steps = _assigned(recursion.step)
+        self.start = {
+            name: self._started(value) for name, value in _assigned(recursion.start).items()
+        }
+        self.tags = {name: value.tag for name, value in self.start.items()}
+        self.names = _column_names(self.tags)
+        self.next = self._states()
+        self.items = [sql.context.certain(sql.value(column.node)) for column in columns]
+        if any(not i.tag.comes_back or i.tag.nullable or i.wide for i in self.items):
+            raise NotSqlError
+        self.stop = sql.condition(recursion.stop)
+        where = query.where
+        self.found = self.stop if where is None else sql.condition(where)
+        sql.context.risk()  # it may be too broad
+
+    def _started(self, value: tree.Node) -> SqlValue:
+        if not self.sql.is_constant(value):
+            raise NotSqlError
+        return self.sql.value(value)
+
+    def _states(self) -> dict[str, SqlValue]:
+        """What the state variables are after a step, once their types hold still."""
+        steps = self.steps
+        if not steps.keys() <= self.tags.keys():
+            raise NotSqlError
+        for _ in range(3):
+            self.sql.locals = {name: self._state(name, tag) for name, tag in self.tags.items()}
+            values = {
+                name: self.sql.context.certain(self.sql.value(node)) for name, node in steps.items()
+            }
+            tags = {
+                name: merged((tag, values[name].tag)) or tag if name in values else tag
+                for name, tag in self.tags.items()
+            }
+            if any(not tag.comes_back or tag.nullable for tag in tags.values()):
+                raise NotSqlError
+            if tags == self.tags:
+                return {name: values.get(name, self.sql.locals[name]) for name in tags}
+            self.tags = tags
+        raise NotSqlError
+
+    def _state(self, name: str, tag: SqlType) -> SqlValue:
+        """A state variable; an entity is looked up by its id."""
+        if tag.type != "entity":
+            return SqlValue(self._state_column(name), tag, extent=FloatDomain.INFINITE)
+        if name not in self.entities:
+            if tag.schema is None or tag.nullable or tag.past:
+                raise NotSqlError
+            alias = self.sql.context.alias(f"state {name}")
+            self.entities[name] = world_table(tag.schema, alias)
+        return self.entities[name].value
+
+    def _state_column(self, name: str) -> exp.Expr:
+        return _column(_PATHS, self.names[name])
+
+    # -- the statement ----------------------------------------------------------------------
+
+    def select(self) -> exp.Select:
+        """The paths in depth-first order of the sources."""
+        shown = [_column(_PATHS, f"item {index}") for index in range(len(self.items))]
+        select = exp.select(*shown).from_(_table(_PATHS))
+        select = select.where(_column(_PATHS, "found")).order_by(_column(_PATHS, "place"))
+        union = exp.union(self._first(), self._following(), distinct=False)
+        select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
+        most = self.most()
+        return select if most is None else select.limit(most)
+
+    def most(self) -> int | None:
+        """How many paths are wanted."""
+        limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
+        return min(map(_number, limits), default=None)
+
+    def _first(self) -> exp.Select:
+        return exp.select(
+            *self._as_states(self.start),
+            exp.alias_(_empty(SqlType("integer")), "place"),
+            *(
+                exp.alias_(_empty(item.tag), f"item {index}", quoted=True)
+                for index, item in enumerate(self.items)
+            ),
+            exp.alias_(exp.false(), "found"),
+        )
+
+    def _as_states(self, values: Mapping[str, SqlValue]) -> list[exp.Expr]:
+        """Values as the columns of the state variables."""
+        return [
+            exp.alias_(_cast(value.sql, self.tags[name]), self.names[name], quoted=True)
+            for name, value in values.items()
+        ]
+
+    def _following(self) -> exp.Select:
+        """The paths with a row more, of those that are open."""
+        found = _column(_STEPS, "found")
+        states = [
+            exp.alias_(
+                exp.case()
+                .when(found.copy(), _column(_STEPS, column))
+                .else_(_column(_STEPS, f"next {column}")),
+                column,
+                quoted=True,
+            )
+            for column in self.names.values()
+        ]
+        items = [
+            exp.alias_(_column(_STEPS, f"item {index}"), f"item {index}", quoted=True)
+            for index in range(len(self.items))
+        ]
+        return exp.select(*states, _column(_STEPS, "place"), *items, found).from_(
+            self._steps().subquery(_STEPS)
+        )
+
+    def _steps(self) -> exp.Select:
+        ends = exp.paren(self.found.copy())
+        states = [
+            exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.names.values()
+        ]
+        following = [
+            exp.alias_(
+                exp.case()
+                .when(ends.copy(), self._state_column(name))
+                .else_(_cast(value.sql, self.tags[name])),
+                f"next {self.names[name]}",
+                quoted=True,
+            )
+            for name, value in self.next.items()
+        ]
+        place = exp.Anonymous(
+            this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
+        )
+        items = [
+            exp.alias_(
+                exp.func("list_append", _column(_PATHS, f"item {index}"), _cast(i.sql, i.tag)),
+                f"item {index}",
+                quoted=True,
+            )
+            for index, i in enumerate(self.items)
+        ]
+        select = exp.select(
+            *states, *following, exp.alias_(place, "place"), *items, exp.alias_(ends, "found")
+        )
+        select = self._from(select, self._open())
+        return select.where(exp.Not(this=self._is_visited())) if self.recursion.no_cycle else select
+
+    def _from(self, select: exp.Select, paths: exp.Expr) -> exp.Select:
+        """Each open path with each row, unless that ends it in vain."""
+        select = select.from_(paths)
+        for element in (*self.entities.values(), *self.elements):
+            select = select.join(element.table, join_type="cross")
+        for name, element in self.entities.items():
+            is_state = exp.EQ(this=element.value.sql, expression=self._state_column(name))
+            select = select.where(is_state)
+        goes_on = exp.or_(self.found.copy(), exp.Not(this=exp.paren(self.stop.copy())))
+        return select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
+
+    def _open(self) -> exp.Expr:
+        """The paths of the last round; too many of them, and Python searches depth first."""
+        count = exp.Window(this=exp.Count(this=exp.Star()))
+        many = exp.GT(this=count, expression=exp.Literal.number(MOST_OPEN))
+        length = exp.func("len", _column(_PATHS, "item 0"))
+        deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.deepest))
+        endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), deep)
+        checked = exp.case().when(exp.or_(many, endless), failure(FLAG)).else_(exp.true())
+        counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
+        rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
+        return rows.subquery(_PATHS)
+
+    def _place(self) -> exp.Expr:
+        keys = [key for element in self.elements for key in element.position]
+        if any(key.args.get("desc") for key in keys):
+            raise NotSqlError
+        return exp.Array(expressions=[exp.cast(key.this.copy(), "BIGINT") for key in keys])
+
+    def _is_visited(self) -> exp.Expr:
+        """Whether what is selected was selected before on the path."""
+        numbers = exp.func("generate_subscripts", _column(_PATHS, "item 0"), exp.Literal.number(1))
+        steps = exp.select(exp.alias_(numbers, "i")).subquery("before")
+        alike = [
+            exp.EQ(
+                this=exp.func(
+                    "list_extract", _column(_PATHS, f"item {index}"), exp.column("i", "before")
+                ),
+                expression=exp.paren(item.sql.copy()),
+            )
+            for index, item in enumerate(self.items)
+        ]
+        if len(alike) == 1:
+            item = self.items[0]
+            return exp.func("list_contains", _column(_PATHS, "item 0"), _cast(item.sql, item.tag))
+        return exp.Exists(this=exp.select(exp.Literal.number(1)).from_(steps).where(*alike))
+
+    # -- the graph of MEMORIZE ---------------------------------------------------------------
+
+    def edges(self, levels: int) -> exp.Select:
+        """The edges of the graph of distinct selected rows, in the order of a breadth-first search.
+
+        The first row of the recursive table is none of the graph's: what comes after it are
+        the roots.
+        """
+        keys = [f"item {index}" for index in range(len(self.items))]
+        nothing = [
+            exp.alias_(_cast(exp.Null(), item.tag), key, quoted=True)
+            for key, item in zip(keys, self.items, strict=True)
+        ]
+        first = exp.select(
+            *self._as_states(self.start),
+            *nothing,
+            exp.alias_(_empty(INTEGER), "place"),
+            exp.alias_(exp.false(), "found"),
+        )
+        # In parentheses, for it has an order of its own.
+        union = exp.union(first, self._next_level(keys, levels).subquery(), distinct=True)
+        found = [_column("ends", name) for name in ("place", "found", *keys)]
+        select = exp.select(_column(_PATHS, "place"), *found)
+        select = self._from(select, self._within(levels))
+        select = select.join(exp.table_(_PATHS, alias="ends"), join_type="cross")
+        select = select.where(*self._are_items("ends", keys))
+        places = exp.func("len", _column(_PATHS, "place"))
+        select = select.order_by(places, _column(_PATHS, "place"), self._place())
+        select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
+        (table,) = select.find_all(exp.CTE)
+        table.set("key_expressions", [exp.to_identifier(key, quoted=True) for key in keys])
+        return select
+
+    def _next_level(self, keys: Sequence[str], levels: int) -> exp.Select:
+        """The rows that come after those of the last level, and that no level had."""
+        items = [
+            exp.alias_(_cast(item.sql, item.tag), key, quoted=True)
+            for key, item in zip(keys, self.items, strict=True)
+        ]
+        place = exp.Anonymous(
+            this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
+        )
+        found = exp.alias_(exp.paren(self.found.copy()), "found")
+        states = self._as_states(self.next)
+        select = exp.select(*states, *items, exp.alias_(place, "place"), found)
+        known = exp.select(exp.Literal.number(1)).from_(
+            exp.table_(_PATHS, db="recurring", alias="known")
+        )
+        known = known.where(*self._are_items("known", keys))
+        select = self._from(select, self._checked(levels))
+        select = select.where(exp.Not(this=exp.Exists(this=known)))
+        # Of rows that are alike the first one counts.
+        return select.distinct(*(item.this.copy() for item in items)).order_by(place.copy())
+
+    def _checked(self, levels: int) -> exp.Expr:
+        """The rows of the last level; too many levels, and Python tells so."""
+        deepest = exp.Literal.number(self.sql.names.deepest)
+        deep = exp.GTE(this=self._level(), expression=deepest)
+        checked = exp.case().when(deep, failure(FLAG)).else_(exp.true())
+        counted = exp.select("*", exp.alias_(checked, "counted")).from_(self._within(levels))
+        rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
+        return rows.subquery(_PATHS)
+
+    def _within(self, levels: int) -> exp.Expr:
+        """The rows that others may come after."""
+        is_within = exp.LT(this=self._level(), expression=exp.Literal.number(levels))
+        rows = exp.select("*").from_(_table(_PATHS)).where(is_within)
+        return rows.subquery(_PATHS)
+
+    def _level(self) -> exp.Expr:
+        """How many rows a place tells of."""
+        keys = sum(len(element.position) for element in self.elements)
+        length = exp.func("len", _column(_PATHS, "place"))
+        return exp.IntDiv(this=length, expression=exp.Literal.number(keys))
+
+    def _are_items(self, table: str, keys: Sequence[str]) -> list[exp.Expr]:
+        return [
+            exp.EQ(this=_column(table, key), expression=_cast(item.sql, item.tag))
+            for key, item in zip(keys, self.items, strict=True)
+        ]
+
+
+def _column_names(states: Iterable[str]) -> dict[str, str]:
+    """What state variables are called in SQL, which does not tell upper from lower case."""
+    names: dict[str, str] = {}
+    for name in states:
+        alike = sum(name.casefold() == other.casefold() for other in names)
+        names[name] = f"state {name}" if not alike else f"state {name} {alike + 1}"
+    return names
+
+
+def _assigned(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
+    """What state variables are assigned."""
+    found: dict[str, tree.Node] = {}
+    for part in parts:
+        if not isinstance(part, Assignment):
+            raise NotSqlError  # it is evaluated beside them, in Python
+        found[part.name] = part.value
+    return found
+
+
+def _number(node: tree.Node) -> int:
+    match node:
+        case tree.Literal(value=number) if type(number) is int and 0 <= number < 2**31:
+            return number
+    raise NotSqlError
+
+
+def _table(name: str) -> exp.Expr:
+    return exp.to_table(name)
+
+
+def _column(table: str, name: str) -> exp.Expr:
+    return exp.column(exp.to_identifier(name, quoted=True), table=exp.to_identifier(table))
+
+
+def _cast(value: exp.Expr, tag: SqlType) -> exp.Expr:
+    return exp.cast(value.copy(), tag.sql_type, dialect="duckdb")
+
+
+def _empty(element: SqlType) -> exp.Expr:
+    return exp.cast(exp.Array(expressions=[]), f"{element.sql_type}[]", dialect="duckdb")

@@ -1,0 +1,99 @@
+"""A relation's formula with its arguments put in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sqlglot import exp
+
+from ssduck.sql.relations.relation import Relation, in_schema
+from ssduck.sql.sql_values import NotSqlError, SqlValue, wrapped
+
+
+def expanded(
+    formula: exp.Expr, values: Mapping[str, SqlValue], name: str | None = None
+) -> exp.Expr:
+    """A relation's formula with its parameters put in.
+
+    Args:
+        formula: over columns of the parameters.
+        values: what the parameters stand for.
+        name: the column to be taken instead of `name`, for a relation that yields an entity.
+    """
+
+    def put_in(part: exp.Expr) -> exp.Expr:
+        if not isinstance(part, exp.Column):
+            return part
+        if (part.table or part.name) not in values:
+            return part  # of a table that the formula looks things up in
+        if not part.table:
+            return wrapped(values[part.name].sql.copy())
+        column = values[part.table].column
+        assert column is not None, f"{part.table} has no columns"
+        return column(name if name is not None and part.name == "name" else part.name)
+
+    found: exp.Expr = formula.copy().transform(put_in)
+    return exp.paren(found) if isinstance(found, exp.Connector | exp.In) else found
+
+
+def looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
+    """A relation's formula with the tables of its entities' world.
+
+    Raises:
+        NotSqlError: which world that is is not known yet.
+    """
+    schemas = {value.tag.schema for value in values.values() if value.tag.type == "entity"}
+    if None in schemas:
+        raise NotSqlError
+    if len(schemas) > 1:
+        return relation.when_apart
+    schema = str(schemas.pop())
+    past = [value.column("tick") for value in values.values() if value.tag.past and value.column]
+    if past:
+        return _then(formula, schema, past)
+    return in_schema(formula, schema)
+
+
+def _existing(part: exp.Expr) -> exp.Expr:
+    """`(x, y) IN (SELECT …)` as EXISTS: DuckDB has no such IN with what depends on rows."""
+    query = part.args.get("query") if isinstance(part, exp.In) else None
+    if query is None or not isinstance(part.this, exp.Tuple):
+        return part
+    columns = [f"c{place}" for place in range(len(part.this.expressions))]
+    alias = exp.TableAlias(
+        this=exp.to_identifier("found then", quoted=True),
+        columns=[exp.to_identifier(column) for column in columns],
+    )
+    inner = query.this if isinstance(query, exp.Subquery) else query
+    rows = exp.select("1").from_(exp.Subquery(this=inner.copy(), alias=alias))
+    equal = [
+        exp.EQ(this=exp.column(column, table="found then", quoted=True), expression=value.copy())
+        for column, value in zip(columns, part.this.expressions, strict=True)
+    ]
+    return exp.Exists(this=rows.where(*equal))
+
+
+# What is the same at each tick is in a table of its own.
+_FIXED = {"shapes": "shapes_model", "geometries": "geometries_model"}
+
+
+def _then(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
+    """A formula with the tables of a world at the tick of its entities."""
+    found = in_schema(formula, schema)
+    tables = list(found.find_all(exp.Table))
+    for table in tables:
+        alias = exp.to_identifier(table.alias_or_name)
+        if table.name in _FIXED:
+            table.set("this", exp.to_identifier(_FIXED[table.name]))
+            table.set("alias", exp.TableAlias(this=alias))
+            continue
+        history = exp.table_(f"{table.name}_history", db=schema, alias="ticks then", quoted=True)
+        own = exp.column("tick", table="ticks then", quoted=True)
+        rows = exp.select("*").from_(history).where(exp.EQ(this=own, expression=ticks[0].copy()))
+        table.replace(rows.subquery(alias))
+    found = found.transform(_existing)
+    if not tables or len(ticks) == 1:
+        return found
+    same = exp.and_(*(exp.EQ(this=ticks[0].copy(), expression=tick.copy()) for tick in ticks[1:]))
+    apart = exp.func("error", exp.Literal.string("entities are of two ticks"))
+    return exp.case().when(same, exp.paren(found)).else_(apart)

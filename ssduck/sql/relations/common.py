@@ -1,0 +1,30 @@
+"""What relations of several families have in common: their parameters, what they look up."""
+
+from __future__ import annotations
+
+from ssduck.sql.relations.relation import Parameter, Relation, ValueType
+
+ENTITY = (Parameter("object", "entity", "an entity"),)
+A_B = (Parameter("a", "entity", "an entity"), Parameter("b", "entity", "another entity"))
+
+
+def of_entity(
+    name: str,
+    result: ValueType,
+    formula: str,
+    about: str,
+    unit: str = "",
+    element: ValueType = "real",
+    then: str = "",
+    also: tuple[str, ...] = (),
+) -> Relation:
+    """A relation of one entity."""
+    return Relation(
+        name, ENTITY, result, formula, about, unit=unit, element=element, then=then, also=also
+    )
+
+
+def told(what: str, a: str, b: str = "") -> str:
+    """What contacts or sensors told at the tick of a row, as numbers (`replay.lookups`)."""
+    other = f"{b}.id" if b else "0"
+    return f"\"then told\"($world, '{what}', {a}.tick, {a}.id, {other})"

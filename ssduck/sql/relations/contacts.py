@@ -1,0 +1,54 @@
+"""Relations of what the physics solver found in the last step."""
+
+from __future__ import annotations
+
+from ssduck.sql.relations.common import A_B, told
+from ssduck.sql.relations.relation import Relation
+
+OF_CONTACTS: tuple[Relation, ...] = (
+    Relation(
+        "inContact",
+        A_B,
+        "flag",
+        "(least(a.id, b.id), greatest(a.id, b.id)) IN "
+        "(SELECT contacts.a, contacts.b FROM contacts WHERE contacts.force > 0)",
+        "Checks if the physics solver found a contact of a and b in the last step whose normal "
+        "force is more than 0.",
+        symmetric=True,
+        apart="FALSE",
+        then=f"a.id <> b.id AND COALESCE(list_max({told('pressing', 'a', 'b')}) > 0, FALSE)",
+    ),
+    Relation(
+        "contactForce",
+        A_B,
+        "real",
+        "CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE COALESCE(map_extract_value((SELECT "
+        "map(list((pair[1], pair[2])), list(total)) FROM (SELECT [contacts.a, contacts.b] AS pair, "
+        "sum(contacts.force) AS total FROM contacts GROUP BY ALL) AS summed), "
+        "(least(a.id, b.id), greatest(a.id, b.id))), 0.0::DOUBLE) END",
+        "Returns the sum of the normal forces between a and b that the physics solver found in "
+        "the last step.",
+        unit="N",
+        symmetric=True,
+        apart="0.0::DOUBLE",
+        then="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
+        f"ELSE COALESCE(list_sum({told('pressing', 'a', 'b')}), 0.0) END",
+    ),
+)
+
+
+def summed(*terms: str) -> str:
+    """Sums over the contacts of an object: of the forces on it, and of where it is touched."""
+    sides = " UNION ALL ".join(
+        f"SELECT contacts.{side} AS entity, contacts.{side}x - entities.x AS x, "  # noqa: S608
+        f"contacts.{side}y - entities.y AS y, contacts.{side}z - entities.z AS z, "
+        f"{sign}fx AS fx, {sign}fy AS fy, {sign}fz AS fz "
+        f"FROM contacts JOIN entities ON entities.id = contacts.{side}"
+        for side, sign in (("a", ""), ("b", "-"))
+    )
+    sums = ", ".join(f"sum({term})" for term in terms)
+    return (
+        "COALESCE(map_extract_value((SELECT map(list(entity), list(total)) "  # noqa: S608
+        f"FROM (SELECT entity, [{sums}] AS total FROM ({sides}) AS sides GROUP BY entity) "
+        "AS summed), object.id), [0.0, 0.0, 0.0]::DOUBLE[])"
+    )

@@ -1,0 +1,84 @@
+"""Relations of joints: their positions, and whether they are open.
+
+In SelectScript it is an error to ask an entity for a joint that it does not have; a condition
+before may leave it out. Raw SQL's conditions come in no order: there, it is unknown of such an
+entity, and an error if no entity of the world has a joint of that name.
+"""
+
+from __future__ import annotations
+
+from ssduck.simulators.joints import CLOSED, OPEN, ROUNDED
+from ssduck.sql.relations.common import ENTITY
+from ssduck.sql.relations.relation import Parameter, Relation
+
+_OF = "$world, object.tick, object.id"
+_OPENNESS = (
+    "How far a joint is open is a share of its range from its closed end, which is that of its two "
+    "limits that is nearer to 0, or the lower one."
+)
+
+
+_MISSING = (
+    "A name that no joint of the object has is an error; in raw SQL it is NULL where another "
+    "entity has such a joint."
+)
+
+
+# A share of another kind, percents say, would be an answer to no question.
+_SHARE = (
+    "CASE WHEN share < 0 OR share > 1 THEN "
+    "error('{}: the share is a number from 0 to 1, not ' || share)::DOUBLE "
+    "ELSE share::DOUBLE END"
+)
+
+
+def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
+    """Whether joints are open, or closed, by a share of their range."""
+    most, named = f'"joints most_open"({_OF})', f'"joints openness"({_OF}, joint)'
+    return Relation(
+        name,
+        (
+            *ENTITY,
+            Parameter("joint", "text", "the name of a joint that has limits", optional=True),
+            Parameter("share", "real", "a share of its range, from 0 to 1", optional=True),
+        ),
+        "flag",
+        condition.format(most, usual),
+        f"{about} {_OPENNESS} What has no joints with limits is neither open nor closed. "
+        f"{_MISSING}",
+        partly=condition.format(named, usual),
+        sliced=condition.format(named, _SHARE.format(name)),
+        looks_at="joints",
+        may_fail=True,
+    )
+
+
+OF_JOINTS: tuple[Relation, ...] = (
+    Relation(
+        "joint",
+        (*ENTITY, Parameter("name", "text", "the name of a revolute or prismatic joint")),
+        "real",
+        f'"joints position"({_OF}, name)',
+        "Returns the position of a joint of the object: radians of a revolute one, metres of a "
+        f"prismatic one. {_MISSING}",
+        unit="rad or m",
+        looks_at="joints",
+        may_fail=True,
+    ),
+    _has_share(
+        "isOpen",
+        OPEN,
+        f"{{}} >= {{}} - {ROUNDED}",
+        "Checks if a joint of the object, or any of its joints that have limits, is open by at "
+        "least a share of its range, one half if it is not given. A share that is not from 0 to 1 "
+        "is an error.",
+    ),
+    _has_share(
+        "isClosed",
+        CLOSED,
+        f"{{}} BETWEEN -1e300 AND {{}} + {ROUNDED}",
+        "Checks if a joint of the object, or all of its joints that have limits, are open by at "
+        "most a share of their range, 0.05 if it is not given. A share that is not from 0 to 1 is "
+        "an error.",
+    ),
+)

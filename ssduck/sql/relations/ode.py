@@ -1,0 +1,139 @@
+"""Relations under the names of the ODE dialect, and those that only it has."""
+
+from __future__ import annotations
+
+import re
+
+from ssduck.sql.relations.common import ENTITY, of_entity, told
+from ssduck.sql.relations.contacts import summed
+from ssduck.sql.relations.relation import CandidatePairs, Parameter, Relation
+from ssduck.sql.relations.shapes import COLLIDES, DEEP, on_shapes
+
+# Of a unit quaternion w, x, y, z.
+_ROTATION = re.sub(
+    r"\b([wxyz])\b",
+    r"object.q\1",
+    "[[1 - 2 * (y ** 2 + z ** 2), 2 * (x * y - w * z), 2 * (x * z + w * y)], "
+    "[2 * (x * y + w * z), 1 - 2 * (x ** 2 + z ** 2), 2 * (y * z - w * x)], "
+    "[2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x ** 2 + y ** 2)]]",
+)
+
+OF_ODE: tuple[Relation, ...] = (
+    of_entity("pos", "list", "[object.x, object.y, object.z]", "Returns position(object).", "m"),
+    *(
+        of_entity(
+            f"pos{axis}", "real", f"object.{axis.lower()}", f"Returns {axis.lower()}(object).", "m"
+        )
+        for axis in "XYZ"
+    ),
+    of_entity(
+        "quat",
+        "list",
+        "[object.qw, object.qx, object.qy, object.qz]",
+        "Returns orientation(object), [w, x, y, z].",
+    ),
+    of_entity(
+        "rot",
+        "list",
+        _ROTATION,
+        "Returns the rotation matrix of the object's link frame in the world, row by row: "
+        "[[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]].",
+        element="list",
+    ),
+    Relation(
+        "linearVelocity",
+        (*ENTITY, Parameter("axis", "integer", "0, 1 or 2, for x, y or z", optional=True)),
+        "list",
+        "[object.vx, object.vy, object.vz]",
+        "Returns the velocity [x, y, z] of the origin of the object's link frame, or one of the "
+        "three.",
+        sliced="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy WHEN 2 THEN object.vz "
+        "ELSE error('linearVelocity: axis is to be 0, 1 or 2') END",
+        sliced_result="real",
+        unit="m/s",
+    ),
+    of_entity(
+        "velocity",
+        "list",
+        "[object.vx, object.vy, object.vz]",
+        "Returns linearVelocity(object).",
+        "m/s",
+    ),
+    of_entity(
+        "angularVelocity",
+        "list",
+        "[object.wx, object.wy, object.wz]",
+        "Returns the angular velocity [x, y, z] of the object.",
+        "rad/s",
+    ),
+    of_entity(
+        "mass",
+        "real",
+        "object.mass",
+        "Returns the mass of all links; 0 for what cannot move.",
+        "kg",
+    ),
+    of_entity(
+        "aabb",
+        "list",
+        "[object.xmin, object.xmax, object.ymin, object.ymax, object.zmin, object.zmax]",
+        "Returns the axis-aligned box, [xmin, xmax, ymin, ymax, zmin, zmax].",
+        "m",
+    ),
+    of_entity(
+        "force",
+        "list",
+        summed("fx", "fy", "fz"),
+        "Returns the sum [x, y, z] of the forces on the object by contacts that the physics "
+        "solver found in the last step, friction included. What a program applies, PyBullet does "
+        "not tell.",
+        "N",
+        then=f"{told('wrench', 'object')}[1:3]",
+    ),
+    of_entity(
+        "torque",
+        "list",
+        summed("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx"),
+        "Returns the sum [x, y, z] of the moments of those forces (see force) about the object's "
+        "position.",
+        "N m",
+        then=f"{told('wrench', 'object')}[4:6]",
+    ),
+    of_entity(
+        "gravityMode",
+        "flag",
+        "object.mass > 0",
+        "Checks if gravity acts on the object: in PyBullet, on all that have a mass.",
+    ),
+    of_entity(
+        "hasBody",
+        "flag",
+        "object.mass > 0",
+        "Checks if the object moves under forces: if it has a mass.",
+    ),
+    on_shapes(
+        "collision",
+        "flag",
+        COLLIDES,
+        "Checks if a and b collide: collides(a, b).",
+        symmetric=True,
+        candidates=CandidatePairs("colliding", DEEP),
+    ),
+    *(
+        of_entity(
+            name,
+            "flag",
+            "object.id IN (SELECT shapes.entity FROM shapes JOIN geometries ON geometries.id = "  # noqa: S608
+            f"shapes.geometry GROUP BY ALL HAVING bool_and(geometries.type {of}))",
+            f"Checks if all of the object's shapes are {words}; False without a shape.",
+        )
+        for name, of, words in (
+            ("isBox", "= 'box'", "boxes"),
+            ("isSphere", "= 'sphere'", "spheres"),
+            ("isCylinder", "= 'cylinder'", "cylinders"),
+            ("isCapsule", "= 'capsule'", "capsules"),
+            ("isPlane", "= 'plane'", "planes"),
+            ("isTriMesh", "IN ('hull', 'mesh')", "meshes or their hulls"),
+        )
+    ),
+)

@@ -1,0 +1,79 @@
+"""Relations of regions, and of the view of another entity."""
+
+from __future__ import annotations
+
+from ssduck.sql.relations.common import A_B, ENTITY
+from ssduck.sql.relations.relation import Parameter, Relation
+
+_CORNERS = (
+    Parameter("min", "place", "the lower corner [x, y, z]"),
+    Parameter("max", "place", "the upper corner [x, y, z]"),
+)
+
+
+def _seen(name: str, condition: str, about: str) -> Relation:
+    """Where b is of a, for a viewer."""
+    forward = (
+        "(1 - 2 * (viewer.qy ** 2 + viewer.qz ** 2)) * (b.x - a.x) "
+        "+ 2 * (viewer.qx * viewer.qy + viewer.qw * viewer.qz) * (b.y - a.y) "
+        "+ 2 * (viewer.qx * viewer.qz - viewer.qw * viewer.qy) * (b.z - a.z)"
+    )
+    left = (
+        "2 * (viewer.qx * viewer.qy - viewer.qw * viewer.qz) * (b.x - a.x) "
+        "+ (1 - 2 * (viewer.qx ** 2 + viewer.qz ** 2)) * (b.y - a.y) "
+        "+ 2 * (viewer.qy * viewer.qz + viewer.qw * viewer.qx) * (b.z - a.z)"
+    )
+    formula = condition.format(forward=f"({forward})", left=f"({left})")
+    return Relation(
+        name,
+        (*A_B, Parameter("viewer", "entity", "an entity that looks along its own +x")),
+        "flag",
+        f"a.id <> b.id AND {formula}",
+        f"{about}, as seen by the viewer: of the differences of the two positions along its own "
+        "x (forward) and y (left) the larger one decides; if they are alike, that along x.",
+    )
+
+
+OF_PLACES: tuple[Relation, ...] = (
+    _seen("leftOf", "{left} > abs({forward})", "Checks if b is left of a"),
+    _seen("rightOf", "-{left} > abs({forward})", "Checks if b is right of a"),
+    _seen(
+        "behind",
+        "{forward} > 0 AND {forward} >= abs({left})",
+        "Checks if b is behind a, farther from the viewer",
+    ),
+    _seen(
+        "inFrontOf",
+        "{forward} < 0 AND -{forward} >= abs({left})",
+        "Checks if b is in front of a, nearer to the viewer",
+    ),
+    Relation(
+        "inBox",
+        (*ENTITY, *_CORNERS),
+        "flag",
+        "object.x BETWEEN min.x AND max.x AND object.y BETWEEN min.y AND max.y "
+        "AND object.z BETWEEN min.z AND max.z",
+        "Checks if the position of the object is in an axis-aligned box, its sides included.",
+    ),
+    Relation(
+        "fitsBox",
+        (*ENTITY, *_CORNERS),
+        "flag",
+        "object.xmin >= min.x AND object.xmax <= max.x AND object.ymin >= min.y "
+        "AND object.ymax <= max.y AND object.zmin >= min.z AND object.zmax <= max.z "
+        "AND object.xmin <= object.xmax",
+        "Checks if all of the object's shapes are in an axis-aligned box, its sides included.",
+    ),
+    Relation(
+        "inSphere",
+        (
+            *ENTITY,
+            Parameter("centre", "place", "an entity or a point [x, y, z]"),
+            Parameter("r", "real", "a radius, m"),
+        ),
+        "flag",
+        "sqrt((object.x - centre.x) ** 2 + (object.y - centre.y) ** 2 "
+        "+ (object.z - centre.z) ** 2) <= r",
+        "Checks if the position of the object is in a sphere, its surface included.",
+    ),
+)

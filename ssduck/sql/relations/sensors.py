@@ -1,0 +1,46 @@
+"""Relations of what sensors perceive."""
+
+from __future__ import annotations
+
+from ssduck.sql.relations.common import told
+from ssduck.sql.relations.relation import Parameter, Relation
+
+_SENSOR = (Parameter("s", "entity", "a sensor"),)
+_SENSOR_AND_OTHER = (*_SENSOR, Parameter("e", "entity", "another entity"))
+
+OF_SENSORS: tuple[Relation, ...] = (
+    Relation(
+        "isSensing",
+        _SENSOR_AND_OTHER,
+        "flag",
+        "(s.id, e.id) IN (SELECT sensor, entity FROM sensings)",
+        "Checks if sensor s perceives e now: if one of its rays, pixels or contact points ends "
+        "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
+        "what is no sensor.",
+        apart="FALSE",
+        then=f"len({told('sensed', 's', 'e')}) > 0",
+    ),
+    Relation(
+        "sensingAmount",
+        _SENSOR_AND_OTHER,
+        "real",
+        "COALESCE(map_extract_value((SELECT map(list((sensor, entity)), list(hits / rays)) "
+        "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
+        "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
+        "0 to 1; 0 where isSensing(s, e) is False.",
+        apart="0.0::DOUBLE",
+        then=f"COALESCE({told('sensed', 's', 'e')}[1], 0.0)",
+    ),
+    Relation(
+        "sensingEnvIDs",
+        _SENSOR,
+        "list",
+        "COALESCE(map_extract_value((SELECT map(list(sensor), list(ids)) FROM (SELECT sensor, "
+        "list(entity ORDER BY entity) AS ids FROM sensings GROUP BY sensor) AS seen), s.id), "
+        "[]::BIGINT[])",
+        "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
+        "order; an empty list while it is switched off.",
+        element="integer",
+        then=f"{told('perceived', 's')}::BIGINT[]",
+    ),
+)

@@ -1,0 +1,151 @@
+"""What the expressions of a query see in SQL: elements of sources, variables, ticks."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Self
+
+from sqlglot import exp
+
+from ssduck.errors import UnknownNameError, nearest
+from ssduck.formatting import shown
+from ssduck.language.analysis import IMPURE, OVER_TIME, free_aliases, is_impure
+from ssduck.language.tree import (
+    Assignment,
+    Call,
+    Name,
+    Node,
+    QualifiedName,
+    Query,
+    This,
+    TimeIndex,
+    UnresolvedName,
+)
+from ssduck.sql.comparisons import truth
+from ssduck.sql.past_ticks import QueryTicks
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
+
+
+class ExpressionScope(ABC):
+    """What the expressions of one query see, and how parts of them become SQL.
+
+    Args:
+        context: what all expressions of the statement share.
+        around: the expressions of the query around this one.
+
+    Attributes:
+        rows: the current element of each source, by alias.
+        only: the alias of the only source.
+        locals: the state variables of a hierarchical query.
+        ticks: at which ticks its entities are.
+    """
+
+    def __init__(self, context: StatementContext, around: ExpressionScope | None = None) -> None:
+        self.context = context
+        self.names = context.names
+        self.around = around
+        self.rows: dict[str, SqlValue] = {}
+        self.only: str | None = None
+        self.locals: Mapping[str, SqlValue] = around.locals if around else {}
+        self._are_constant: dict[Node, bool] = {}
+        self.ticks: QueryTicks = QueryTicks(context, self.rows, around.ticks if around else None)
+
+    def inside(self) -> Self:
+        """The expressions of a query nested in this one."""
+        return type(self)(self.context, self)
+
+    # -- what does not depend on rows -------------------------------------------------------
+
+    def element(self, alias: str | None) -> SqlValue | None:
+        """The current element of a source of this query or of one around it in SQL."""
+        name = self.only if alias is None else alias
+        if name is not None and name in self.rows:
+            return self.rows[name]
+        # `this` alone is never that of a query further out.
+        return self.around.element(alias) if self.around and alias is not None else None
+
+    def is_constant(self, node: Node) -> bool:
+        """Whether it is the same for all rows of the statement."""
+        if node not in self._are_constant:  # each part is asked about, and all that it is in
+            self._are_constant[node] = self._is_constant(node)
+        return self._are_constant[node]
+
+    def _is_constant(self, node: Node) -> bool:
+        match node:
+            case This():
+                return self._is_outside(node)
+            case UnresolvedName() | Assignment():
+                return False
+            case QualifiedName():
+                return not self._is_variable(node) and self._is_outside(node.this)
+            case Name(name=name):
+                deferred = self.context.list_in(name)
+                if deferred is not None:
+                    return self.is_constant(deferred)
+                return name not in self.context.changing
+            case TimeIndex(name=name) if name in self.context.changing:
+                return False
+            case Query():
+                return (
+                    all(self._sees_nothing(alias) for alias in free_aliases(node))
+                    and not is_impure(node)
+                    and not any(self._is_changing(part) for part in node.walk())
+                )
+            case Call(name=name) if name in RELATIONS or name in IMPURE or name in OVER_TIME:
+                return False
+        return all(self.is_constant(child) for child in node.children())
+
+    def _is_variable(self, node: QualifiedName) -> bool:
+        known = self.context.bare[node.alias] = self.names.has_variable(node.alias)
+        return known
+
+    def _is_outside(self, node: This) -> bool:
+        if node.alias is None or self.element(node.alias) is not None:
+            return False
+        if not self.names.has_source(node.alias):
+            known = list(self.rows)
+            raise UnknownNameError(
+                f"there is no source {shown(node.alias)} here",
+                span=node.span,
+                suggestions=nearest(node.alias, known) or known[:3],
+            )
+        return True
+
+    def _sees_nothing(self, alias: str | None) -> bool:
+        return alias is not None and self.element(alias) is None
+
+    def _is_changing(self, node: Node) -> bool:
+        if not isinstance(node, Name | TimeIndex):
+            return False
+        return node.name in self.context.changing or self.context.list_in(node.name) is not None
+
+    # -- values -----------------------------------------------------------------------------
+
+    @abstractmethod
+    def value(self, node: Node) -> SqlValue:
+        """A part as SQL.
+
+        Raises:
+            NotSqlError: it is left to Python.
+        """
+
+    def condition(self, node: Node) -> exp.Expr:
+        """A part as a condition.
+
+        Raises:
+            NotSqlError: it is left to Python.
+        """
+        return truth(self.value(node))
+
+    def number(self, node: Node) -> SqlValue:
+        """A part that is a number.
+
+        Raises:
+            NotSqlError: it is left to Python.
+        """
+        value = self.value(node)
+        if not value.tag.is_number or value.tag.nullable:
+            raise NotSqlError
+        return value

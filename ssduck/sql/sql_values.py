@@ -1,0 +1,223 @@
+"""What expressions and nested queries are as SQL: values, types, parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from itertools import islice
+from typing import Any
+
+from sqlglot import exp
+
+from ssduck.language.tree import Node
+from ssduck.schema import TABLES
+from ssduck.sql.plan import ParameterBinding, TypeEnvironment
+from ssduck.sql.relations.relation import ValueType
+from ssduck.sql.types import IDS, Signature, SqlType
+
+_COLUMN_TYPES: dict[str, ValueType] = {
+    column.name: column.type
+    for column in TABLES["entities"]
+    if column.type in ("real", "integer", "text", "flag")
+}
+ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
+
+
+# A part of more nodes than this is not written twice, or it would grow without end.
+MOST_COPIED = 100
+
+
+class NotSqlError(Exception):
+    """A part that is left to Python."""
+
+
+class FloatDomain(IntEnum):
+    """Which reals a value may be: finite ones, infinities as well, what is no number as well.
+
+    DuckDB takes what is no number (NaN) for equal to itself and for greater than all numbers,
+    Python for neither, so that such a value must not come to be compared.
+    """
+
+    FINITE = 0
+    INFINITE = 1
+    NAN = 2
+
+
+@dataclass(frozen=True)
+class SqlValue:
+    """A part as SQL, its type, and how to get at what it is made of.
+
+    Attributes:
+        given: the value; of an entity its id is taken if there is none, and at a recorded tick
+            its key.
+        tag: its type.
+        column: of an entity, its columns.
+        elements: of a list that is written out, its elements.
+        fields: of a record, what its keys hold.
+        wide: whether it may be an integer that no DOUBLE is.
+        natural: whether it is an integer that is never below 0.
+        extent: which reals it may be; of a list, which its elements may be.
+        risky: whether SQL may fail at it, so that it must be evaluated where Python does.
+    """
+
+    given: exp.Expr | None
+    tag: SqlType
+    column: Callable[[str], exp.Expr] | None = None
+    elements: tuple[SqlValue, ...] | None = None
+    fields: Mapping[str, SqlValue] = field(default_factory=dict)
+    wide: bool = False
+    natural: bool = False
+    extent: FloatDomain = FloatDomain.FINITE
+    risky: bool = False
+
+    @property
+    def sql(self) -> exp.Expr:
+        """The value; of an entity its id, at a recorded tick its key."""
+        if self.given is not None:
+            return self.given
+        if self.column is None:
+            raise NotSqlError
+        if not self.tag.past:
+            return self.column("id")
+        ticks = exp.Mul(this=self.column("tick"), expression=exp.Literal.number(IDS))
+        return exp.paren(exp.Add(this=ticks, expression=self.column("id")))
+
+    @property
+    def identity(self) -> exp.Expr:
+        """What is compared: of an entity its id, at whatever tick it is."""
+        if self.tag.type == "entity" and self.tag.past and self.column is not None:
+            return self.column("id")
+        return self.sql
+
+
+@dataclass
+class StatementContext:
+    """What the expressions of one statement share.
+
+    Attributes:
+        names: variables, functions, and the types of what is constant in the query.
+        cautious: whether nothing may become SQL that could fail there.
+        changing: variables that differ from row to row.
+        bindings: the parameters of the statement.
+        constants: what does not depend on rows, with its type.
+        worlds: of these, the schemas of those that are worlds.
+        signatures: the users' functions that it calls.
+        deferred: variables that were looked up for lists to be put in.
+        aliases: what sources are called in SQL, in lower case.
+        bare: bare names in nested queries, and whether there was a variable of that name.
+        risks: how many parts of it could fail in SQL.
+    """
+
+    names: TypeEnvironment
+    cautious: bool = False
+    changing: frozenset[str] = frozenset()
+    bindings: list[ParameterBinding] = field(default_factory=list)
+    constants: dict[Node, SqlType] = field(default_factory=dict)
+    worlds: dict[Node, str | None] = field(default_factory=dict)
+    signatures: set[Signature] = field(default_factory=set)
+    deferred: dict[str, Node | None] = field(default_factory=dict)
+    aliases: set[str] = field(default_factory=set)
+    bare: dict[str, bool] = field(default_factory=dict)
+    risks: int = 0
+
+    def risk(self) -> None:
+        """Leave to Python what could fail in SQL, if the plan is to be cautious."""
+        if self.cautious:
+            raise NotSqlError
+        self.risks += 1
+
+    def certain(self, value: SqlValue) -> SqlValue:
+        """A value that is a number where it is used; what is none is left to Python."""
+        if value.extent < FloatDomain.NAN:
+            return value
+        self.risk()
+        is_none = exp.func("isnan", copied(value.sql))
+        case = exp.case().when(is_none, failure(value.tag)).else_(value.sql)
+        return replace(value, given=case, extent=FloatDomain.INFINITE)
+
+    def alias(self, name: str) -> str:
+        """What a source is called in SQL, which does not tell upper from lower case."""
+        candidates = (name if n == 1 else f"{name} {n}" for n in range(1, len(self.aliases) + 2))
+        alias = next(alias for alias in candidates if alias.casefold() not in self.aliases)
+        self.aliases.add(alias.casefold())
+        return alias
+
+    def parameter(self, stem: str, wanted: ParameterBinding) -> exp.Expr:
+        """A parameter for that binding: the same one for the same."""
+        for binding in self.bindings:
+            if replace(binding, name="") == wanted:
+                return exp.Parameter(this=exp.var(binding.name))
+        stem = stem if stem.isidentifier() else "value"
+        taken = {binding.name.lower() for binding in self.bindings}
+        candidates = (stem if n == 1 else f"{stem}_{n}" for n in range(1, len(taken) + 2))
+        name = next(name for name in candidates if name.lower() not in taken)
+        self.bindings.append(replace(wanted, name=name))
+        return exp.Parameter(this=exp.var(name))
+
+    def list_in(self, name: str) -> Node | None:
+        """The list that a variable holds for this query."""
+        if name not in self.deferred:
+            self.deferred[name] = self.names.deferred(name)
+        return self.deferred[name]
+
+
+def literal(value: Any) -> exp.Expr:
+    """A value as it is written in DuckDB's SQL."""
+    if isinstance(value, list):
+        return exp.Array(expressions=[literal(element) for element in value])
+    if isinstance(value, float) and not math.isfinite(value):
+        return exp.cast(exp.Literal.string(str(value)), "DOUBLE")
+    if isinstance(value, float):
+        # DuckDB takes a number for a DOUBLE, and not for a DECIMAL, by its exponent.
+        text = repr(float(value))
+        return exp.Literal.number(text if "e" in text else f"{text}e0")
+    return exp.convert(value)
+
+
+def copied(sql: exp.Expr) -> exp.Expr:
+    """A part that is written a second time.
+
+    Raises:
+        NotSqlError: it is too long.
+    """
+    if next(islice(sql.walk(), MOST_COPIED, None), None) is not None:
+        raise NotSqlError
+    return sql.copy()
+
+
+def written(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
+    """What puts values in for parameters; parameters without a value stay."""
+
+    def put_in(part: exp.Expr) -> exp.Expr:
+        if isinstance(part, exp.Parameter) and part.name in values:
+            return literal(values[part.name])
+        return part
+
+    return put_in
+
+
+def column_tag(name: str) -> SqlType:
+    """The type of a column of an entity."""
+    return SqlType(_COLUMN_TYPES[name])
+
+
+def failure(tag: SqlType) -> exp.Expr:
+    """What makes the statement fail where it is evaluated."""
+    failing = exp.Anonymous(this="error", expressions=[exp.Literal.string("left to Python")])
+    return exp.cast(failing, tag.sql_type, dialect="duckdb")
+
+
+def or_failure(sql: exp.Expr, tag: SqlType) -> exp.Expr:
+    """A value that is there; a statement that finds none fails."""
+    return exp.Coalesce(this=sql, expressions=[failure(tag)])
+
+
+def wrapped(sql: exp.Expr) -> exp.Expr:
+    """In parentheses where it is not a single term."""
+    return (
+        exp.paren(sql)
+        if isinstance(sql, exp.Binary | exp.Unary) and not isinstance(sql, exp.Paren)
+        else sql
+    )

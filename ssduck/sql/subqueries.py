@@ -1,0 +1,545 @@
+"""Nested queries as parts of the statement around them.
+
+A nested query whose sources are lists that are written out is unrolled: its rows are the
+elements. Any other one is a subquery, which sees the rows around it as SQL's do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TypeAlias
+
+from sqlglot import exp
+
+from ssduck.language import tree
+from ssduck.language.aggregates import is_grouped
+from ssduck.language.analysis import aliases_of, is_impure
+from ssduck.language.tree import Binary, ListLiteral, Name, Node, Query
+from ssduck.sql.comparisons import comparison
+from ssduck.sql.from_clause import (
+    FromItem,
+    column_of,
+    entity_value,
+    product_of,
+    unnested,
+    world_table,
+)
+from ssduck.sql.name_resolution import ResolvedQuery, resolve
+from ssduck.sql.plan import ParameterBinding, SourceType
+from ssduck.sql.scope import ExpressionScope
+from ssduck.sql.sql_values import (
+    ENTITY_COLUMNS,
+    FloatDomain,
+    NotSqlError,
+    SqlValue,
+    column_tag,
+    or_failure,
+    wrapped,
+)
+from ssduck.sql.types import INTEGER, SqlType, merged
+
+# More rows than this are not unrolled.
+MOST_UNROLLED = 300
+# More sources than this are not joined.
+MOST_SOURCES = 64
+_LISTS = ("list",)
+_VALUES = ("value", "val")
+_DICTS = ("dict", "dictionary")
+
+
+@dataclass(frozen=True)
+class Subquery:
+    """The rows of a nested query: tables, conditions, order, and what is selected.
+
+    Attributes:
+        is_risky: whether a part of it could fail, so that all rows are to be looked at.
+    """
+
+    elements: tuple[FromItem, ...]
+    conditions: tuple[exp.Expr, ...]
+    items: tuple[SqlValue, ...]
+    names: tuple[str, ...]
+    order: tuple[exp.Ordered, ...]
+    limit: int | None
+    is_risky: bool = False
+
+    def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
+        """The rows, as a SELECT of these columns."""
+        select = product_of(self.elements)
+        conditions = [condition.copy() for condition in (*self.conditions, *where)]
+        return select.select(*columns).where(*conditions)
+
+
+@dataclass(frozen=True)
+class UnrolledRows:
+    """The rows of a nested query one by one: whether each is there, and what it selects."""
+
+    rows: tuple[tuple[exp.Expr, tuple[SqlValue, ...]], ...]
+    is_risky: bool
+
+
+Rows: TypeAlias = Subquery | UnrolledRows
+
+
+# -- what a nested query is worth -----------------------------------------------------------
+
+
+def value(around: ExpressionScope, query: Query) -> SqlValue:
+    """The value of a nested query.
+
+    Raises:
+        NotSqlError: it is left to Python.
+    """
+    form = _form(query)
+    rows = _rows(around, query)
+    if form in _LISTS:
+        return _unrolled_list(rows) if isinstance(rows, UnrolledRows) else _list(rows)
+    if form in _VALUES:
+        around.context.risk()  # there may be no row
+        return _unrolled_value(rows) if isinstance(rows, UnrolledRows) else _value(rows)
+    raise NotSqlError
+
+
+def counted(around: ExpressionScope, query: Query) -> SqlValue:
+    """How many elements the list has that a nested query yields."""
+    if _form(query) not in (*_LISTS, *_DICTS):
+        return _counted_list(value(around, query))
+    rows = _rows(around, query)
+    if rows.is_risky:
+        return _counted_list(value(around, query))
+    many = len(query.items) or len(query.sources)
+    each = many if _form(query) in _LISTS else 1
+    if isinstance(rows, UnrolledRows):
+        one, none = exp.Literal.number(each), exp.Literal.number(0)
+        cases = [exp.case().when(there, one.copy()).else_(none.copy()) for there, _ in rows.rows]
+        total: exp.Expr = cases[0] if cases else none
+        for case in cases[1:]:
+            total = exp.Add(this=total, expression=case)
+        return SqlValue(exp.paren(total), INTEGER)
+    count: exp.Expr = exp.Count(this=exp.Star())
+    if rows.limit is not None:
+        count = exp.func("least", count, exp.Literal.number(rows.limit))
+    if each > 1:
+        count = exp.Mul(this=count, expression=exp.Literal.number(each))
+    return SqlValue(exp.paren(rows.select(count)), INTEGER)
+
+
+def _counted_list(found: SqlValue) -> SqlValue:
+    if found.tag.type != "list":
+        raise NotSqlError
+    return SqlValue(exp.func("len", found.sql.copy()), INTEGER)
+
+
+def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
+    """`[] == SELECT …` as a question of existence; None if it is none."""
+    match node.left, node.right:
+        case (ListLiteral(items=()), Query() as query) | (Query() as query, ListLiteral(items=())):
+            pass
+        case _:
+            return None
+    if is_impure(query) or _form(query) not in (*_LISTS, *_DICTS, *_VALUES):
+        return None
+    try:
+        rows = _rows(around, query)
+    except NotSqlError:
+        if around.is_constant(query):
+            return None
+        raise
+    if rows.is_risky or (_form(query) in _VALUES and not _never_empty(rows)):
+        return None
+    if isinstance(rows, Subquery) and rows.limit == 0:
+        return exp.convert(node.operator == "==")
+    there = _exists(rows)
+    return exp.Not(this=wrapped(there)) if node.operator == "==" else there
+
+
+def _never_empty(rows: Rows) -> bool:
+    """Whether no selected value is an empty list itself."""
+    firsts = (
+        [items[0] for _, items in rows.rows] if isinstance(rows, UnrolledRows) else rows.items[:1]
+    )
+    return all(item.tag.type not in ("list", "any") for item in firsts)
+
+
+def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
+    """`x == SELECT … AS value`, which does not hold where there is no row; None if it is none."""
+    sides = (node.left, node.right)
+    queries = [s for s in sides if isinstance(s, Query) and _form(s) in _VALUES]
+    if len(queries) != 1 or is_impure(queries[0]) or around.is_constant(queries[0]):
+        return None
+    found = _rows(around, queries[0])
+    if isinstance(found, UnrolledRows) or found.items[0].tag.type in ("list", "any"):
+        return None
+    values = [
+        _value(found, missing=True) if side is queries[0] else around.value(side) for side in sides
+    ]
+    if any(value.tag.type == "list" for value in values):
+        return None  # nothing is an empty list
+    compared = comparison(around.context, node.operator, *values).sql
+    otherwise = exp.convert(node.operator == "!=")
+    return exp.Coalesce(this=compared, expressions=[otherwise])
+
+
+def membership(around: ExpressionScope, left: Node, query: Query) -> exp.Expr | None:
+    """`x IN SELECT … AS list` as a question of existence; None if it is none."""
+    if is_impure(query) or _form(query) not in _LISTS or around.is_constant(query):
+        return None
+    rows = _rows(around, query)
+    if rows.is_risky:
+        return None
+    wanted = around.value(left)
+    if wanted.risky:
+        return None
+    if isinstance(rows, UnrolledRows):
+        found = [
+            exp.and_(there.copy(), _any_equal(around, wanted, items)) for there, items in rows.rows
+        ]
+        return exp.paren(exp.or_(*found)) if found else exp.false()
+    if rows.limit is not None:
+        return None
+    return _exists(rows, _any_equal(around, wanted, rows.items))
+
+
+def _any_equal(around: ExpressionScope, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
+    return exp.paren(
+        exp.or_(*(comparison(around.context, "==", wanted, item).sql.copy() for item in items))
+    )
+
+
+def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
+    if isinstance(rows, UnrolledRows):
+        return exp.paren(exp.or_(*(there for there, _ in rows.rows))) if rows.rows else exp.false()
+    return exp.Exists(this=rows.select(exp.Literal.number(1), where=where))
+
+
+def _list(rows: Subquery) -> SqlValue:
+    tag = _common(rows.items)
+    extent = _extent(rows.items)
+    listed = rows.items[0].sql.copy()
+    if len(rows.items) > 1:
+        listed = exp.Array(expressions=[item.sql.copy() for item in rows.items])
+    found: exp.Expr = _aggregated("list", listed, rows)
+    if len(rows.items) > 1:
+        found = exp.Anonymous(this="flatten", expressions=[found])
+    if rows.limit is not None:
+        end = exp.Literal.number(rows.limit * len(rows.items))
+        found = exp.func("list_slice", found, exp.Literal.number(1), end)
+    subquery = exp.paren(rows.select(found))
+    whole = SqlType("list", tag)
+    empty = exp.cast(exp.Array(expressions=[]), whole.sql_type, dialect="duckdb")
+    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole, extent=extent)
+
+
+def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
+    """The first item of the first row; where there is none, a failure unless it may be missing."""
+    item = rows.items[0]
+    if rows.limit == 0 or item.tag.nullable:
+        raise NotSqlError
+
+    def first(what: exp.Expr, tag: SqlType) -> exp.Expr:
+        found = exp.paren(rows.select(_aggregated("first", what.copy(), rows)))
+        return found if missing else or_failure(found, tag)
+
+    if item.tag.type != "entity":
+        if not item.tag.is_sql or item.tag.type == "record":
+            raise NotSqlError
+        return SqlValue(
+            first(item.sql, item.tag), item.tag, wide=item.wide, extent=_extent(rows.items[:1])
+        )
+    columns = item.column
+    assert columns is not None
+    if item.tag.past:
+        raise NotSqlError
+    return SqlValue(None, item.tag, lambda name: first(columns(name), column_tag(name)))
+
+
+def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
+    """An aggregate of the rows in their order."""
+    if rows.order:
+        what = exp.Order(this=what, expressions=[key.copy() for key in rows.order])
+    return exp.Anonymous(this=function, expressions=[what])
+
+
+def _unrolled_list(rows: UnrolledRows) -> SqlValue:
+    every = [item for _, items in rows.rows for item in items]
+    tag = _common(every)
+    empty = exp.cast(exp.Array(expressions=[]), f"{tag.sql_type}[]", dialect="duckdb")
+    parts = [
+        exp.case()
+        .when(there, exp.Array(expressions=[item.sql.copy() for item in items]))
+        .else_(empty.copy())
+        for there, items in rows.rows
+    ]
+    listed = exp.Anonymous(this="flatten", expressions=[exp.Array(expressions=parts)])
+    return SqlValue(listed, SqlType("list", tag), extent=_extent(every))
+
+
+def _unrolled_value(rows: UnrolledRows) -> SqlValue:
+    if rows.is_risky:
+        raise NotSqlError  # the rows behind the first one would not be evaluated
+    firsts = [items[0] for _, items in rows.rows]
+    tag = _common(firsts)
+    if tag.type == "entity":
+        raise NotSqlError
+    case = exp.case()
+    for there, items in rows.rows:
+        case = case.when(there, items[0].sql.copy())
+    return SqlValue(or_failure(case, tag), tag, extent=_extent(firsts))
+
+
+def _extent(items: Sequence[SqlValue]) -> FloatDomain:
+    """Which reals the values of a list may be."""
+    return max((item.extent for item in items), default=FloatDomain.FINITE)
+
+
+def _common(items: Sequence[SqlValue]) -> SqlType:
+    """The one type of values that go into a list."""
+    tag = merged(item.tag for item in items)
+    if tag is None or not tag.comes_back or tag.nullable or tag.type == "record":
+        raise NotSqlError
+    if any(item.wide for item in items):
+        raise NotSqlError
+    return tag
+
+
+# -- the rows of a nested query -------------------------------------------------------------
+
+
+def _form(query: Query) -> str:
+    if query.adapter is None:
+        return "dict"
+    return "" if query.adapter.arguments or query.adapter.named else query.adapter.name
+
+
+def _rows(around: ExpressionScope, query: Query) -> Rows:
+    if query.recursion or query.distinct or is_grouped(query) or is_impure(query):
+        raise NotSqlError
+    check_sources(query)
+    aliases = aliases_of(query)
+    before = around.context.risks
+    lists = [_written_out(around, source.value) for source in query.sources]
+    if all(values is not None for values in lists) and lists:
+        if around.context.risks > before:
+            raise NotSqlError  # an element that nothing mentions would not be evaluated
+        found = list(product(*[values for values in lists if values is not None]))
+        if len(found) <= MOST_UNROLLED and not query.order and query.limit is None:
+            return _unrolled(around, query, aliases, found)
+    inner = around.inside()
+    before = around.context.risks
+    elements = [
+        element(around, alias, source.value)
+        for alias, source in zip(aliases, query.sources, strict=True)
+    ]
+    _bind(inner, aliases, [entry.value for entry in elements])
+    rows = _subquery(inner, query, aliases, elements)
+    if rows.limit is not None and around.context.risks > before:
+        raise NotSqlError  # nor would be a row that the limit leaves out
+    return replace(rows, is_risky=around.context.risks > before)
+
+
+def check_sources(query: Query) -> None:
+    """Leave to Python a product of so many sources that DuckDB would plan it for seconds."""
+    if len(query.sources) > MOST_SOURCES:
+        raise NotSqlError
+
+
+def _bind(inner: ExpressionScope, aliases: Sequence[str], values: Sequence[SqlValue]) -> None:
+    inner.rows.update(zip(aliases, values, strict=True))
+    inner.only = aliases[0] if len(aliases) == 1 else None
+
+
+def _subquery(
+    inner: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[FromItem]
+) -> Subquery:
+    resolved = resolve_in(inner, query, aliases)
+    where = resolved.query.where
+    conditions = () if where is None else (inner.condition(where),)
+    items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
+    order = ordered(inner, resolved.query.order)
+    for entry in elements:
+        order.extend(entry.position)
+    names = tuple(column.name for column in resolved.columns if isinstance(column.name, str))
+    return Subquery(tuple(elements), conditions, items, names, tuple(order), _limit(query))
+
+
+def _unrolled(
+    around: ExpressionScope,
+    query: Query,
+    aliases: Sequence[str],
+    rows: Sequence[tuple[SqlValue, ...]],
+) -> UnrolledRows:
+    made = [_unrolled_row(around, query, aliases, elements) for elements in rows]
+    return UnrolledRows(tuple(row for row, _ in made), any(risky for _, risky in made))
+
+
+def _unrolled_row(
+    around: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
+) -> tuple[tuple[exp.Expr, tuple[SqlValue, ...]], bool]:
+    """A row, and whether what it selects could fail."""
+    inner = around.inside()
+    _bind(inner, aliases, elements)
+    resolved = resolve_in(inner, query, aliases)
+    before = inner.context.risks
+    where = resolved.query.where
+    there = exp.true() if where is None else inner.condition(where)
+    items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
+    return (there, items), inner.context.risks > before
+
+
+def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:
+    """Look up the bare names of a nested query whose sources are in SQL already."""
+    shapes = [SourceType(alias, tag=inner.rows[alias].tag) for alias in aliases]
+    resolved = resolve(query, shapes, inner.names, inner.locals)
+    inner.context.bare |= resolved.bare
+    return resolved
+
+
+def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.Ordered]:
+    """The keys of ORDER BY; those that are the same for all rows order nothing.
+
+    Raises:
+        NotSqlError: Python orders such values otherwise, or not at all.
+    """
+    found = []
+    for key in keys:
+        if inner.is_constant(key.value):
+            tag = inner.names.tag(key.value)
+            if inner.context.constants.setdefault(key.value, tag).type == "any":
+                raise NotSqlError  # it may be an error
+            continue
+        value = inner.value(key.value)
+        if not (value.tag.is_number or value.tag.type in ("text", "flag")):
+            raise NotSqlError
+        if not isinstance(value.sql.unnest(), exp.Literal | exp.Boolean):
+            this = inner.context.certain(value).sql.copy()
+            found.append(exp.Ordered(this=this, desc=key.descending, nulls_first=False))
+    return found
+
+
+def _limit(query: Query) -> int | None:
+    match query.limit:
+        case None:
+            return None
+        case tree.Literal(value=number) if type(number) is int and number < 2**31:
+            return number
+    raise NotSqlError
+
+
+# -- sources --------------------------------------------------------------------------------
+
+
+def _written_out(around: ExpressionScope, node: Node) -> list[SqlValue] | None:
+    """The elements of a list that mentions the rows around, or of a value of them."""
+    node = _list_in(around, node)
+    if around.is_constant(node) or isinstance(node, Query):
+        return None
+    try:
+        found = around.value(node)
+    except NotSqlError:
+        return None
+    if found.elements is not None:
+        return list(found.elements)
+    return [found] if found.tag.type not in ("list", "any") else None
+
+
+def _list_in(around: ExpressionScope, node: Node) -> Node:
+    if isinstance(node, Name):
+        return around.context.list_in(node.name) or node
+    return node
+
+
+def element(around: ExpressionScope, alias: str, node: Node) -> FromItem:
+    """A source of a nested query: a world, a list, a query of its own.
+
+    Raises:
+        NotSqlError: SQL has no such source.
+    """
+    node = _list_in(around, node)
+    name = around.context.alias(alias)
+    if isinstance(node, Query):
+        return _derived(around, name, node)
+    if not around.is_constant(node):
+        return unnested(name, around.value(node))
+    schema = around.context.worlds.setdefault(node, around.names.world(node))
+    if schema is not None:
+        return world_table(schema, name)
+    tag = around.context.constants.setdefault(node, around.names.tag(node))
+    inner = tag.element if tag.type == "list" else tag
+    if not tag.is_sql or inner is None or inner.type == "record":
+        raise NotSqlError
+    parameter = around.context.parameter(alias, ParameterBinding("", node, tag=tag))
+    given = exp.cast(parameter, tag.sql_type, dialect="duckdb")
+    return unnested(name, SqlValue(given, tag))
+
+
+def _derived(around: ExpressionScope, name: str, query: Query) -> FromItem:
+    """A query as a source: its one item, or its columns by their names."""
+    form = _form(query)
+    rows = _rows(around, query)
+    if rows.is_risky:
+        raise NotSqlError  # what is not asked for would not be evaluated
+    if isinstance(rows, UnrolledRows):
+        if form not in _LISTS:
+            raise NotSqlError
+        return unnested(name, _unrolled_list(rows))
+    if form in _LISTS and len(rows.items) == 1:
+        return _derived_items(rows, name)
+    if form in _DICTS and len(rows.names) == len(rows.items):
+        return _derived_records(rows, name)
+    raise NotSqlError
+
+
+def _derived_items(rows: Subquery, name: str) -> FromItem:
+    (item,) = rows.items
+    if item.tag.type != "entity":
+        if not item.tag.is_sql or item.tag.type == "record":
+            raise NotSqlError
+        value = replace(item, given=column_of(name, "value"), elements=None)
+        return _derived_element(rows, name, value, {"value": item.sql})
+    assert item.column is not None
+    columns = {column: item.column(column) for column in ENTITY_COLUMNS}
+    value = entity_value(item.tag.schema, name)
+    if item.tag.nullable or item.tag.past:
+        raise NotSqlError
+    return _derived_element(rows, name, value, columns)
+
+
+def _derived_records(rows: Subquery, name: str) -> FromItem:
+    if len(set(rows.names)) < len(rows.names):
+        raise NotSqlError
+    columns: dict[str, exp.Expr] = {}
+    fields = {}
+    for index, (key, item) in enumerate(zip(rows.names, rows.items, strict=True)):
+        if not item.tag.comes_back or item.tag.type == "entity" or item.tag.nullable:
+            raise NotSqlError
+        columns[f"f{index}"] = item.sql
+        fields[key] = replace(item, given=column_of(name, f"f{index}"), elements=None)
+    tag = SqlType("record", fields=tuple((key, field.tag) for key, field in fields.items()))
+    return _derived_element(rows, name, SqlValue(None, tag, fields=fields), columns)
+
+
+def _derived_element(
+    rows: Subquery, name: str, value: SqlValue, columns: dict[str, exp.Expr]
+) -> FromItem:
+    """A SELECT in FROM, with the keys of its order as columns of their own."""
+    keys = [f"key {index + 1}" for index in range(len(rows.order))]
+    shown = [exp.alias_(column.copy(), key) for key, column in columns.items()]
+    shown += [
+        exp.alias_(key.this.copy(), alias, quoted=True)
+        for alias, key in zip(keys, rows.order, strict=True)
+    ]
+    select = rows.select(*shown)
+    if rows.limit is not None:
+        select = select.order_by(*(key.copy() for key in rows.order)).limit(rows.limit)
+    position = tuple(
+        exp.Ordered(this=column_of(name, alias), desc=key.args.get("desc"), nulls_first=False)
+        for alias, key in zip(keys, rows.order, strict=True)
+    )
+    return FromItem(value, select.subquery(exp.to_identifier(name)), position)
+
+
+def is_inline(node: Node) -> bool:
+    """Whether a source may be a part of the statement rather than a value."""
+    return isinstance(node, Query) and node.recursion is None and not is_grouped(node)

@@ -1,0 +1,18 @@
+"""Which tables of a world a part of a program reads, as its relations look things up in them."""
+
+from __future__ import annotations
+
+from ssduck.language.analysis import known
+from ssduck.language.tree import Call, Name, Node, QualifiedName, UnresolvedName
+from ssduck.sql.relations.registry import RELATIONS
+
+
+@known
+def tables_of(node: Node) -> frozenset[str]:
+    """The tables that relations in a part look things up in, and masses."""
+    own: frozenset[str] = frozenset()
+    # A name may be a relation of the only source, a key one of a source.
+    name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
+    if isinstance(node, Call | UnresolvedName | Name | QualifiedName) and name in RELATIONS:
+        own = RELATIONS[name].reads
+    return own.union(*map(tables_of, node.children()))

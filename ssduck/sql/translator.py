@@ -1,0 +1,486 @@
+"""A query's tree to DuckDB SQL, through sqlglot.
+
+`translate` takes a query and the shapes of its sources, and gives a `Plan`: one SELECT whose
+columns are what SQL can do of the query, and what is left to Python. A part goes to SQL when
+its types are known and SQL means the same by it; everything else is evaluated in Python on the
+rows that the SQL leaves, over the parts of it that are columns. It knows no simulator and no
+database.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Literal
+
+from sqlglot import exp
+
+from ssduck.errors import UnknownNameError, nearest
+from ssduck.formatting import shown
+from ssduck.language import tree
+from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group, over_rows
+from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
+from ssduck.language.clauses import PythonClauses
+from ssduck.language.operator_chains import conjuncts
+from ssduck.language.sql_suggestions import instead_of_name
+from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This
+from ssduck.sql import subqueries
+from ssduck.sql.expressions import Expressions
+from ssduck.sql.from_clause import (
+    FromItem,
+    TickRange,
+    column_of,
+    counted_rows,
+    needed,
+    past_table,
+    present_table,
+    product_of,
+    record_table,
+    unnested,
+    world_table,
+)
+from ssduck.sql.name_resolution import resolve
+from ssduck.sql.pair_joins import implied, joined, sides_of
+from ssduck.sql.plan import OutputColumn, ParameterBinding, Plan, SourceType, TypeEnvironment
+from ssduck.sql.recursive_cte import searched
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementContext
+from ssduck.sql.types import INTEGER, SqlType
+
+_MOST_ROWS = 2**62
+_ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
+
+
+class NotInlineError(Exception):
+    """A nested query in FROM that is to be evaluated before."""
+
+
+def translate(
+    query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, *, cautious: bool = False
+) -> Plan:
+    """Plan a query.
+
+    Args:
+        query: the query.
+        shapes: what its sources are, in order.
+        names: variables, functions, and the types of what is constant in the query.
+        cautious: whether nothing may become SQL that could fail there.
+
+    Raises:
+        SelectScriptError: a name or a number of arguments is wrong.
+        NotInlineError: a source that is not given must be.
+        NotSqlError: the query is hierarchical, and runs row by row.
+    """
+    return _Translator(query, tuple(shapes), names, cautious=cautious).plan()
+
+
+class _Translator:
+    def __init__(
+        self,
+        query: Query,
+        shapes: tuple[SourceType, ...],
+        names: TypeEnvironment,
+        *,
+        cautious: bool,
+    ) -> None:
+        self.names = names
+        self.context = StatementContext(names, cautious, changing(query))
+        self.sql = Expressions(self.context)
+        self.result = Plan(
+            query,
+            shapes,
+            bindings=self.context.bindings,
+            constants=self.context.constants,
+            worlds=self.context.worlds,
+            signatures=self.context.signatures,
+            deferred=self.context.deferred,
+            bare=self.context.bare,
+            cautious=cautious,
+        )
+        subqueries.check_sources(query)
+        self.elements = self._sources(query, shapes)
+        self.columns: list[exp.Expr] = []
+        self.pairs: list[exp.Expr] = []
+        # The keys by which a source and the next one are in their order, by the first of the two.
+        self.positions: dict[str, exp.Ordered] = {}
+        self.texts: dict[str, int] = {}
+        resolved = resolve(query, self._known_shapes(), names)
+        self.query = self.result.query = resolved.query
+        self.selected = resolved.columns
+        self.context.bare |= resolved.bare
+
+    def plan(self) -> Plan:
+        plan = self.result
+        plan.names = tuple(c.name for c in self.selected if isinstance(c.name, str))
+        if self.query.recursion is not None:
+            return self._recursive()
+        self._note_only()
+        conditions = list(self._conditions())
+        left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
+        if left and self._is_product_of_lists() and not any(conditions):
+            raise NotSqlError  # all of their combinations come to Python, which can make them
+        selected = [column.node for column in self.selected]
+        names = [column.name for column in self.selected if isinstance(column.name, Node)]
+        aggregated = is_aggregated(self.query, selected)
+        check_one_group(self.query, selected)
+        for node in (*selected, *names):
+            if aggregated:
+                self._of_group(node)
+            else:
+                self._item(node)
+        for node in self.query.group:
+            self._item(node)
+        if self.query.having is not None:
+            self._of_group(self.query.having)
+        found = [condition for condition in conditions if condition is not None]
+        found.extend(self._together())
+        order, keys = self._order(found)
+        one_group = is_one_group(self.query)
+        limit = self._limit(left=bool(left or keys or one_group or self.query.distinct))
+        plan.rest = PythonClauses(
+            self.selected,
+            tuple(left),
+            keys,
+            self.query.group,
+            self.query.having,
+            None if limit is not None else self.query.limit,
+            one_group,
+            aggregated,
+            self.query.distinct,
+        )
+        self._finish(
+            self._select(found, order, limit),
+        )
+        return plan
+
+    # -- sources ----------------------------------------------------------------------------
+
+    def _sources(self, query: Query, shapes: Sequence[SourceType]) -> list[FromItem]:
+        elements = [
+            self._element(shape, source.value)
+            for shape, source in zip(shapes, query.sources, strict=True)
+        ]
+        for shape, element in zip(shapes, elements, strict=True):
+            self.sql.rows[shape.alias] = element.value
+        self.sql.only = shapes[0].alias if len(shapes) == 1 else None
+        return elements
+
+    def _element(self, shape: SourceType, node: Node) -> FromItem:
+        """A source as a table: the entities of a world, some of them, values, a query."""
+        if not shape.given:
+            try:
+                return subqueries.element(Expressions(self.context), shape.alias, node)
+            except NotSqlError as error:
+                raise NotInlineError(shape.alias) from error
+        if shape.moments:
+            return self._past(shape)
+        name = self.context.alias(shape.alias)
+        if shape.tag is None:
+            assert shape.schema is not None
+            return world_table(shape.schema, name)
+        if shape.tag.type == "record":
+            table = self.result.tables[shape.alias] = f"the rows of {name}"
+            return record_table(name, table, shape.tag)
+        tag = SqlType("list", shape.tag if shape.tag.is_sql else None)
+        binding = ParameterBinding("", source=shape.alias, tag=tag)
+        given = exp.cast(
+            self.context.parameter(shape.alias, binding), tag.sql_type, dialect="duckdb"
+        )
+        if tag.element is None:
+            return counted_rows(name, given)
+        return unnested(name, SqlValue(given, tag))
+
+    def _past(self, shape: SourceType) -> FromItem:
+        """The past of a world; its name is none that a column could have."""
+        name = self.context.alias(f"{shape.alias} then")
+        assert shape.schema is not None
+        if shape.moments == "now":
+            self.sql.ticks.present.add(column_of(name, "tick").sql())
+            return present_table(shape.schema, name)
+        first, last = (
+            self.context.parameter(
+                end, ParameterBinding("", source=shape.alias, end=end, tag=INTEGER)
+            )
+            for end in _ENDS
+        )
+        id = None
+        if shape.of_one:
+            id = self.context.parameter(
+                "id", ParameterBinding("", source=shape.alias, end="id", tag=INTEGER)
+            )
+        if shape.moments == "window":
+            tick = column_of(name, "tick")
+            self.sql.ticks.spans[tick.sql()] = TickRange(shape.schema, first, last, tick, id)
+        return past_table(shape.schema, name, first, last, id)
+
+    def _together(self) -> Iterator[exp.Expr]:
+        """Sources that are several ticks of one world go through them together."""
+        before: dict[str | None, exp.Expr] = {}
+        for shape in self.result.shapes:
+            if shape.moments == "window":
+                column = self.sql.rows[shape.alias].column
+                assert column is not None
+                if shape.schema in before:
+                    yield exp.EQ(this=before[shape.schema].copy(), expression=column("tick"))
+                before[shape.schema] = column("tick")
+
+    def _known_shapes(self) -> list[SourceType]:
+        return [
+            shape if shape.given else SourceType(shape.alias, tag=self.sql.rows[shape.alias].tag)
+            for shape in self.result.shapes
+        ]
+
+    # -- clauses ----------------------------------------------------------------------------
+
+    def _conditions(self) -> Iterator[exp.Expr | None]:
+        """The conditions in SQL; none for those from the first one on that does something."""
+        happens = False
+        for node in conjuncts(self.query.where):
+            happens = happens or is_impure(node)
+            if happens:
+                self._leave(node)
+                yield None
+            else:
+                yield self._pairs(node) or self._condition(node)
+
+    def _is_product_of_lists(self) -> bool:
+        """Whether the sources are several lists that Python has."""
+        shapes = self.result.shapes
+        return len(shapes) > 1 and all(
+            s.given and s.tag is not None and s.tag.type != "record" for s in shapes
+        )
+
+    def _pairs(self, node: Node) -> exp.Expr | None:
+        """A condition on two sources that are one world, with all of its pairs joined.
+
+        Where another condition is about one of the two alone, pairs are asked about one by one.
+        """
+        sides = sides_of(node)
+        if sides is None:
+            return None
+        live = (s for s in self.result.shapes if s.given and s.tag is None and not s.moments)
+        worlds = {shape.alias: shape.schema for shape in live}
+        schemas = {worlds.get(str(side.alias)) for side in sides}
+        aliases = {side.alias for side in sides}
+        others = [part for part in conjuncts(self.query.where) if part is not node]
+        alone = any(len(free_aliases(part) & aliases) == 1 for part in others)
+        if alone or len(schemas) > 1 or None in schemas:
+            return None
+        assert isinstance(node, Call)
+        order = [shape.alias for shape in self.result.shapes]
+        first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
+        found = joined(self.sql, node, (first, second), str(schemas.pop()))
+        if found is None:
+            return None
+        self.pairs.append(found.table)
+        if order.index(str(second.alias)) == order.index(str(first.alias)) + 1:
+            self.positions[str(first.alias)] = found.position
+        return found.condition
+
+    def _note_only(self) -> None:
+        """Note of which one entity sources are: by `this == cup`, by `id(this) == 'cup'`."""
+        for node in conjuncts(self.query.where):
+            match node:
+                case Binary(operator="==", left=This() as row, right=other):
+                    pass
+                case Binary(operator="==", left=other, right=This() as row):
+                    pass
+                case Binary(
+                    operator="==", left=Call(name="id", arguments=(This() as row,)), right=other
+                ):
+                    pass
+                case _:
+                    continue
+            if self.sql.is_constant(other):
+                alias = row.alias or self.sql.only or ""
+                self.sql.ticks.note_only(alias, partial(self.sql.value, other))
+
+    def _condition(self, node: Node) -> exp.Expr | None:
+        try:
+            holds = self.sql.condition(node)
+        except NotSqlError:
+            self._leave(node)
+            return None
+        near = implied(self.sql, node)
+        if near is None:
+            return holds
+        # Once for a join to go by, and once so that no other pair is compared.
+        asked = exp.case().when(near.copy(), holds).else_(exp.false())
+        return exp.and_(near, asked)
+
+    def _item(self, node: Node) -> None:
+        """A selected value or a key: a column if it can be, else its parts are."""
+        if self.sql.is_constant(node):
+            self._leave(node)
+            return
+        try:
+            self.result.known[node] = self._output(self.sql.value(node))
+        except NotSqlError:
+            self._leave(node)
+
+    def _of_group(self, node: Node) -> None:
+        """A part of a group: what its aggregates are of are columns, if they can be."""
+        calls = over_rows(node)
+        for call in calls:
+            self._item(call.arguments[0])
+        if not calls:
+            self._item(node)
+        elif node not in calls:
+            self._leave(node, but=calls)
+
+    def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[OrderKey, ...]]:
+        """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
+        ordered: list[exp.Expr] = []
+        left: tuple[OrderKey, ...] = ()
+        of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
+        try:
+            if of_groups or is_impure(self.query):
+                raise NotSqlError  # what happens at rows happens in the order of the sources
+            ordered.extend(subqueries.ordered(self.sql, self.query.order))
+        except NotSqlError:
+            left = self.query.order
+            for key in left:
+                if of_groups:
+                    self._of_group(key.value)
+                else:
+                    self._item(key.value)
+        # A scan keeps its order; a join, and be it with the row of parameters or with what a
+        # nested query sees, need not.
+        inline = any(not shape.given for shape in self.result.shapes)
+        nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
+        if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
+            is_placed = False
+            for shape, element in zip(self.result.shapes, self.elements, strict=True):
+                both = self.positions.get(shape.alias)
+                keys = element.position if both is None else (both,)
+                # To sort by a pair's number takes less time than by two ids.
+                if both is not None or not is_placed:
+                    ordered.extend(key.copy() for key in keys)
+                is_placed = both is not None
+        return ordered, left
+
+    def _limit(self, *, left: bool) -> int | None:
+        """LIMIT, if SQL can apply it."""
+        limit = self.query.limit
+        if limit is None:
+            return None
+        match limit:
+            case tree.Literal(value=number) if type(number) is int and number < _MOST_ROWS:
+                if not left and not self.query.group:
+                    return number
+        if self.sql.is_constant(limit):
+            self.result.once.append(limit)
+        return None
+
+    # -- the statement ----------------------------------------------------------------------
+
+    def _recursive(self) -> Plan:
+        plan = self.result
+        if is_impure(self.query) or any(shape.moments for shape in plan.shapes):
+            raise NotSqlError
+        found = searched(self.sql, self.query, self.selected, self.elements)
+        plan.paths = True
+        plan.graph = found.graph
+        plan.outputs = [OutputColumn(index, tag) for index, tag in enumerate(found.tags)]
+        plan.rest = PythonClauses(self.selected)
+        self._finish(found.select)
+        return plan
+
+    def _select(
+        self, conditions: list[exp.Expr], order: list[exp.Expr], limit: int | None
+    ) -> exp.Select:
+        plan = self.result
+        dynamic = len(plan.names) < len(self.selected)
+        rest = plan.rest
+        in_python = rest.group or rest.is_one_group or rest.distinct
+        if plan.left or plan.once or in_python or dynamic:
+            for shape in plan.shapes:
+                value = self.sql.rows[shape.alias]
+                try:
+                    if shape.given and value.tag.type in ("any", "record"):
+                        plan.elements[shape.alias] = self._column(value.sql, value.tag)
+                    else:
+                        plan.elements[shape.alias] = self._output(value)
+                except NotSqlError as error:
+                    raise NotInlineError(shape.alias) from error
+        else:
+            plan.outputs = [plan.known[column.node] for column in self.selected]
+        select = product_of(self.elements)
+        for table in self.pairs:
+            select.append("joins", exp.Join(this=table, kind="CROSS"))
+        # The tree is this one's own: what is put into it is copied, and not it each time.
+        select.set("expressions", [c.copy() for c in self.columns or [exp.Literal.number(1)]])
+        if conditions:
+            select.where(*(condition.copy() for condition in conditions), copy=False)
+        if order:
+            select.set("order", exp.Order(expressions=[key.copy() for key in order]))
+        for join in needed(self.sql.ticks.followers.values(), select):
+            select.append("joins", join)
+        return select if limit is None else select.limit(limit)
+
+    def _finish(self, select: exp.Select) -> None:
+        plan = self.result
+        plan.select = select
+        # A part that turned out not to be SQL may have asked for parameters before it did.
+        used = {parameter.name for parameter in select.find_all(exp.Parameter)}
+        plan.bindings = [binding for binding in plan.bindings if binding.name in used]
+
+    def _output(self, value: SqlValue) -> OutputColumn:
+        if not value.tag.comes_back:
+            raise NotSqlError
+        if value.extent == FloatDomain.NAN:  # to Python, one that is no number is not another
+            self.columns.append(value.sql)
+            return OutputColumn(len(self.columns) - 1, value.tag)
+        return self._column(value.sql, value.tag)
+
+    def _column(self, sql: exp.Expr, tag: SqlType) -> OutputColumn:
+        text = sql.sql(dialect="duckdb")
+        if text not in self.texts:
+            self.texts[text] = len(self.columns)
+            self.columns.append(sql)
+        return OutputColumn(self.texts[text], tag)
+
+    def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
+        """Leave a part to Python: fetch the largest parts of it that SQL can do."""
+        if node in but:
+            return
+        if but:
+            inside = set(node.walk())
+            but = [part for part in but if part in inside]
+        if not but and self.sql.is_constant(node):
+            self.result.once.append(node)
+            return
+        if isinstance(node, Call) and node.name not in RELATIONS:
+            self.names.check_call(node)
+        if isinstance(node, Call) and node.name in OVER_TIME:
+            return  # its parts are evaluated at other ticks
+        try:
+            if but:
+                raise NotSqlError
+            self.result.known[node] = self._output(self.sql.value(node))
+        except NotSqlError:
+            # A nested query runs by itself, and sees the elements.
+            if not isinstance(node, Query):
+                for child in _parts(node):
+                    self._leave(child, but)
+
+
+def _parts(node: Node) -> Iterator[Node]:
+    """What is fetched of a part that SQL cannot do; of so many comparisons, what they compare."""
+    for child in node.children():
+        if isinstance(node, tree.OperatorChain) and isinstance(child, Binary):
+            yield from child.children()
+        else:
+            yield child
+
+
+def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
+    """The error for a function that is not there."""
+    instead = instead_of_name(node.name)
+    near = nearest(node.name, known)
+    is_same = any(name.casefold() == node.name.casefold() for name in near)
+    return UnknownNameError(
+        f"there is no function {shown(node.name)}" + (f"; {instead}" if instead else ""),
+        span=node.name_span,
+        suggestions=near if is_same or not instead else (),
+    )

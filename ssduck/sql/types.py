@@ -1,0 +1,135 @@
+"""The types of values, as far as SQL knows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import reduce
+
+from ssduck.sql.relations.relation import ValueType
+
+# Larger integers are not all numbers that a DOUBLE can be.
+EXACT = 2**53
+# The key of an entity at a recorded tick is tick * IDS + id: ids are fewer than this.
+IDS = 2**25
+
+
+@dataclass(frozen=True)
+class SqlType:
+    """The type of a value: what a plan depends on.
+
+    Attributes:
+        type: what it is.
+        element: of a list, what its elements are; None for a list without elements.
+        length: of a list, 3 if it may be a point.
+        schema: of an entity, the world that it is in.
+        past: of an entity, whether it is one at a recorded tick.
+        nullable: whether there may be none.
+        fields: of a record, its keys and what they hold.
+    """
+
+    type: ValueType
+    element: SqlType | None = None
+    length: int | None = None
+    schema: str | None = None
+    past: bool = False
+    nullable: bool = False
+    fields: tuple[tuple[str, SqlType], ...] = ()
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it is a number."""
+        return self.type in ("real", "integer", "number")
+
+    @property
+    def comes_back(self) -> bool:
+        """Whether a value that went to SQL comes back as the same value."""
+        match self.type:
+            case "list":
+                return self.element is None or self.element.comes_back
+        return self.type in ("entity", "real", "integer", "text", "flag")
+
+    @property
+    def is_sql(self) -> bool:
+        """Whether SQL has such values."""
+        match self.type:
+            case "list":
+                element = self.element
+                return element is None or (element.is_sql and element.type != "record")
+            case "record":
+                return all(tag.is_sql for _, tag in self.fields)
+        return self.type in ("entity", "real", "integer", "number", "text", "flag")
+
+    @property
+    def sql_type(self) -> str:
+        """DuckDB's type of such values."""
+        if self.type == "list":
+            return f"{self.element.sql_type if self.element else 'INTEGER'}[]"
+        return _SQL_TYPES.get(self.type, "BIGINT")
+
+    @property
+    def words(self) -> str:
+        """What it is, for people."""
+        return _WORDS.get(self.type, "such a value")
+
+
+_SQL_TYPES: dict[ValueType, str] = {
+    "entity": "BIGINT",
+    "integer": "BIGINT",
+    "real": "DOUBLE",
+    "number": "DOUBLE",
+    "text": "VARCHAR",
+    "flag": "BOOLEAN",
+}
+_WORDS: dict[ValueType, str] = {
+    "entity": "an entity",
+    "real": "a number",
+    "integer": "a number",
+    "number": "a number",
+    "text": "a text",
+    "flag": "True or False",
+    "list": "a list",
+    "record": "a dict",
+    "nothing": "nothing",
+}
+
+
+@dataclass(frozen=True)
+class Signature:
+    """A user's function as SQL calls it: its name here and there, what it takes and yields."""
+
+    function: str
+    name: str
+    parameters: tuple[SqlType, ...]
+    result: SqlType
+
+
+ANY = SqlType("any")
+REAL = SqlType("real")
+INTEGER = SqlType("integer")
+TEXT = SqlType("text")
+FLAG = SqlType("flag")
+
+
+def merged(tags: Iterable[SqlType]) -> SqlType | None:
+    """The type of what is one of several types; None of none."""
+    distinct = list(dict.fromkeys(tags))
+    return reduce(_both, distinct) if distinct else None
+
+
+def _both(a: SqlType, b: SqlType) -> SqlType:
+    if a == b:
+        return a
+    if a.is_number and b.is_number:
+        return SqlType("number", nullable=a.nullable or b.nullable)
+    if a.type == b.type == "list":
+        elements = [tag.element for tag in (a, b) if tag.element is not None]
+        length = a.length if a.length == b.length else None
+        element = merged(elements)
+        return SqlType("list", element, length) if element is None or element.is_sql else ANY
+    if a.type == b.type == "record" and [k for k, _ in a.fields] == [k for k, _ in b.fields]:
+        pairs = zip(a.fields, b.fields, strict=True)
+        return SqlType("record", fields=tuple((k, _both(t, u)) for (k, t), (_, u) in pairs))
+    if a.type == b.type != "record" and (a.schema, a.past) == (b.schema, b.past):
+        return replace(a, nullable=a.nullable or b.nullable)
+    return ANY

@@ -1,0 +1,37 @@
+"""One simulation and its current tick, with handles of the entities in it.
+
+A `World` steps its simulator and takes ticks (`ticking`). A tick is a `Snapshot`: tables, filled
+from the simulator when they are needed (`layout`, `live_tables`). `observers` are told of ticks as
+simulated time passes. An `Entity` is a handle: it tells of its world's last tick.
+"""
+
+from typing import TYPE_CHECKING
+
+from ssduck.lazy import exports
+
+if TYPE_CHECKING:
+    from ssduck.world.entities import Entity, Sensor
+    from ssduck.world.observers import TickObserver
+    from ssduck.world.running import run
+    from ssduck.world.snapshot import Snapshot
+    from ssduck.world.world import World
+
+__all__ = [
+    "Entity",
+    "Sensor",
+    "Snapshot",
+    "TickObserver",
+    "World",
+    "run",
+]
+
+__getattr__, __dir__ = exports(
+    __name__,
+    {
+        "entities": ("Entity", "Sensor"),
+        "observers": ("TickObserver",),
+        "running": ("run",),
+        "snapshot": ("Snapshot",),
+        "world": ("World",),
+    },
+)

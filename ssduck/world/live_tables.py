@@ -1,0 +1,125 @@
+"""The rows of a tick: numpy buffers that an Arrow table looks into.
+
+The numbers of a table are written in place, so that whoever holds the Arrow table (DuckDB does)
+sees the next tick without being told.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from itertools import count
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from ssduck.geometry.arrays import Array
+from ssduck.schema import Column, ColumnType
+
+_ARROW: dict[ColumnType, pa.DataType] = {
+    "real": pa.float64(),
+    "integer": pa.int64(),
+    "text": pa.string(),
+    "flag": pa.bool_(),
+    "points": pa.list_(pa.list_(pa.float64(), 3)),
+    "triples": pa.list_(pa.list_(pa.int32(), 3)),
+}
+
+_versions = count(1)
+
+
+class LiveTable:
+    """The columns of one table.
+
+    Attributes:
+        arrow: the table; its numbers change in place.
+        version: another one whenever `arrow` became another object; no two tables have the same.
+        whole: whether every number is known; an unknown one is NaN here and NULL in `arrow`.
+    """
+
+    def __init__(self, columns: tuple[Column, ...]) -> None:
+        self.columns = columns
+        self.fill(0, {})
+
+    def fill(self, count: int, values: dict[str, Any]) -> None:
+        """Make the table anew with that many rows; columns without values start at 0."""
+        self.count = count
+        kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
+        self._numbers: dict[str, npt.NDArray[Any]] = {}
+        # What is given with gaps stays as it is given; the rest are buffers to be written.
+        live = [
+            (name, kind)
+            for name, kind in kinds.items()
+            if kind in ("real", "integer") and not _has_none(values.get(name, ()))
+        ]
+        # One block for all reals: neighbouring columns can be written in one go.
+        reals = [name for name, kind in live if kind == "real"]
+        self.block = np.zeros((len(reals), count))
+        self._row = {name: row for row, name in enumerate(reals)}
+        for name, kind in live:
+            if kind == "real":
+                self._numbers[name] = self.block[self._row[name]]
+            else:
+                self._numbers[name] = np.zeros(count, dtype=np.int64)
+        self._others = {
+            name: pa.array(values[name] if name in values else [None] * count, _ARROW[kind])
+            for name, kind in kinds.items()
+            if name not in self._numbers
+        }
+        for name, column in self._numbers.items():
+            if name in values:
+                column[:] = values[name]
+        self.publish()
+
+    def put(self, values: dict[str, Any]) -> None:
+        """Put other values in the place of columns that hold no numbers."""
+        kinds = {column.name: column.type for column in self.columns}
+        new = {name: pa.array(column, _ARROW[kinds[name]]) for name, column in values.items()}
+        self._others = self._others | new
+        self.publish()
+
+    def twin(self) -> LiveTable:
+        """The same rows in buffers of their own; what is never written in place is shared."""
+        twin = copy.copy(self)
+        twin.block = self.block.copy()
+        twin._numbers = {  # noqa: SLF001  # one class
+            name: twin.block[self._row[name]] if name in self._row else column.copy()
+            for name, column in self._numbers.items()
+        }
+        twin.publish()
+        return twin
+
+    def publish(self) -> None:
+        """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
+        unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
+        self.whole = not any(unknown)
+        arrays = []
+        for name, kind, *_ in self.columns:
+            if name not in self._numbers:
+                arrays.append(self._others[name])
+            elif name in self._row and unknown[self._row[name]]:
+                arrays.append(pa.array(self._numbers[name], from_pandas=True))
+            else:
+                buffer = pa.py_buffer(self._numbers[name])
+                arrays.append(pa.Array.from_buffers(_ARROW[kind], self.count, [None, buffer]))
+        self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
+        self.version = next(_versions)
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        """The buffer of a column of numbers."""
+        return self._numbers[name]
+
+    def reals(self, first: str, last: str) -> Array:
+        """The buffers of neighbouring columns of reals, (columns, rows)."""
+        return self.block[self._row[first] : self._row[last] + 1]
+
+    def written(self) -> None:
+        """Tell that numbers were written: an unknown one (NaN) becomes NULL."""
+        if not self.whole or np.isnan(self.block).any():
+            self.publish()
+
+
+def _has_none(values: Iterable[Any]) -> bool:
+    return any(value is None for value in values)

@@ -1,0 +1,284 @@
+"""Forms of space: AS points, mesh, glb, image."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pybullet
+import pytest
+import trimesh
+
+import ssduck
+from ssduck.adapters.highlight import OUTLINE
+from ssduck.errors import ArgumentError, LimitError, UnknownNameError
+
+TURN = pybullet.getQuaternionFromEuler([0.3, -0.7, 1.1])
+PLACE = [0.5, -0.25, 1.0]
+
+
+def off_a_box(p, n):
+    return np.abs(p / [0.2, 0.3, 0.4]).max(axis=1) - 1.0
+
+
+def off_a_ball(p, n):
+    return np.linalg.norm(p, axis=1) - 0.25
+
+
+def off_a_cylinder(p, n):
+    off = np.linalg.norm(p[:, :2], axis=1) - 0.2
+    return np.maximum(off, np.abs(p[:, 2]) - 0.35)
+
+
+def off_a_capsule(p, n):
+    near = np.clip(p[:, 2], -0.3, 0.3)
+    return np.linalg.norm(p - np.stack((0 * near, 0 * near, near), axis=1), axis=1) - 0.15
+
+
+# name, PyBullet's shape, area, how far a point in its frame is off the surface
+SHAPES = [
+    ("box", {"shapeType": pybullet.GEOM_BOX, "halfExtents": [0.2, 0.3, 0.4]}, 8 * 0.26, off_a_box),
+    ("ball", {"shapeType": pybullet.GEOM_SPHERE, "radius": 0.25}, 4 * math.pi * 0.0625, off_a_ball),
+    (
+        "cylinder",
+        {"shapeType": pybullet.GEOM_CYLINDER, "radius": 0.2, "height": 0.7},
+        2 * math.pi * 0.2 * 0.9,
+        off_a_cylinder,
+    ),
+    (
+        "capsule",
+        {"shapeType": pybullet.GEOM_CAPSULE, "radius": 0.15, "height": 0.6},
+        2 * math.pi * 0.15 * 0.9,
+        off_a_capsule,
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    """A world of one body of each kind, all turned alike, and a plane."""
+    client = pybullet.connect(pybullet.DIRECT)
+    names = {}
+    for name, shape, _, _ in SHAPES:
+        number = pybullet.createCollisionShape(**shape, physicsClientId=client)
+        body = pybullet.createMultiBody(1.0, number, -1, PLACE, TURN, physicsClientId=client)
+        names[body] = name
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+    names[pybullet.createMultiBody(0.0, plane, physicsClientId=client)] = "floor"
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("world", ssduck.World.attach(client, names=names))
+        yield ss
+    pybullet.disconnect(client)
+
+
+def selected(name, form):
+    return f"SELECT obj FROM world WHERE id(this) == '{name}' AS {form};"
+
+
+@pytest.mark.parametrize(("name", "shape", "area", "off"), SHAPES, ids=[s[0] for s in SHAPES])
+def test_points_lie_on_the_surface_spread_evenly(shapes, name, shape, area, off):
+    cloud = shapes.eval(selected(name, "points(0.01)"))
+    matrix = np.array(pybullet.getMatrixFromQuaternion(TURN)).reshape(3, 3)
+    points, normals = (cloud.points - PLACE) @ matrix, cloud.normals @ matrix
+    assert np.abs(off(points, normals)).max() < 1e-9
+    assert len(cloud) == pytest.approx(area / 0.01**2, abs=1.0)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
+    # A little way along the normal is outside, and against it inside.
+    assert (off(points + 1e-4 * normals, normals) > 0).all()
+    assert (off(points - 1e-4 * normals, normals) < 0).all()
+    # Evenly: each half of it by a plane through the middle has half of the points, to 4 sigma.
+    for axis in np.eye(3):
+        upper = (points @ axis > 0).sum()
+        assert abs(upper - len(cloud) / 2) < 4 * math.sqrt(len(cloud)) / 2
+
+
+def test_the_caps_and_the_side_of_a_cylinder_get_their_shares(shapes):
+    cloud = shapes.eval(selected("cylinder", "points(0.01)"))
+    matrix = np.array(pybullet.getMatrixFromQuaternion(TURN)).reshape(3, 3)
+    upright = np.abs((cloud.normals @ matrix)[:, 2]) > 0.5
+    share = 0.2 / (0.2 + 0.7)
+    assert abs(upright.mean() - share) < 4 * math.sqrt(share * (1 - share) / len(cloud))
+
+
+def test_the_same_seed_gives_the_same_points(shapes):
+    first, again, other = (
+        shapes.eval(selected("box", f"points(0.05, seed={seed})")).points for seed in (1, 1, 2)
+    )
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_whose_points_they_are(shapes, tmp_path):
+    query = "SELECT obj FROM world WHERE id(this) != 'floor' AS points(0.05);"
+    cloud = shapes.eval(query)
+    assert cloud.names == tuple(name for name, *_ in SHAPES)
+    assert sum(len(cloud.of(name)) for name in cloud.names) == len(cloud)
+    assert np.asarray(cloud).shape == (len(cloud), 3)
+    assert repr(cloud) == f"<PointCloud: {len(cloud):,} points of 4 entities>"
+    loaded = trimesh.load(cloud.save(tmp_path / "cloud.ply"))
+    assert loaded.vertices == pytest.approx(cloud.points, abs=1e-6)
+    with pytest.raises(ArgumentError, match="no points of 'boks'"):
+        cloud.of("boks")
+    with pytest.raises(ArgumentError, match=r"cloud\.nothing"):
+        cloud.save(tmp_path / "cloud.nothing")
+
+
+def test_nothing_selected_has_no_points(shapes):
+    for form in ("points", "mesh"):
+        found = shapes.eval(f"SELECT obj FROM world WHERE False AS {form};")
+        assert len(found.points if form == "points" else found.geometry) == 0
+
+
+BAD = [
+    ("floor", "points", "a plane has no end"),
+    ("floor", "mesh", "'floor' has a plane, which has no end"),
+    ("box", "points(0)", "spacing is above 0 m, not 0"),
+    ("box", "points('near')", "spacing is a number, not 'near'"),
+    ("box", "points(0.02, -1)", "seed is a whole number from 0"),
+    ("box", "points(0.0001)", "208,000,000 points are more than 20,000,000"),
+    ("box", "points(1e-200)", "points are more than 20,000,000"),
+    ("box", "glb('no/such/folder/box.glb')", "No such file"),
+    ("box", "glb(3)", "the file is to be a path in quotes, not 3"),
+    ("nobody", "glb('x.glb')", "nothing that is selected has shapes"),
+    ("box", "image(0)", "width is a whole number from 1 to 8192, not 0"),
+    ("box", "image(10, 2.5)", "height is a whole number"),
+]
+
+
+@pytest.mark.parametrize(("name", "form", "message"), BAD)
+def test_errors(shapes, name, form, message):
+    with pytest.raises(ArgumentError, match=message):
+        shapes.eval(selected(name, form))
+
+
+def test_a_mesh_is_where_the_body_is(shapes):
+    world = shapes.call_variable("world")
+    scene = shapes.eval("SELECT obj FROM world WHERE id(this) != 'floor' AS mesh;")
+    assert set(scene.geometry) == {f"{name}/0" for name, *_ in SHAPES}
+    for name, _, area, _ in SHAPES:
+        (own,) = shapes.eval(selected(name, "mesh")).dump()
+        assert own.is_watertight
+        assert own.area == pytest.approx(area, rel=0.01)
+        low, high = world[name].aabb
+        # A round shape's facets are a little inside.
+        assert own.bounds == pytest.approx(np.array([low, high]), abs=0.003)
+        assert own.metadata["entity"] == name
+    (box,) = shapes.eval(selected("box", "mesh")).dump()
+    assert box.volume == pytest.approx(0.4 * 0.6 * 0.8, rel=1e-9)
+
+
+def test_a_glb_stands_upright(shapes, tmp_path):
+    path = tmp_path / "box.glb"
+    assert shapes.eval(selected("box", f"glb('{path}')")) == str(path)
+    loaded = trimesh.load(path)
+    (low, high) = np.array(shapes.call_variable("world")["box"].aabb)
+    # y of the file is up: x, z, -y
+    assert loaded.bounds[0] == pytest.approx([low[0], low[2], -high[1]], abs=1e-6)
+    assert loaded.bounds[1] == pytest.approx([high[0], high[2], -low[1]], abs=1e-6)
+
+
+def test_a_glb_that_cannot_be_written_leaves_what_was_there(shapes, tmp_path):
+    path = tmp_path / "kept.glb"
+    path.write_text("kept")
+    for query in (
+        f"SELECT obj FROM world GROUP BY id AS glb('{path}');",
+        f"SELECT obj FROM world AS glb('{path}');",  # a plane
+        selected("box", f"glb('{tmp_path}')"),
+    ):
+        with pytest.raises(ArgumentError):
+            shapes.eval(query)
+    assert path.read_text() == "kept"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_glb_may_be_forbidden(tmp_path):
+    with ssduck.Interpreter(limits=ssduck.Limits.strict()) as ss, pytest.raises(LimitError):
+        ss.eval(f"SELECT this FROM [1] AS glb('{tmp_path}/x.glb');")
+
+
+# -- pictures ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def kitchen():
+    with ssduck.load("kitchen") as ss:
+        yield ss
+
+
+ROBOTS = "SELECT obj FROM {} WHERE isRobot(this) AS image(240, 180);"
+
+
+def outlined(picture):
+    return (np.asarray(picture) == OUTLINE).all(axis=2)
+
+
+def test_a_picture_shows_what_is_selected(kitchen):
+    world = kitchen.call_variable("kitchen")
+    picture = kitchen.eval(ROBOTS.format("kitchen"))
+    assert picture.size == (240, 180)
+    shown = world.segmentation(240, 180)
+    robots = np.isin(shown, [e.id for e in world if e.kind == "robot"])
+    assert robots.sum() > 200
+    plain = world.render(240, 180)
+    assert np.array_equal(np.asarray(picture)[robots], plain[robots])
+    faded = ~robots & ~outlined(picture)
+    assert np.asarray(picture)[faded].min() > 180
+    # grey: red, green and blue are equal
+    assert np.ptp(np.asarray(picture)[faded].astype(int), axis=1).max() == 0
+    assert outlined(picture).any()
+
+
+def test_what_is_no_longer_there_is_in_no_form_of_space(shapes):
+    twin = shapes.call_variable("world").excerpt(["box"])
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("twin", twin)
+        ss.add_variable("box", twin["box"])
+        twin.remove("box")
+        for form in ("points", "mesh", "image(64, 48)"):
+            with pytest.raises(
+                ssduck.SelectScriptError, match=f"AS {form[:4]}.*'box' is no longer"
+            ):
+                ss.eval(f"SELECT to(box, 'gone') FROM [1] AS {form};")
+    twin.close()
+
+
+def test_segmentation_is_by_ids(kitchen):
+    world = kitchen.call_variable("kitchen")
+    shown = world.segmentation(64, 48)
+    assert shown.shape == (48, 64)
+    names = {world.entity(id).name for id in set(shown.ravel().tolist()) - {0}}
+    assert {"table", "kitchen"} <= names
+    assert 0 in shown
+
+
+def test_a_sensor_is_shown_by_its_body(kitchen):
+    laser = (
+        "SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918_laser_scaner' AS image(160, 120);"
+    )
+    body = "SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918' AS image(160, 120);"
+    assert np.array_equal(np.asarray(kitchen.eval(laser)), np.asarray(kitchen.eval(body)))
+
+
+def test_a_picture_of_a_recorded_tick():
+    with ssduck.load("kitchen") as ss:
+        world = ss.call_variable("kitchen")
+        before = np.asarray(ss.eval(ROBOTS.format("kitchen")))
+        world["roomba_625x"].move([1.0, -1.0, 0.17])
+        world.step(3)
+        now = np.asarray(ss.eval(ROBOTS.format("kitchen")))
+        assert not np.array_equal(before, now)
+        past = np.asarray(ss.eval(ROBOTS.format("kitchen{0.0}")))
+        assert (np.abs(past.astype(int) - before).max(axis=2) > 8).mean() < 0.01
+
+
+def test_a_picture_of_a_what_if_world(kitchen):
+    world = kitchen.call_variable("kitchen")
+    kitchen.add_variable(
+        "moved", world.what_if({"roomba_625x": [1.0, 0.0, 0.0, 0.0, 1.0, -1.0, 0.17]})
+    )
+    picture = kitchen.eval(ROBOTS.format("moved"))
+    assert not np.array_equal(
+        np.asarray(picture), np.asarray(kitchen.eval(ROBOTS.format("kitchen")))
+    )
+    with pytest.raises(UnknownNameError):
+        kitchen.eval(ROBOTS.format("movd"))

@@ -1,0 +1,568 @@
+"""Raw SQL on live worlds, and how DuckDB is used: statements, plans, buffers, results."""
+
+from __future__ import annotations
+
+import ast
+import datetime as dt
+import decimal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.database.database import Database
+from ssduck.database.macros import TABLE_MACROS
+from ssduck.recording.static_tables import MODELS
+from ssduck.schema import ROWS, TABLES, second_names
+from ssduck.sql.relations.registry import RELATIONS
+from tests.support.timing import HANGS
+
+NINE_PAIRS = (
+    "SELECT a.name, b.name FROM entities a, entities b "
+    "WHERE above(a, b) AND a.kind <> 'sensor' AND b.kind <> 'sensor'"
+)
+
+
+@pytest.fixture(scope="module")
+def ss():
+    with ssduck.load("kitchen") as interpreter:
+        yield interpreter
+
+
+@pytest.fixture
+def sim():
+    """A PyBullet client of the user's with three boxes, bound as `sim`."""
+    client = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    for place in range(3):
+        pybullet.createMultiBody(1, shape, basePosition=[place, 0, 1], physicsClientId=client)
+    with ssduck.Interpreter() as interpreter:
+        interpreter.add_variable("sim", ssduck.World.attach(client))
+        yield interpreter, client, shape
+    pybullet.disconnect(client)
+
+
+# -- tables -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_every_table_is_there_with_its_columns(ss, table):
+    for name in (table, f"kitchen.{table}"):
+        names = [column.name for column in TABLES[table]]
+        seconds = list(second_names(table).values())
+        assert ss.sql(f"FROM {name} LIMIT 0").columns == names + seconds
+
+
+@pytest.mark.parametrize("table", sorted(set(TABLES) - {"contacts"}))
+def test_tables_are_filled_and_of_one_tick(ss, table):
+    ss.call_variable("kitchen").step()
+    rows = ss.sql(f"FROM {table}")
+    assert len(rows) > 0
+    if table != "geometries":
+        assert (
+            ss.sql(f"SELECT DISTINCT tick, time FROM {table}").fetchall()
+            == ss.sql("SELECT tick, time FROM ticks").fetchall()
+        )
+
+
+def test_contacts_join_entities(ss):
+    ss.call_variable("kitchen").step(240)
+    rows = ss.sql(
+        "SELECT DISTINCT a.name, b.name FROM contacts c JOIN entities a ON a.id = c.a "
+        "JOIN entities b ON b.id = c.b WHERE 'cup_905a' IN (a.name, b.name)"
+    ).fetchall()
+    assert rows == [("table", "cup_905a")]
+
+
+def test_links_joints_and_shapes_join_entities(ss):
+    joints = ss.sql(
+        "SELECT j.name FROM joints j JOIN entities e ON e.id = j.entity "
+        "WHERE e.name = 'barrett_4918' AND j.lower IS NOT NULL ORDER BY j.link"
+    ).fetchall()
+    assert [name for (name,) in joints][:7] == ["j1", "j2", "j3", "j4", "j5", "j6", "j7"]
+    types = ss.sql(
+        "SELECT DISTINCT g.type FROM shapes s JOIN geometries g ON g.id = s.geometry "
+        "JOIN entities e ON e.id = s.entity WHERE e.name = 'fridge'"
+    ).fetchall()
+    assert types == [("sphere",)]
+
+
+def test_two_worlds_are_two_schemas(ss, sim):
+    interpreter, _, _ = sim
+    world = ssduck.load("kitchen").call_variable("kitchen")
+    interpreter.add_variable("second", world)
+    assert len(interpreter.sql("FROM entities")) == len(interpreter.sql("FROM sim.entities")) == 3
+    assert len(interpreter.sql("FROM second.entities")) == len(world)
+    names = interpreter.eval("SELECT id FROM second WHERE isRobot(this) LIMIT 1 AS list;")
+    assert names == ["fridge"]
+    far = "SELECT count(*) FROM sim.entities a, second.entities b WHERE distance(a, b) > 0"
+    assert interpreter.sql(far).fetchone() == (3 * len(world),)
+    world.close()
+
+
+def test_a_world_bound_twice_has_two_schemas(sim):
+    interpreter, client, shape = sim
+    interpreter.eval("other = sim;")
+    assert interpreter.eval("SELECT count([1]) FROM other AS list;") == [1, 1, 1]
+    interpreter.add_variable("third", interpreter.call_variable("sim"))
+    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    interpreter.call_variable("sim").tick()
+    assert (
+        len(interpreter.sql("FROM third.entities"))
+        == len(interpreter.sql("FROM sim.entities"))
+        == 4
+    )
+
+
+def test_a_name_is_rebound_in_both_languages(sim):
+    interpreter, _, _ = sim
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        interpreter.add_variable("second", kitchen)
+        interpreter.add_variable("sim", kitchen)
+        assert len(interpreter.eval("SELECT id FROM sim;")) == len(kitchen)
+        assert len(interpreter.sql("FROM sim.entities")) == len(kitchen)
+
+
+def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
+    interpreter, _, _ = sim
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        with pytest.raises(ssduck.SelectScriptError, match="upper from lower case"):
+            interpreter.add_variable("Sim", kitchen)
+    assert len(interpreter.eval("SELECT id FROM sim;")) == 3
+
+
+def test_a_world_in_two_interpreters(sim):
+    first, _, _ = sim
+    world = first.call_variable("sim")
+    with ssduck.Interpreter() as second:
+        second.add_variable("other", world)
+        for ss, name in ((first, "sim"), (second, "other")):
+            assert len(ss.eval(f"SELECT obj FROM {name} AS list;")) == 3
+            assert len(ss.sql(f"FROM {name}.entities")) == 3
+    world.tick()
+    assert len(first.eval("SELECT obj FROM sim AS list;")) == 3
+
+
+def test_interpreters_with_the_same_worlds_do_not_wait_for_each_other(sim):
+    one, _, _ = sim
+    with ssduck.load("kitchen") as two:
+        kitchen, boxes = two.call_variable("kitchen"), one.call_variable("sim")
+        one.add_variable("kitchen", kitchen)
+        with ssduck.Interpreter() as other:
+            other.add_variable("kitchen", kitchen)
+            other.add_variable("sim", boxes)
+
+            def ask(ss):
+                for _ in range(100):
+                    ss.eval("SELECT id FROM sim;")
+
+            threads = [threading.Thread(target=ask, args=(ss,), daemon=True) for ss in (one, other)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(HANGS)
+            assert not any(thread.is_alive() for thread in threads)
+
+
+def test_a_world_that_takes_anothers_name(sim):
+    interpreter, _, _ = sim
+    old = interpreter.call_variable("sim")
+    client = pybullet.connect(pybullet.DIRECT)
+    interpreter.add_variable("old", old)
+    interpreter.add_variable("sim", ssduck.World.attach(client))
+    assert interpreter.eval("SELECT id FROM sim AS list;") == []
+    assert len(interpreter.eval("SELECT id FROM old AS list;")) == 3
+    assert len(interpreter.sql("FROM sim.entities")) == 0
+    pybullet.disconnect(client)
+
+
+# -- plans and statements -----------------------------------------------------------------------
+
+
+def test_the_nine_pairs_are_a_range_join_without_python(ss):
+    plan = ss.sql(f"EXPLAIN {NINE_PAIRS}").fetchall()[0][1].upper()
+    assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))
+    assert "UDF" not in plan
+    functions = ss.sql(
+        "SELECT count(*) FROM duckdb_functions() WHERE function_type = 'scalar' AND function_name = 'above'"
+    )
+    assert functions.fetchone() == (0,)
+    assert len(ss.sql(NINE_PAIRS)) == 9
+
+
+def test_selectscript_pairs_are_a_range_join_too(ss):
+    sql = ss.explain(
+        "SELECT to(id(a.this), 'a'), to(id(b.this), 'b') FROM a=kitchen, b=kitchen WHERE above(a.this, b.this);"
+    )
+    plan = ss.sql(f"EXPLAIN {sql}").fetchall()[0][1].upper()
+    assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))
+
+
+def test_statements_a_run():
+    """A compiled query is one statement; planning happens once, and for new buffers again."""
+    told = []
+    interpreter = ssduck.Interpreter(tracer=told.append)
+    with ssduck.load("kitchen") as other:
+        kitchen = other.call_variable("kitchen")
+        interpreter.add_variable("kitchen", kitchen)
+        program = interpreter.compile("SELECT id FROM kitchen WHERE z(this) > 1.5 AS list;")
+        told.clear()
+        interpreter.eval(program)
+        assert [sql.split()[0] for sql in told] == ["PREPARE", "EXECUTE"]
+        told.clear()
+        for _ in range(3):
+            kitchen.step()
+            interpreter.eval(program)
+        assert [sql.split()[0] for sql in told] == ["EXECUTE"] * 3
+        told.clear()
+        interpreter.eval("1 + 1; [1, 2][0];")
+        assert told == []
+    interpreter.close()
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "i, i::INT, i * 0.5::DOUBLE, i % 2 = 0, 'ä' || i, i",
+        "CASE WHEN i % 3 = 0 THEN i END, CASE WHEN i % 3 = 1 THEN i / 3 END, NULL::VARCHAR",
+        "'nan'::DOUBLE, '-inf'::DOUBLE, -0.0::DOUBLE, chr(0) || i, CASE WHEN i = 400 THEN TRUE END",
+        "i, i::HUGEINT << 64, 0.1::DECIMAL(5, 2), [i, NULL], struct_pack(a := i), DATE '2000-02-29' + i::INT",
+    ],
+)
+def test_many_rows_have_the_values_that_few_have(columns):
+    database = Database(":memory:", None).connection
+    alone = f"SELECT {columns} FROM (SELECT {{}}::BIGINT AS i)"
+    few = [row for number in range(500) for row in database.rows(alone.format(number))]
+    many = database.rows(f"SELECT {columns} FROM range(500) numbers(i)")
+    assert repr(many) == repr(few)
+    database.close()
+
+
+def test_what_fails_behind_many_rows_is_told():
+    database = Database(":memory:", None).connection
+    with pytest.raises(ssduck.SelectScriptError, match="late"):
+        database.rows("SELECT if(i = 90000, error('late'), 'a') FROM range(100000) numbers(i)")
+    assert database.rows("SELECT 1") == [(1,)]
+    database.close()
+
+
+def test_plans_follow_bodies_that_come_and_go(sim):
+    """A prepared statement would go on reading the buffers that it was made for."""
+    interpreter, client, shape = sim
+    program = interpreter.compile("SELECT x FROM sim WHERE x(this) > low AS list;")
+    interpreter.add_variable("low", 0.5)
+    world = interpreter.call_variable("sim")
+    assert interpreter.eval(program) == [1.0, 2.0]
+    pybullet.createMultiBody(1, shape, basePosition=[7, 0, 0], physicsClientId=client)
+    assert interpreter.eval(program) == [1.0, 2.0]  # until the next tick
+    world.tick()
+    assert interpreter.eval(program) == [1.0, 2.0, 7.0]
+    interpreter.add_variable("low", 1.5)
+    assert interpreter.eval(program) == [2.0, 7.0]
+    pybullet.removeBody(2, client)
+    world.tick()
+    assert interpreter.eval(program) == [7.0]
+
+
+def test_a_users_prepared_statement_never_reads_old_buffers(sim):
+    interpreter, client, shape = sim
+    interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")
+    assert interpreter.sql("EXECUTE mine").fetchone() == (3,)
+    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    interpreter.call_variable("sim").tick()
+    with pytest.raises(ssduck.SelectScriptError, match="mine"):
+        interpreter.sql("EXECUTE mine")
+    interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")
+    assert interpreter.sql("EXECUTE mine").fetchone() == (4,)
+
+
+def test_views_of_on_demand_tables_stay_up_to_date(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    interpreter.sql("CREATE VIEW fastest AS SELECT max(abs(vz)) AS v FROM links")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    world.step(24)
+    assert interpreter.sql("FROM fastest").fetchone()[0] == pytest.approx(1.0, rel=0.01)
+    world.step(24)
+    assert interpreter.sql("FROM fastest").fetchone()[0] == pytest.approx(2.0, rel=0.01)
+
+
+def test_stepping_is_seen_by_the_next_query(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    heights = []
+    for _ in range(3):
+        heights.append(interpreter.sql("SELECT max(z) FROM entities").fetchone()[0])
+        world.step(10)
+    assert heights == sorted(heights, reverse=True)
+    assert len(set(heights)) == 3
+
+
+def test_many_texts_do_not_pile_up(ss, monkeypatch):
+    monkeypatch.setattr("ssduck.interpreter.planner.MOST_PLANS", 10)
+    for number in range(25):
+        assert ss.eval(f"SELECT id FROM kitchen WHERE z(this) > {number + 10} AS list;") == []
+    assert sum(map(len, ss._planner._plans.values())) <= 10
+    (statements,) = ss.sql("SELECT count(*) FROM duckdb_prepared_statements()").fetchone()
+    assert statements <= 10
+
+
+@contextmanager
+def stepping(world):
+    """Another thread steps the world all the time."""
+    running = threading.Event()
+    running.set()
+
+    def step():
+        while running.is_set():
+            world.step()
+
+    stepper = threading.Thread(target=step)
+    stepper.start()
+    try:
+        yield
+    finally:
+        running.clear()
+        stepper.join()
+
+
+def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    own = "(SELECT z FROM sim LIMIT 1 AS value)"
+    answers = interpreter.compile(f"SELECT z(this) == {own} FROM sim AS list;")
+    with stepping(world):
+        while world.time < 0.1:  # as slow as the machine may be
+            assert all(interpreter.eval(answers))
+
+
+def test_a_forgotten_plan_is_made_anew(sim):
+    """Here while it runs: the function that it calls makes another world known."""
+    interpreter, _, _ = sim
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        interpreter.add_function("low", lambda: interpreter.add_variable("more", kitchen) and 0.5)
+        for _ in range(3):
+            assert interpreter.eval("SELECT x FROM sim WHERE x(this) > low() AS list;") == [
+                1.0,
+                2.0,
+            ]
+
+
+def test_a_function_may_look_at_links_and_joints():
+    with ssduck.load("kitchen") as ss:
+        ss.add_function("axes", lambda e: len(e.joints))
+        assert ss.eval("SELECT axes FROM kitchen WHERE id(this) == 'barrett_4918' AS value;") > 10
+
+
+def test_threads_may_step_and_ask(sim):
+    """Every answer is of one tick: all bodies fall alike, so all heights in it are equal."""
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    with stepping(world):
+        answers = [interpreter.eval("SELECT z FROM sim AS list;") for _ in range(200)]
+        tables = [interpreter.sql("SELECT z FROM links").fetchall() for _ in range(100)]
+    assert all(len(set(answer)) == 1 and len(answer) == 3 for answer in answers)
+    assert all(len(set(rows)) == 1 for rows in tables)
+    assert len({answer[0] for answer in answers}) > 1
+
+
+def test_one_folder_calls_duckdb():
+    """And one imports pybullet."""
+    package = Path(ssduck.__file__).parent
+    importers = {"duckdb": set(), "pybullet": set()}
+    for path in package.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            for name, found in importers.items():
+                if name in names:
+                    found.add(path.relative_to(package).as_posix())
+    for name, folder in (("duckdb", "database/"), ("pybullet", "simulators/pybullet/")):
+        assert importers[name]
+        assert all(path.startswith(folder) for path in importers[name])
+
+
+def test_nothing_is_printed_when_python_ends(tmp_path):
+    """Not even if nothing is closed, and an interpreter is still held by the module."""
+    program = (
+        "import ssduck\n"
+        "ss = ssduck.load('kitchen')\n"
+        "ss.add_function('f', lambda e: ss is not None)\n"
+        "assert ss.eval('SELECT id FROM kitchen WHERE f(this) AS list;')\n"
+        "rows = ss.sql('FROM links')\n"
+        "rows.fetchone()\n"
+    )
+    root = str(Path(ssduck.__file__).parent.parent)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+# -- results ------------------------------------------------------------------------------------
+
+
+def test_results_fetch_like_duckdbs(ss):
+    result = ss.sql("SELECT i, i * 2 AS twice FROM range(5) t(i)")
+    assert result.columns == ["i", "twice"]
+    assert result.shape == (5, 2)
+    assert len(result) == 5
+    assert result.fetchone() == (0, 0)
+    assert result.fetchmany(2) == [(1, 2), (2, 4)]
+    assert result.fetchall() == [(3, 6), (4, 8)]
+    assert result.fetchone() is None
+    assert result.fetchall() == []
+    assert list(result) == [(i, 2 * i) for i in range(5)]
+    assert repr(result) == "<Result: 5 rows of i, twice>"
+
+
+def test_results_of_every_type(ss):
+    row = ss.sql(
+        "SELECT 1::HUGEINT, sum(1), 'ü', NULL, [1, 2], {'a': 1}, 1.5::DECIMAL(4, 2), "
+        "DATE '2020-01-02', true, 'infinity'::DOUBLE, 'x'::BLOB"
+    ).fetchone()
+    assert row == (
+        1, 1, "ü", None, [1, 2], {"a": 1}, decimal.Decimal("1.50"),
+        dt.date(2020, 1, 2), True, float("inf"), b"x",
+    )  # fmt: skip
+
+
+def test_results_as_frames(ss):
+    result = ss.sql("SELECT name, z FROM entities ORDER BY z DESC, name LIMIT 3")
+    assert result.df()["name"].tolist() == result.pl()["name"].to_list()
+    assert result.arrow().column("name").to_pylist() == [name for name, _ in result]
+
+
+def test_results_stay_as_they_were(sim):
+    interpreter, client, _ = sim
+    world = interpreter.call_variable("sim")
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    result = interpreter.sql("SELECT z FROM entities")
+    world.step(100)
+    assert result.fetchall() == [(1.0,)] * 3
+
+
+def test_results_in_a_notebook(ss):
+    page = ss.sql("SELECT '<b>' AS tag, i FROM range(30) t(i)")._repr_html_()
+    assert "&lt;b&gt;" in page
+    assert "first 20 of 30 rows" in page
+    assert page.count("<tr>") == 21
+
+
+@pytest.mark.parametrize(
+    ("sql", "parameters", "rows"),
+    [
+        ("SELECT ? + 1", [1], [(2,)]),
+        ("SELECT $1 || $2", ["a", "b"], [("ab",)]),
+        ("SELECT $name", {"name": "x'; --"}, [("x'; --",)]),
+        ("SELECT 1 WHERE false", None, []),
+        ("CREATE TABLE kept AS SELECT 1 AS i", None, None),
+        ("FROM kept", None, [(1,)]),
+        ("DROP TABLE kept", None, None),
+    ],
+)
+def test_parameters_and_other_statements(ss, sql, parameters, rows):
+    result = ss.sql(sql, parameters)
+    if rows is not None:
+        assert result.fetchall() == rows
+
+
+def test_a_database_file_can_be_used_again(tmp_path):
+    path = str(tmp_path / "kept.duckdb")
+    for round_ in range(2):
+        with ssduck.load("kitchen", path) as ss:
+            if round_ == 0:
+                ss.sql("CREATE TABLE notes AS SELECT name FROM entities WHERE kind = 'robot'")
+            assert len(ss.sql("FROM notes")) == 4
+            assert len(ss.sql(NINE_PAIRS)) == 9
+
+
+def test_a_file_keeps_nothing_of_worlds_that_are_gone(tmp_path, sim):
+    path = tmp_path / "own.duckdb"
+    world = sim[0].call_variable("sim")
+    with ssduck.Interpreter(path, recording=None) as ss:
+        ss.add_variable("sim", world)
+        assert ss.sql("SELECT sim.collides(e, e) FROM sim.entities e").fetchall() == [(False,)] * 3
+        ss.sql("CREATE TABLE sim.own AS SELECT name FROM sim.entities")
+    with ssduck.Interpreter(path, recording=None) as ss:
+        kept = "SELECT function_name FROM duckdb_functions() WHERE schema_name = 'sim'"
+        assert ss.sql(kept).fetchall() == []
+        assert ss.sql("SELECT table_name FROM duckdb_tables()").fetchall() == [("own",)]
+        ss.add_variable("sim", world)
+        assert ss.sql("SELECT sim.collides(e, e) FROM sim.entities e").fetchall() == [(False,)] * 3
+
+
+def test_tables_columns_and_functions_are_commented(sim):
+    sim, *_ = sim
+    assert sim.sql(
+        "SELECT count(*) FROM duckdb_columns() WHERE schema_name = 'sim' AND comment IS NULL"
+    ).fetchall() == [(0,)]
+    columns = (
+        "SELECT comment FROM duckdb_columns() WHERE schema_name = 'sim' AND column_name = 'mass'"
+    )
+    assert ("kg; 0 for what cannot move",) in sim.sql(columns).fetchall()
+    views = dict(
+        sim.sql(
+            "SELECT view_name, comment FROM duckdb_views() WHERE schema_name = 'sim'"
+        ).fetchall()
+    )
+    for name, row in ROWS.items():
+        assert views.pop(name) == f"A row is {row}."
+        if name != "geometries":
+            assert views.pop(f"{name}_history") == f"A row is {row}, at each recorded tick."
+        if name in MODELS:
+            told = f"What is the same at each recorded tick. A row is {row}."
+            assert views.pop(f"{name}_model") == told
+    assert views == {}
+    for place in ("temp", "sim"):
+        said = sim.sql(
+            "SELECT DISTINCT comment FROM duckdb_functions() "
+            "WHERE function_name = 'collides' AND $place IN (database_name, schema_name)",
+            {"place": place},
+        )
+        assert said.fetchall() == [(RELATIONS["collides"].help,)]
+    said = sim.sql(
+        "SELECT function_name, comment FROM duckdb_functions() "
+        "WHERE function_type = 'table_macro' AND schema_name = 'sim' ORDER BY ALL"
+    )
+    assert said.fetchall() == [(macro.name, macro.about) for macro in TABLE_MACROS]
+    # A name that is given to another world keeps them.
+    sim.add_variable("sim", sim.call_variable("sim").what_if({}))
+    views = sim.sql("SELECT comment FROM duckdb_views() WHERE schema_name = 'sim'")
+    assert (None,) not in views.fetchall()
+
+
+def test_a_file_that_is_no_database(tmp_path):
+    path = tmp_path / "text.duckdb"
+    path.write_text("no database at all, but long enough to be looked at" * 10)
+    with pytest.raises(ssduck.SelectScriptError, match=r"text\.duckdb cannot be opened"):
+        ssduck.Interpreter(str(path))
+
+
+def test_a_letter_that_is_another_in_upper_case_only(ss):
+    with pytest.raises(ssduck.SelectScriptError, match="entitie\u017f"):
+        ss.sql("SELECT * FROM entitie\u017f")
+
+
+def test_a_closed_interpreter_says_so(tmp_path):
+    ss = ssduck.load("kitchen")
+    ss.close()
+    ss.close()
+    with pytest.raises(ssduck.SelectScriptError, match=r"[Cc]losed"):
+        ss.sql("SELECT 1")

@@ -1,0 +1,266 @@
+"""What raw SQL can call and name: relations behind their world, and words that need no quotes."""
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.recording.spec import RECORDABLE, Recording
+from ssduck.recording.static_tables import MODELS
+from ssduck.recording.stores.duckdb import history_name, model_name
+from ssduck.schema import TABLES, second_names
+from ssduck.sql.relations.registry import RELATIONS
+
+# A literal for each type of parameter; entities are the rows a and b.
+LITERALS = {
+    "place": "{'x': 0.0, 'y': 0.0, 'z': 1.0}",
+    "real": "0.5",
+    "integer": "1",
+    "number": "1",
+    "list": "[0.0, 0.0, 0.0]",
+    "text": "'joint1'",
+}
+# Names of worlds that SQL has to quote, and some that it need not.
+NAMES = ("sim", "Übung", "on")
+
+
+def called(relation, schema="", a="a", b="b"):
+    """The text of a call, with the names of the relations unquoted."""
+    rows = iter((a, b, a))
+    given = [
+        next(rows) if p.type in ("entity", "place") and i < 2 else LITERALS.get(p.type, a)
+        for i, p in enumerate(relation.parameters)
+        if not p.optional
+    ]
+    before = f'"{schema}".' if schema else ""
+    return f"{before}{relation.name}({', '.join(given)})"
+
+
+def boxes(client, count=2):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    for number in range(count):
+        pybullet.createMultiBody(
+            1.0, shape, basePosition=[0.15 * number, 0, 0.1], physicsClientId=client
+        )
+    return client
+
+
+def jointed(client):
+    """A box with a link on a revolute joint, which PyBullet calls joint1."""
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    pybullet.createMultiBody(
+        1.0,
+        shape,
+        basePosition=[0.15, 0, 0.1],
+        linkMasses=[1.0],
+        linkCollisionShapeIndices=[-1],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[[0, 0, 0.1]],
+        linkOrientations=[[0, 0, 0, 1]],
+        linkInertialFramePositions=[[0, 0, 0]],
+        linkInertialFrameOrientations=[[0, 0, 0, 1]],
+        linkParentIndices=[0],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE],
+        linkJointAxis=[[0, 0, 1]],
+        physicsClientId=client,
+    )
+    return client
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    """An interpreter with a world under each of the names, and one with a world alone."""
+    client = jointed(boxes(pybullet.connect(pybullet.DIRECT), 1))
+    with ssduck.Interpreter() as ss, ssduck.Interpreter() as alone:
+        for name in NAMES:
+            ss.add_variable(name, ssduck.World.attach(client))
+        alone.add_variable("sim", ssduck.World.attach(client))
+        yield ss, alone
+    pybullet.disconnect(client)
+
+
+def quoted(relation):
+    """A call without a schema, the name in quotes."""
+    return f'"{relation.name}"({called(relation).partition("(")[2]}'
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_relation_may_have_its_world_before_it(worlds, name):
+    several, alone = worlds
+    for relation in RELATIONS.values():
+        expected = alone.sql(f"SELECT {quoted(relation)} FROM entities a, entities b")
+        found = several.sql(
+            f'SELECT {called(relation, name)} FROM "{name}".entities a, "{name}".entities b'
+        )
+        if relation.name != "tick":  # each world has its own
+            assert found.fetchall() == expected.fetchall(), relation.name
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        'sim."above"(a, b)',
+        '"sim" . above (a, b)',
+        "sim./* the\nupper */above(a, b)",
+        "SIM.ABOVE(a, b)",
+        "sim.--\nabove(a, b)",
+        "memory.sim.above(a, b)",
+    ],
+)
+def test_however_it_is_written(worlds, call):
+    assert len(worlds[0].sql(f"SELECT {call} FROM sim.entities a, sim.entities b")) == 4
+
+
+def test_it_stays_with_worlds_that_change(client):
+    boxes(client)
+    asked = "SELECT count(*) FROM sim.entities a, sim.entities b WHERE sim.overlaps(a, b)"
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach(client))
+        assert ss.sql(asked).fetchall() == [(2,)]
+        ss.sql("CREATE VIEW kept AS SELECT sim.aabbVolume(e) AS v FROM sim.entities e")
+        boxes(client, 1)
+        ss.call_variable("sim").tick()
+        assert ss.sql(asked).fetchall() == [(6,)]
+        pybullet.removeBody(0, client)
+        ss.call_variable("sim").tick()
+        assert ss.sql(asked).fetchall() == [(2,)]
+        ss.add_variable("sim", ss.call_variable("sim").what_if({}))  # another one
+        assert ss.sql(asked).fetchall() == [(2,)]
+        assert ss.sql("FROM kept").fetchall() == [(pytest.approx(0.008),)] * 2
+        other = ssduck.World.attach(client)
+        ss.add_variable("later", other)
+        assert ss.sql(asked.replace("sim", "later")).fetchall() == [(2,)]
+
+
+def test_opened_records_and_files(client, tmp_path):
+    asked = "SELECT sim.overlaps(a, b) FROM sim.entities a, sim.entities b WHERE a.id < b.id"
+    path = tmp_path / "own.duckdb"
+    with ssduck.Interpreter(path) as ss:
+        ss.add_variable("sim", ssduck.World.attach(boxes(client)))
+        assert ss.sql(asked).fetchall() == [(True,)]
+        ss.sql("CREATE VIEW sim.kept AS SELECT sim.isRobot(e) AS r FROM sim.entities e")
+        ss.export(tmp_path / "run")
+        world = ss.call_variable("sim")
+    with ssduck.Interpreter(path, recording=None) as ss:
+        names = "SELECT function_name FROM duckdb_functions() WHERE schema_name = 'sim'"
+        assert ss.sql(names).fetchall() == []
+        ss.add_variable("again", world)
+    with ssduck.open(tmp_path / "run") as ss:
+        assert ss.sql(asked).fetchall() == [(True,)]
+        past = asked.replace("sim.entities", "sim.entities_history")
+        assert ss.sql(past + " AND a.tick = b.tick").fetchall()[0] == (True,)
+
+
+def test_what_a_file_keeps_may_call_them(client, tmp_path):
+    boxes(client)
+    path = tmp_path / "own.duckdb"
+    for _ in range(2):
+        with ssduck.Interpreter(path, recording=None) as ss:
+            ss.add_variable("sim", ssduck.World.attach(client))
+            ss.sql("CREATE MACRO IF NOT EXISTS main.tall(e) AS sim.aabbVolume(e) > 1")
+            ss.sql("CREATE TABLE IF NOT EXISTS notes(n INTEGER)")
+            assert ss.sql("SELECT tall(e) FROM sim.entities e").fetchall() == [(False,)] * 2
+        # Nothing in the statement says what it needs: only the file does.
+        with ssduck.Interpreter(path, recording=None) as ss:
+            ss.add_variable("sim", ssduck.World.attach(client))
+            assert ss.sql("SELECT tall(e) FROM sim.entities e").fetchall() == [(False,)] * 2
+
+
+# -- words that need no quotes ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def one():
+    """An interpreter with one world, whose ticks are recorded."""
+    client = jointed(boxes(pybullet.connect(pybullet.DIRECT), 1))
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach(client))
+        ss.record("sim", Recording(tables=("entities", "contacts")))
+        ss.call_variable("sim").step(2)
+        yield ss
+    pybullet.disconnect(client)
+
+
+VIEWS = {
+    **{table: table for table in TABLES},
+    **{history_name(table): table for table in ("entities", "contacts", "ticks")},
+}
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_every_column_has_a_name_that_needs_no_quotes(one, view):
+    table = VIEWS[view]
+    seconds = second_names(table)
+    names = [seconds.get(column.name, column.name) for column in TABLES[table]]
+    for form in (
+        "SELECT {list} FROM {view}",
+        "SELECT {each} FROM {view}",
+        "SELECT {list} FROM {view} ORDER BY {list}",
+        "SELECT count(*) FROM {view} GROUP BY {list}",
+        "SELECT max({first}) FROM {view} WHERE {every}",
+    ):
+        sql = form.format(
+            view=view,
+            list=", ".join(names),
+            first=names[-1],
+            each=", ".join(f"v.{name}" for name in names) + f" FROM {view} v --",
+            every=" AND ".join(f"{name} IS NOT DISTINCT FROM {name}" for name in names),
+        )
+        one.sql(sql)
+    for name, second in seconds.items():
+        differing = f'SELECT * FROM {view} WHERE "{name}" IS DISTINCT FROM {second}'
+        assert one.sql(differing).fetchall() == []
+
+
+@pytest.mark.parametrize("table", MODELS)
+def test_what_entities_are_needs_no_quotes_either(one, table):
+    one.sql(f"SELECT {', '.join(MODELS[table])} FROM {model_name(table)}")
+
+
+def test_the_contacts_have_second_names():
+    assert set(second_names("contacts")) >= {"by", "ny"}
+    assert second_names("contacts")["by"] == "point_b_y"
+    assert second_names("contacts")["nz"] == "normal_z"
+    others = [table for table in RECORDABLE if table != "contacts"]
+    assert not any(map(second_names, others))
+
+
+@pytest.mark.parametrize("name", [r.name for r in RELATIONS.values() if not r.second_of])
+@pytest.mark.parametrize("schema", ["", "sim"])
+def test_every_relation_has_a_name_that_needs_no_quotes(one, name, schema):
+    relation = RELATIONS[name]
+    relation = RELATIONS[relation.also[0]] if relation.also else relation
+    call = called(relation)
+    before = f"{schema}." if schema else ""
+    one.sql(f"SELECT {before}{call} FROM entities a, entities b WHERE {before}{call} IS NOT NULL")
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("on", "onTop"), ("position", "positionOf"), ("time", "timeOf")]
+)
+def test_second_names_mean_the_same(first, second, one):
+    relation = RELATIONS[first]
+    assert RELATIONS[second].second_of == first
+    assert f"Also called {second}" in one.eval(f"help('{first}');")
+    assert f"same as {first}" in one.eval(f"help('{second}');")
+    more = "a.this, b.this" if relation.required == 2 else "a.this"
+    for row_by_row in (False, True):
+        ss = ssduck.Interpreter(row_by_row=row_by_row)
+        ss.add_variable("sim", one.call_variable("sim").what_if({}))
+        program = "SELECT {}({}) FROM a = sim, b = sim AS list;"
+        assert ss.eval(program.format(first, more)) == ss.eval(program.format(second, more))
+    differing = f"{quoted(relation)} IS DISTINCT FROM {called(RELATIONS[second])}"
+    assert one.sql(f"SELECT * FROM entities a, entities b WHERE {differing}").fetchall() == []
+
+
+def test_resting_is_found_by_the_second_name():
+    with ssduck.load("kitchen") as ss:
+        ss.call_variable("kitchen").step(480)
+        program = "SELECT id(a.this), id(b.this) FROM a = kitchen, b = kitchen WHERE {}(a.this, b.this) AS list;"
+        found = ss.eval(program.format("onTop"))
+        assert found == ss.eval(program.format("on"))
+        assert len(found) > 7
+        assert "narrow phase: onTop" in ss.eval("EXPLAIN " + program.format("onTop"))

@@ -1,0 +1,134 @@
+"""The crowds of the benchmark of pairs are what it says, and all ways find the same in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ssduck
+from benchmarks import adapters, pairs, recorded
+from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, Crowd, Piece, crowd
+from benchmarks.referee import bounds, may_touch, verdict
+
+pytestmark = pytest.mark.slow
+
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2.0
+BOX = Piece("box", (0.5, 0.5, 0.5), CORNERS)
+SPHERE = Piece("sphere", (0.5,), np.zeros((1, 3)), ball=0.5)
+CYLINDER = Piece("cylinder", (0.5, 1.0), np.array([[0, 0, -0.5], [0, 0, 0.5]]), disc=0.5)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_ways_find_the_same_pairs(form, kind):
+    found = pairs.measured(form, kind, 40, rounds=1, most=0.0)
+    assert pairs.failures([found]) == []
+    assert found.found > 20
+    assert found.asked["ours"].calls <= len(found.crowd.met)
+    # A box on another meets it or not, by rounding; SQL asks about those that nearly do.
+    assert found.asked["sql"].pairs <= 1.1 * len(found.crowd.met)
+    assert set(found.times) <= set(pairs.WAYS)
+
+
+def test_the_tables(capsys):
+    status = pairs.main(
+        ["--sizes", "20", "30", "--forms", "cube", "--kinds", "boxes", "--rounds", "1"]
+    )
+    printed = capsys.readouterr().out
+    assert status == 0
+    assert printed.count("| cube, boxes |") == 4
+    assert "at 30 bodies at most 1.5 of FCL's tree" in printed
+    assert "DISAGREEMENT" not in printed
+
+
+def test_without_coal(monkeypatch, capsys):
+    monkeypatch.setattr(pairs, "coal_or_none", lambda: None)
+    assert (
+        pairs.main(["--sizes", "20", "--forms", "cube", "--kinds", "boxes", "--rounds", "1"]) == 0
+    )
+    assert capsys.readouterr().out.count("| not installed |") == 2
+
+
+def test_a_wrong_answer_is_a_failure(monkeypatch, capsys):
+    right = pairs.Ours.pairs
+    monkeypatch.setattr(pairs.Ours, "pairs", lambda self, names: right(self, names)[1:])
+    status = pairs.main(["--sizes", "40", "--forms", "cube", "--kinds", "boxes", "--rounds", "1"])
+    assert status == 1
+    assert "DISAGREEMENT: cube, boxes, 40: FCL, tree" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("count", [50, 500])
+def test_boxes_meet_as_many_others_as_wanted(form, count):
+    made = crowd(form, "mixed", count)
+    assert made.neighbours == pytest.approx(NEIGHBOURS, abs=0.3)
+    assert np.array_equal(made.positions, crowd(form, "mixed", count).positions)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "apart", "depth"),
+    [
+        (BOX, BOX, 0.9, 0.1),
+        (BOX, SPHERE, 0.75, 0.25),
+        (CYLINDER, CYLINDER, 0.8, 0.2),
+        (CYLINDER, SPHERE, 0.99, 0.01),
+        (BOX, CYLINDER, 0.5, 0.5),
+    ],
+)
+def test_the_referee(one, other, apart, depth):
+    places = np.array([[0.0, 0.0, 0.0], [apart, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    turns = np.array([[0.0, 0.0, 0.0, 1.0]] * 3)
+    three = Crowd([one, other], np.array([0, 1, 1]), places, turns, np.zeros((0, 2), int))
+    least, most = bounds(three, 0, 1, depth)
+    assert least <= depth + 1e-9
+    assert most >= depth - 1e-9
+    assert verdict(three, 0, 1, 0.9 * depth)
+    assert verdict(three, 0, 1, 1.1 * depth) is False
+    assert verdict(three, 0, 2, 1e-6) is False
+    assert may_touch(three, 0, 1, 1.1 * depth)
+    assert not may_touch(three, 0, 1, 0.9 * depth)
+    assert not may_touch(three, 0, 2, 0.1)
+
+
+def test_the_tables_of_recorded_time(capsys):
+    small = "--sizes 5 --ticks 20 --long 2000 --near 50 --gigabytes 0.002 --rounds 1"
+    assert recorded.main(small.split()) == 0
+    printed = capsys.readouterr().out
+    headers = (recorded.COST, recorded.BYTES, recorded.OVER, recorded.NEAR, recorded.OPENED)
+    for header in headers:
+        assert f"| {' | '.join(header)} |" in printed
+    assert printed.count("| 5 boxes |") == 2
+    assert printed.count("| opening") == 3
+
+
+def test_grids_and_rays(monkeypatch):
+    few = {
+        "map(0.22, 0.2)": adapters.Comparison(
+            f"{adapters.ALL} map(0.22, 0.2);", adapters.rays_down, "rays"
+        ),
+        "sensorgrid(0.24, 0.2)": adapters.Comparison(
+            "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.2);",
+            adapters.rays_from_sensors,
+            "rays",
+        ),
+    }
+    monkeypatch.setattr(adapters, "COMPARISONS", few)
+    monkeypatch.setattr(adapters, "ROUNDS", 1)
+    rows = list(adapters.rows())
+    assert [row[:2] for row in rows] == [
+        ("environment", ""),
+        ("map(0.22, 0.2)", "546"),
+        ("sensorgrid(0.24, 0.2)", "546"),
+    ]
+    assert all(len(row) == len(adapters.HEADER) for row in rows)
+
+
+@pytest.mark.parametrize("many", [1, 7, adapters.MOST_RAYS])
+def test_all_rays_are_cast(monkeypatch, many):
+    monkeypatch.setattr(adapters, "MOST_RAYS", many)
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        grid = ss.eval(f"{adapters.ALL} map(0.9, 0.5);")
+        hits = [hit for part in adapters.rays_down(kitchen, grid)() for hit in part]
+    assert len(hits) == grid.cells.size
+    assert sum(hit[0] >= 0 for hit in hits) > 0

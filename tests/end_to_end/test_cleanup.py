@@ -1,0 +1,319 @@
+"""The demo that cleans up the table, and what it is made of: reaching, keeping clear, planning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import ssduck
+from ssduck.demos.cleanup import ALLOWED, clean
+from ssduck.demos.motion import cleaner as cleaner_module
+from ssduck.demos.motion.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
+from ssduck.demos.motion.driving import FASTEST, SWIFTEST, legs, timed
+from ssduck.demos.motion.kinematics import KinematicChain
+from ssduck.demos.motion.obstacles import Obstacles, walls_of
+from ssduck.demos.motion.planning import length, plan, shortened
+from ssduck.demos.motion.spaces import wrapped
+from ssduck.simulators.scenes import find_scene
+from ssduck.world.world import World
+
+pytestmark = pytest.mark.slow
+
+FEW = ("barrett_4918", "kitchen", "chair_12d0", "chair_6b56", "table", "sink", "cup_58a2")
+
+
+def kitchen_of(names):
+    """The kitchen with these things only: what is not there takes no time."""
+    scene = find_scene("kitchen")
+    bodies = tuple(body for body in scene.bodies if body.name in names)
+    return World.load(replace(scene, bodies=bodies, sensors=()))
+
+
+@pytest.fixture(scope="module")
+def few():
+    with ssduck.Interpreter() as ss:
+        yield ss, ss.add_variable("kitchen", kitchen_of(FEW))
+
+
+@pytest.fixture(scope="module")
+def barrett(few):
+    return few[1]["barrett_4918"]
+
+
+@pytest.fixture(scope="module")
+def chain(barrett):
+    return KinematicChain.of(barrett)
+
+
+def postures(chain, count, seed):
+    """Random postures of the arm."""
+    arm = chain.columns(ARM)
+    rng = np.random.default_rng(seed)
+    found = np.zeros((count, len(chain.names)))
+    found[:, arm] = rng.uniform(chain.lower[arm], chain.upper[arm], (count, len(arm)))
+    return found
+
+
+# -- reaching ------------------------------------------------------------------------------------
+
+
+def test_frames_are_those_of_a_what_if_world(chain, barrett):
+    base, _ = chain.now(barrett)
+    all_of = postures(chain, 6, 1)
+    frames = chain.frames(np.tile(base, (6, 1, 1)), all_of)
+    for posture, frame in zip(all_of, frames, strict=True):
+        joints = dict(zip(chain.names, posture, strict=True))
+        there = barrett.world.what_if(joints={barrett.name: joints})[barrett.name]
+        assert frame[:, :3, 3] == pytest.approx(
+            np.array([link.position for link in there.links]), abs=1e-9
+        )
+
+
+def test_reaching_what_is_in_reach(chain, barrett):
+    base, now = chain.now(barrett)
+    arm, hand = chain.columns(ARM), chain.link("arm7")
+    shoulder = base[:3, 3] + [-0.1, 0.0, 0.28]
+    goal = [*(shoulder + [0.3, 0.3, 0.0]), 0.0, 0.0, -1.0]
+    starts = postures(chain, 32, 2)
+    bases = np.tile(base, (32, 1, 1))
+    found, solved = chain.reach(bases, starts, arm, hand, GRIP, np.tile(goal, (32, 1)))
+    assert solved.sum() >= 8
+    frames = chain.frames(bases, found)[solved, hand]
+    assert frames[:, :3, 3] + frames[:, :3, :3] @ GRIP == pytest.approx(
+        np.tile(goal[:3], (solved.sum(), 1)), abs=1e-3
+    )
+    assert frames[:, 2, 2] == pytest.approx(-1.0, abs=1e-5)
+    assert (found[:, arm] >= chain.lower[arm]).all()
+    assert (found[:, arm] <= chain.upper[arm]).all()
+    others = np.setdiff1d(np.arange(len(now)), arm)
+    assert (found[:, others] == starts[:, others]).all()
+
+
+def test_what_is_out_of_reach_is_not_solved(chain, barrett):
+    base, _ = chain.now(barrett)
+    goals = np.tile([*(base[:3, 3] + [1.5, 0.0, 0.3]), 0.0, 0.0, -1.0], (16, 1))
+    starts = postures(chain, 16, 3)
+    arm, hand = chain.columns(ARM), chain.link("arm7")
+    _, solved = chain.reach(np.tile(base, (16, 1, 1)), starts, arm, hand, GRIP, goals)
+    assert not solved.any()
+
+
+# -- keeping clear -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.02, 0.1])
+def test_clear_is_what_clearances_say(few, barrett, chain, apart):
+    """Of the narrow phase, body by body, in what-if worlds: an oracle one posture at a time."""
+    ss, world = few
+    others = [world[name] for name in ("table", "sink", "chair_12d0", "cup_58a2")]
+    near_the_table = np.eye(4)
+    near_the_table[:3, 3] = 0.8, 1.12, barrett.position[2]
+    all_of = postures(chain, 20, 4)
+    rng = np.random.default_rng(5)  # bent over the table
+    all_of[:, chain.columns(["j1"])] = rng.uniform(-2.2, -0.8, (20, 1))
+    all_of[:, chain.columns(["j2"])] = rng.uniform(0.6, 1.5, (20, 1))
+    around = Obstacles(chain, barrett, [wall for other in others for wall in walls_of(other)])
+    found = around.clear(np.tile(near_the_table, (20, 1, 1)), all_of, apart)
+    expected = []
+    for posture in all_of:
+        joints = dict(zip(chain.names, posture, strict=True))
+        pose = [1, 0, 0, 0, *near_the_table[:3, 3]]
+        maybe = world.what_if({barrett.name: pose}, {barrett.name: joints})
+        ss.add_variable("maybe", maybe)
+        least = ss.sql(
+            "SELECT min(maybe.clearance(a, b)) FROM maybe.entities a, maybe.entities b "
+            "WHERE a.name = 'barrett_4918' AND list_contains(?, b.name)",
+            [[other.name for other in others]],
+        ).fetchall()[0][0]
+        expected.append(least > apart)
+    assert found.tolist() == expected
+    assert 0 < sum(expected) < 20, "some are, and some are not"
+
+
+def test_an_arm_that_would_be_in_the_base_is_not_clear(barrett, chain):
+    around = Obstacles(chain, barrett, (), hand=chain.beyond("arm7"))
+    base, now = chain.now(barrett)
+    inside = now.copy()
+    inside[chain.columns(["j1", "j2", "j4"])] = 0.0, 2.0, 1.6
+    both = np.array([now, inside])
+    moving = chain.beyond("arm1")
+    bases = np.tile(base, (2, 1, 1))
+    assert around.clear(bases, both, 0.01, moving=moving, itself=0.01).tolist() == [True, False]
+    assert around.clear(bases, both, 0.01, moving=moving).tolist() == [True, True]
+
+
+# -- planning ------------------------------------------------------------------------------------
+
+
+@dataclass
+class Plane:
+    """A square of 2 m with a wall across that has a gap."""
+
+    gap: float
+    looked_at: list = field(default_factory=list)
+
+    def sample(self, rng):
+        return rng.uniform(-1.0, 1.0, 2)
+
+    def distances(self, here, others):
+        return np.linalg.norm(others - here, axis=1)
+
+    def way(self, here, there):
+        count = max(2, int(np.linalg.norm(there - here) / 0.02) + 2)
+        return here + np.linspace(0.0, 1.0, count)[:, None] * (there - here)
+
+    def clear(self, postures):
+        self.looked_at.append(len(postures))
+        in_wall = np.abs(postures[:, 0]) < 0.1
+        return ~in_wall | (np.abs(postures[:, 1] - 0.8) < self.gap / 2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_path_through_a_gap(seed):
+    plane, rng = Plane(0.2), np.random.default_rng(seed)
+    start, goal = np.array([-0.8, -0.8]), np.array([0.8, -0.8])
+    path = plan(plane, start, goal, rng, 2000, 0.3)
+    assert path[0] == pytest.approx(start)
+    assert path[-1] == pytest.approx(goal)
+    for one in (path, shortened(plane, path, rng, 100)):
+        assert plane.clear(one).all()
+        assert max(np.linalg.norm(b - a) for a, b in pairwise(one)) < 0.0201
+        # The shortest one goes by the edges of the gap.
+        assert length(plane, one) > 2 * np.hypot(0.7, 1.5)
+    assert length(plane, one) < 1.2 * (2 * np.hypot(0.7, 1.5) + 0.2)
+
+
+def test_what_is_straight_ahead_is_not_searched_for():
+    plane = Plane(3.6)
+    path = plan(plane, np.array([-0.8, 0.0]), np.array([0.8, 0.0]), np.random.default_rng(1), 9, 1)
+    assert length(plane, path) == pytest.approx(1.6)
+    assert len(plane.looked_at) == 3
+
+
+@pytest.mark.parametrize("end", [(0.0, 0.0), (0.8, 0.0)])
+def test_no_path_is_none(end):
+    rng = np.random.default_rng(1)
+    assert plan(Plane(0.0), np.array([-0.8, 0.0]), np.array(end), rng, 50, 0.3) is None
+
+
+# -- moving --------------------------------------------------------------------------------------
+
+
+def test_a_path_in_time_is_no_faster_than_allowed():
+    corner = np.concatenate((np.linspace((0, 0), (1, 0), 60), np.linspace((1, 0), (1, 2), 90)))
+    clock, path = timed(corner)
+    assert clock[0] == 0.0
+    assert path[-1] == pytest.approx([1, 2])
+    speeds = np.abs(np.diff(path, axis=0)).max(axis=1) / np.diff(clock)
+    assert (np.diff(clock) > 0).all()
+    assert speeds.max() <= FASTEST * (1 + 1e-9)
+    assert speeds.max() > 0.9 * FASTEST
+    middle = (clock[1:] + clock[:-1]) / 2
+    changes = np.abs(np.diff(speeds) / np.diff(middle))
+    assert changes.max() < 1.5 * SWIFTEST
+    assert speeds[58:61].min() < 0.4 * FASTEST  # it slows down for the corner
+
+
+def test_a_path_that_stays_takes_no_time():
+    clock, path = timed(np.zeros((4, 7)))
+    assert clock.tolist() == [0.0]
+    assert path.shape == (1, 7)
+
+
+def test_legs_end_where_turning_and_rolling_change():
+    ahead = [(x, 0.0, 0.0) for x in np.linspace(0, 1, 9)]
+    turn = [(1.0, 0.0, a) for a in np.linspace(0, 3.0, 9)[1:]]
+    back = [(1.0 + r * np.cos(3.0), r * np.sin(3.0), 3.0) for r in np.linspace(0, -0.5, 5)[1:]]
+    on = [(*p[:2], 3.0) for p in back[-2::-1]]
+    found = legs(np.array([*ahead, *turn, *back, *on]))
+    # A turn of more than 2.5 rad is two.
+    assert [turns for _, turns in found] == [False, True, True, False, False]
+    assert found[0][0] == pytest.approx(ahead[-1])
+    assert found[2][0] == pytest.approx(turn[-1])
+    assert found[3][0] == pytest.approx(back[-1])
+
+
+@pytest.mark.parametrize(
+    ("angle", "same"), [(0.5, 0.5), (np.pi + 0.5, 0.5 - np.pi), (-7.0, 2 * np.pi - 7.0)]
+)
+def test_wrapped(angle, same):
+    assert wrapped(angle) == pytest.approx(same)
+
+
+# -- the demo ------------------------------------------------------------------------------------
+
+
+def test_a_cup_is_taken_to_the_sink(tmp_path):
+    said = []
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("kitchen", kitchen_of(FEW))
+        cup = world["cup_58a2"]
+        outcome = clean(ss, tmp_path, said.append, seed=1)
+        low, high = world["sink"].aabb
+        assert (np.array(cup.position[:2]) >= low[:2]).all()
+        assert (np.array(cup.position[:2]) <= high[:2]).all()
+        # Nothing is put elsewhere: nothing goes faster between two ticks than 3 m/s.
+        fastest = """
+            SELECT max(sqrt((h.x - g.x)**2 + (h.y - g.y)**2 + (h.z - g.z)**2) / (h.time - g.time))
+            FROM entities_history h JOIN entities_history g ON h.name = g.name
+            WHERE h.tick - g.tick BETWEEN 1 AND 8 AND h.time > g.time
+            AND h.name IN ('cup_58a2', 'barrett_4918')"""
+        assert 0.1 < ss.sql(fastest).fetchall()[0][0] < 3.0
+    assert outcome.succeeded
+    assert outcome.cups == outcome.washed == ["cup_58a2"]
+    assert outcome.left == []
+    assert outcome.deepest <= ALLOWED
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [
+        "cleanup_0_before.png",
+        "cleanup_1_holding_cup_58a2.png",
+        "cleanup_2_after.png",
+    ]
+    assert any("On the table: no cup" in line for line in said)
+
+
+def test_a_cup_that_cannot_be_dropped_is_put_back():
+    world = kitchen_of(FEW)
+    cup = world["cup_58a2"]
+    before = np.array(cup.position)
+    cleaner = Cleaner(world["barrett_4918"], np.random.default_rng(1), lambda: None)
+    cleaner.prepare()
+    far = np.array([0.35, 3.5, 0.8])  # behind the wall
+    assert not cleaner.can_drop(cup, [far])
+    assert cleaner.can_drop(cup, [np.array([0.35, 2.0, 0.8])])
+    assert cleaner.held is None
+    cleaner.pick(cup)
+    assert cup.position[2] > before[2] + 0.05
+    with pytest.raises(Failed, match="no place to stand"):
+        cleaner.drop([far], FALLS[:1])
+    assert cleaner.held is not None  # it does not let go of it elsewhere
+    assert cup.position[2] > before[2] + 0.05
+    cleaner.recover()
+    world.step(120)
+    assert cleaner.held is None
+    assert cup.position == pytest.approx(before, abs=0.02)
+    tilt = 2 * np.linalg.norm(cup.orientation[1:3])
+    assert tilt < 0.02  # upright
+
+
+def test_what_cannot_be_reached_is_said(monkeypatch):
+    monkeypatch.setattr(cleaner_module, "PLACES", 200)  # there is none, however many are tried
+    said = []
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("kitchen", kitchen_of([*FEW, "plate_fa76"]))
+        x, y, _ = world["cup_58a2"].position
+        world["plate_fa76"].move([x, y, 1.081])  # a lid
+        world.step(60)
+        outcome = clean(ss, None, said.append, seed=1)
+    assert not outcome.succeeded
+    assert outcome.left == ["cup_58a2"]
+    assert outcome.washed == []
+    assert set(outcome.trouble["cup_58a2"]) == {
+        "there is no place to stand from which the arm reaches it"
+    }
+    last = "\n".join(said[-4:])
+    assert "On the table: cup_58a2" in last
+    assert "cup_58a2 is not in the sink, but at (0.61, 0.45, 0.92)" in last

@@ -1,0 +1,209 @@
+"""What the README and the manual show is run, and what comes from the code is up to date."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import ssduck
+from ssduck.language.parser import parse
+from tests.support.timing import HANGS
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(language):
+    """The fenced blocks of a language, by page."""
+    found = {}
+    for page in PAGES:
+        texts = [
+            text
+            for name, text in FENCE.findall(page.read_text(encoding="utf-8"))
+            if name == language
+        ]
+        if texts:
+            found[page.name] = texts
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("page", "texts"), blocks("python").items())
+def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    namespace = {}
+    for text in texts:
+        exec(compile(text, page, "exec"), namespace)  # noqa: S102
+    for value in list(namespace.values()):
+        if isinstance(value, ssduck.Interpreter):
+            value.close()
+    printed = capsys.readouterr().out.strip()
+    for shown in blocks("text").get(page, ()):
+        assert shown.strip() in printed
+
+
+# What README's first command does not install; `python` runs a text without it.
+EXTRAS = ("clingo", "coal", "hypothesis", "matplotlib", "networkx", "pandas", "polars", "pydot")
+BARE = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {EXTRAS}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Missing())
+"""
+
+
+def run_bare(text, folder):
+    """Run Python without the extras, in a process of its own: its output, or its last words."""
+    done = subprocess.run(
+        [sys.executable, "-c", BARE + text],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=HANGS,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_readme_runs_as_its_first_command_leaves_it(tmp_path):
+    """Without pandas and other extras; and once more in the same folder."""
+    text = "\n".join(blocks("python")["README.md"])
+    for _ in range(2):
+        run_bare(text, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("call", "extra"),
+    [
+        ("ss.sql('SELECT 1').df()", "pandas"),
+        ("ss.sql('SELECT 1').pl()", "polars"),
+        ("ss.eval('SELECT this FROM [1] AS df;')", "pandas"),
+        ("ss.eval('SELECT this FROM [1] AS polars;')", "polars"),
+        ("ss.eval('SELECT this FROM [1] AS table;').df()", "pandas"),
+    ],
+)
+def test_a_library_that_is_missing_is_named(tmp_path, call, extra):
+    told = run_bare(
+        f"""
+import ssduck
+with ssduck.Interpreter() as ss:
+    try:
+        {call}
+    except ssduck.SelectScriptError as error:
+        print(type(error).__name__, error)
+""",
+        tmp_path,
+    )
+    assert told.startswith("UnsupportedError "), told
+    assert f"pip install 'ssduck[{extra}]'" in told
+    assert len(told.splitlines()) == 1 or "^" in told.splitlines()[-1]
+
+
+SHOWN = re.compile(r"^;?[ \t]*\n?[ \t]*# -> (.*)")
+
+
+def examples(text):
+    """The statements of a block, each with the value that is shown behind it, if there is one."""
+    program = parse(text)
+    if program.explain:
+        return [(text, None)]
+    return [
+        (text[s.span.start : s.span.end] + ";", SHOWN.match(text[s.span.end :]))
+        for s in program.statements
+    ]
+
+
+@pytest.mark.parametrize(("page", "texts"), blocks("selectscript").items())
+def test_selectscript_examples_run(page, texts):
+    with ssduck.load("kitchen") as ss:
+        for text in texts:
+            for part, shown in examples(text):
+                value = ss.eval(part)
+                if shown is None:
+                    assert value not in (None, [], {}), f"{page}: an example that shows nothing"
+                else:
+                    expected = ast.literal_eval(shown[1])
+                    assert rounded(value) == expected, f"{page}: {part}"
+                    assert type(value) is type(expected)
+
+
+def rounded(value):
+    """With all floats as short as the manual shows them."""
+    if isinstance(value, float):
+        return round(value, 9)
+    if isinstance(value, list):
+        return [rounded(element) for element in value]
+    if isinstance(value, dict):
+        return {key: rounded(element) for key, element in value.items()}
+    return value
+
+
+def test_values_that_the_readme_shows():
+    """`expression  # value` lines are true."""
+    with ssduck.load("kitchen") as ss:
+        rows = ss.eval(
+            "table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;"
+            "SELECT id, z FROM kitchen WHERE above(table, this) AND volume(this) < 0.001 ORDER BY z DESC;"
+        )
+        assert rows[0]["id"] == "plate_835a"
+        assert rows[0]["z"] == pytest.approx(0.922)
+        assert ss.eval("SELECT id FROM kitchen WHERE z(this) > 1.6 AS list;") == [
+            "pin_a091",
+            "pin_c671",
+        ]
+
+
+def test_the_guard_against_an_empty_run():
+    assert sum(map(len, blocks("python").values())) >= 8
+    assert sum(map(len, blocks("selectscript").values())) >= 4
+
+
+@pytest.mark.parametrize("text", [t for texts in blocks("toml").values() for t in texts])
+def test_toml_examples_parse(text):
+    assert tomllib.loads(text)
+
+
+@pytest.mark.parametrize("tool", ["write_reference.py", "build_kitchen.py"])
+def test_what_is_generated_is_up_to_date(tool):
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / tool), "--check"],
+        cwd=ROOT,
+        env={"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+        if not target.startswith("https://"):
+            assert (page.parent / target).exists(), target
+
+
+def test_every_module_is_in_the_manual():
+    page = (ROOT / "docs" / "how-it-works.md").read_text(encoding="utf-8")
+    package = ROOT / "ssduck"
+    paths = {path.relative_to(package).as_posix() for path in package.rglob("*.py")}
+    modules = {path for path in paths if "__" not in path}
+    assert len(modules) > 100
+    # What is added to by a module each is in the manual as a folder.
+    families = ("adapters/", "demos/", "simulators/pybullet/", "sql/relations/")
+    assert all(f"`{folder}`" in page for folder in families)
+    missing = {name for name in modules if f"`{name}`" not in page}
+    assert {name for name in missing if not name.startswith(families)} <= {"errors.py"}

@@ -1,0 +1,489 @@
+"""Poses against scipy's rotations; boxes against every vertex, and against dense sampling."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from ssduck.geometry import mesh_files
+from ssduck.geometry.bounds import Boxer
+from ssduck.geometry.mesh_files import load_hulls, load_mesh
+from ssduck.geometry.poses import (
+    IDENTITY,
+    compose,
+    cross,
+    invert,
+    multiply,
+    rotate,
+    rotation_matrices,
+)
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from tests.support.urdf import box_obj
+
+coordinates = st.floats(-50.0, 50.0)
+lengths = st.floats(1e-3, 20.0)
+vectors = st.tuples(coordinates, coordinates, coordinates).map(np.array)
+quaternions = (
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4)
+    .map(np.array)
+    .filter(lambda q: np.linalg.norm(q) > 0.1)
+    .map(lambda q: q / np.linalg.norm(q))
+)
+
+
+def of(quaternion):
+    """scipy's rotation of w, x, y, z."""
+    return Rotation.from_quat(np.roll(quaternion, -1))
+
+
+def turned(seed, count=1):
+    """Random unit quaternions (n, 4)."""
+    return np.roll(Rotation.random(count, random_state=seed).as_quat(), 1, axis=1)
+
+
+# -- poses ------------------------------------------------------------------------------------
+
+
+@given(quaternions)
+def test_rotation_matrices(quaternion):
+    matrix = rotation_matrices(quaternion[None])[0]
+    assert matrix == pytest.approx(of(quaternion).as_matrix(), abs=1e-14)
+
+
+@given(quaternions, quaternions)
+def test_multiply(first, second):
+    product = multiply(first[None], second[None])[0]
+    assert rotation_matrices(product[None])[0] == pytest.approx(
+        (of(first) * of(second)).as_matrix(), abs=1e-14
+    )
+    assert np.linalg.norm(product) == pytest.approx(1.0, abs=1e-14)
+
+
+@given(vectors, vectors)
+def test_cross(first, second):
+    assert cross(first[None], second[None])[0] == pytest.approx(np.cross(first, second), abs=1e-11)
+
+
+@given(vectors, quaternions, vectors, quaternions, vectors)
+def test_compose_is_one_pose_after_the_other(position, orientation, inner, turn, point):
+    outer_position, outer_turn = compose(position[None], orientation[None], inner[None], turn[None])
+    by_two = of(orientation).apply(of(turn).apply(point) + inner) + position
+    by_one = of(outer_turn[0]).apply(point) + outer_position[0]
+    assert by_one == pytest.approx(by_two, abs=1e-11)
+
+
+@given(vectors, quaternions)
+def test_invert_undoes_a_pose(position, orientation):
+    pose = position[None], orientation[None]
+    place, turn = compose(*invert(*pose), *pose)
+    assert place[0] == pytest.approx(np.zeros(3), abs=1e-12)
+    assert rotation_matrices(turn)[0] == pytest.approx(np.eye(3), abs=1e-14)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7])
+def test_poses_of_many_rows_are_those_of_each_row(count):
+    first, second = turned(1, count + 1)[:count], turned(2, count + 1)[:count]
+    points = np.random.default_rng(3).normal(size=(count, 3))
+    rows = range(count)
+    matrices = rotation_matrices(first)
+    assert matrices.shape == (count, 3, 3)
+    assert rotate(matrices, points) == pytest.approx(
+        np.array([of(first[row]).apply(points[row]) for row in rows]).reshape(-1, 3)
+    )
+    assert multiply(first, second) == pytest.approx(
+        np.array([multiply(first[[row]], second[[row]])[0] for row in rows]).reshape(-1, 4)
+    )
+
+
+# -- boxes ------------------------------------------------------------------------------------
+
+BOX = Geometry.primitive("box", (0.4, 0.2, 1.0))
+SPHERE = Geometry.primitive("sphere", (0.3, 0, 0))
+CAPSULE = Geometry.primitive("capsule", (0.1, 0.7, 0))
+CYLINDER = Geometry.primitive("cylinder", (0.25, 0.6, 0))
+PLANE = Geometry.primitive("plane", (0, 0, 1))
+HULL = Geometry.hull(np.random.default_rng(5).normal(size=(40, 3)))
+FLAT = Geometry.hull([[x, y, 0.0] for x in range(4) for y in range(4)])
+MESH = replace(
+    Geometry.hull([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]]),
+    type="mesh",
+    faces=np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3]], dtype=np.int32),
+)
+SOLID = {
+    "box": BOX,
+    "sphere": SPHERE,
+    "capsule": CAPSULE,
+    "cylinder": CYLINDER,
+    "hull": HULL,
+    "flat hull": FLAT,
+    "mesh": MESH,
+}
+
+
+def samples(shape):
+    """Points of a shape's surface, (n, 3): all its corners, or a grid of its curved parts."""
+    a, b, c = shape.size
+    round_ = np.linspace(0.0, 2.0 * math.pi, 721)
+    circle = np.stack([np.cos(round_), np.sin(round_), np.zeros_like(round_)], axis=1)
+    up = np.array([0.0, 0.0, 1.0])
+    steep = np.linspace(-math.pi / 2, math.pi / 2, 361)
+    ball = np.concatenate([circle * math.cos(s) + up * math.sin(s) for s in steep])
+    match shape.type:
+        case "box":
+            return np.array([[x, y, z] for x in (-a, a) for y in (-b, b) for z in (-c, c)]) / 2
+        case "sphere":
+            return ball * a
+        case "capsule":
+            return np.concatenate([ball * a + up * b / 2, ball * a - up * b / 2])
+        case "cylinder":
+            return np.concatenate([circle * a + up * b / 2, circle * a - up * b / 2])
+    return shape.vertices
+
+
+# How far between two samples of a circle of that radius its highest point can be.
+def coarseness(shape):
+    fine = shape.type in ("box", "hull", "mesh")
+    return 1e-12 if fine else shape.size[0] * (1.0 - math.cos(math.pi / 360)) + 1e-12
+
+
+def boxed(shapes, groups, count, positions, orientations):
+    """The boxes as (groups, 2, 3): lower and upper corners."""
+    boxes = Boxer(shapes, groups, count).boxes(positions, rotation_matrices(orientations))
+    return boxes.T.reshape(-1, 2, 3)
+
+
+@pytest.mark.parametrize("name", SOLID)
+@pytest.mark.parametrize("seed", range(6))
+def test_box_of_a_shape_against_its_points(name, seed):
+    shape = SOLID[name]
+    rng = np.random.default_rng(seed)
+    frame, place = rng.normal(size=(2, 3))
+    frame_turn, turn = turned(seed, 2)
+    found = boxed([PlacedGeometry(0, shape, place, turn)], [0], 1, frame[None], frame_turn[None])[0]
+    points = of(frame_turn).apply(of(turn).apply(samples(shape)) + place) + frame
+    low, high = points.min(axis=0), points.max(axis=0)
+    # No sample lies outside, and none could be farther inside than the sampling is coarse.
+    assert np.all(found[0] <= low + 1e-12)
+    assert np.all(found[1] >= high - 1e-12)
+    assert found[0] == pytest.approx(low, abs=coarseness(shape))
+    assert found[1] == pytest.approx(high, abs=coarseness(shape))
+
+
+@pytest.mark.parametrize("name", SOLID)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_box_of_a_shape_along_an_axis_is_exact(name, axis):
+    """Where its z axis is along an axis of the world, a shape's box is known in closed form."""
+    shape = SOLID[name]
+    x, y, z = shape.size
+    half = {
+        "box": (x / 2, y / 2, z / 2),
+        "sphere": (x, x, x),
+        "capsule": (x, x, x + y / 2),
+        "cylinder": (x, x, y / 2),
+    }.get(shape.type)
+    points = shape.vertices if half is None else np.array([half, half]) * [[-1], [1]]
+    low, high = points.min(axis=0), points.max(axis=0)
+    # Cyclic: z goes to the axis, x and y to the next two.
+    quaternion = [IDENTITY, np.array([0.5, 0.5, 0.5, 0.5]), np.array([0.5, -0.5, -0.5, -0.5])]
+    turn = quaternion[(axis + 1) % 3]
+    shift = (axis + 1) % 3
+    found = boxed(
+        [PlacedGeometry(0, shape, np.zeros(3), turn)], [0], 1, np.zeros((1, 3)), IDENTITY[None]
+    )
+    assert found[0] == pytest.approx(
+        np.array([np.roll(low, shift), np.roll(high, shift)]), abs=1e-15
+    )
+
+
+def scattered(seed):
+    """Shapes of all kinds on three frames, in five groups of which one is empty."""
+    rng = np.random.default_rng(seed)
+    kinds = list(SOLID.values())
+    chosen = [kinds[index] for index in rng.integers(0, len(kinds), 25)]
+    frames = rng.integers(0, 3, 25)
+    groups = rng.choice([0, 1, 3, 4], 25)
+    shapes = [
+        PlacedGeometry(int(frame), shape, rng.normal(size=3), turn)
+        for frame, shape, turn in zip(frames, chosen, turned(seed, 25), strict=True)
+    ]
+    return shapes, groups.tolist(), rng.normal(size=(3, 3)), turned(seed + 100, 3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_box_of_a_group_is_that_of_its_shapes(seed):
+    shapes, groups, positions, orientations = scattered(seed)
+    found = boxed(shapes, groups, 5, positions, orientations)
+    each = boxed(shapes, range(25), 25, positions, orientations)
+    for group in set(groups):
+        members = [row for row, owner in enumerate(groups) if owner == group]
+        assert found[group][0] == pytest.approx(each[members, 0].min(axis=0), abs=1e-12)
+        assert found[group][1] == pytest.approx(each[members, 1].max(axis=0), abs=1e-12)
+    for empty in set(range(5)) - set(groups):
+        assert found[empty].tolist() == [[math.inf] * 3, [-math.inf] * 3]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_same_boxes_for_one_pose_after_another(seed):
+    """What a Boxer works out once does not depend on the poses it saw."""
+    shapes, groups, positions, orientations = scattered(seed)
+    boxer = Boxer(shapes, groups, 5)
+    boxer.boxes(positions + 7.0, rotation_matrices(turned(9, 3)))
+    again = boxer.boxes(positions, rotation_matrices(orientations)).T.reshape(-1, 2, 3)
+    assert again.tolist() == boxed(shapes, groups, 5, positions, orientations).tolist()
+
+
+@given(vectors, st.sampled_from(sorted(SOLID)), quaternions)
+def test_a_shifted_shape_has_a_shifted_box(shift, name, turn):
+    shape = [PlacedGeometry(0, SOLID[name], np.array([0.1, -0.2, 0.3]), turn)]
+    here = boxed(shape, [0], 1, np.zeros((1, 3)), IDENTITY[None])[0]
+    there = boxed(shape, [0], 1, shift[None], IDENTITY[None])[0]
+    assert there == pytest.approx(here + shift, abs=1e-12)
+
+
+@given(quaternions, quaternions, vectors)
+def test_a_shape_turned_in_its_frame_is_one_in_a_turned_frame(frame, turn, place):
+    inside = [PlacedGeometry(0, CYLINDER, place, turn)]
+    whole = of(frame) * of(turn)
+    alone = [PlacedGeometry(0, CYLINDER, of(frame).apply(place), np.roll(whole.as_quat(), 1))]
+    assert boxed(inside, [0], 1, np.zeros((1, 3)), frame[None]) == pytest.approx(
+        boxed(alone, [0], 1, np.zeros((1, 3)), IDENTITY[None]), abs=1e-11
+    )
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_groups_without_shapes(count):
+    found = boxed([], [], count, np.zeros((2, 3)), np.tile(IDENTITY, (2, 1)))
+    assert found.tolist() == [[[math.inf] * 3, [-math.inf] * 3]] * count
+
+
+def test_a_frame_that_is_nowhere_has_no_box_and_spoils_no_other():
+    shapes = [
+        PlacedGeometry(frame, shape, np.zeros(3), IDENTITY)
+        for frame, shape in ((0, BOX), (1, CYLINDER), (2, SPHERE))
+    ]
+    orientations = np.tile(IDENTITY, (3, 1))
+    orientations[1] = np.nan
+    found = boxed(shapes, [0, 1, 2], 3, np.zeros((3, 3)), orientations)
+    assert np.isnan(found).any(axis=(1, 2)).tolist() == [False, True, False]
+
+
+# (normal in the frame, orientation of the frame, corners of the box of a plane through (1, 2, 3))
+INF = math.inf
+HALF = math.sqrt(0.5)
+PLANES = [
+    ((0, 0, 1), (1, 0, 0, 0), [[-INF] * 3, [INF, INF, 3]]),
+    ((0, 0, -1), (1, 0, 0, 0), [[-INF, -INF, 3], [INF] * 3]),
+    ((1, 0, 0), (1, 0, 0, 0), [[-INF] * 3, [1, INF, INF]]),
+    ((0, -1, 0), (1, 0, 0, 0), [[-INF, 2, -INF], [INF] * 3]),
+    ((0, 0, 1), (HALF, HALF, 0, 0), [[-INF, 2, -INF], [INF] * 3]),
+    ((0, 0, 1), (HALF, 0, HALF, 0), [[-INF] * 3, [1, INF, INF]]),
+    # A plane that is tilted, be it little, reaches everywhere.
+    ((HALF, 0, HALF), (1, 0, 0, 0), [[-INF] * 3, [INF] * 3]),
+    ((0, 0, 1), (math.cos(1e-3), math.sin(1e-3), 0, 0), [[-INF] * 3, [INF] * 3]),
+    ((1.1e-9, 0, 1), (1, 0, 0, 0), [[-INF] * 3, [INF] * 3]),
+    ((0.9e-9, 0, 1), (1, 0, 0, 0), [[-INF] * 3, [INF, INF, 3]]),
+]
+
+
+@pytest.mark.parametrize(("normal", "turn", "corners"), PLANES)
+def test_box_of_a_plane(normal, turn, corners):
+    plane = PlacedGeometry(0, Geometry.primitive("plane", normal), np.zeros(3), IDENTITY)
+    found = boxed([plane], [0], 1, np.array([[1.0, 2.0, 3.0]]), np.array([turn]))
+    assert found[0] == pytest.approx(np.array(corners, dtype=float), abs=1e-12)
+
+
+def test_a_plane_and_a_box_above_it_in_one_group():
+    plane = PlacedGeometry(0, PLANE, np.zeros(3), IDENTITY)
+    box = PlacedGeometry(0, BOX, np.array([0.0, 0.0, 4.0]), IDENTITY)
+    found = boxed([plane, box], [0, 0], 2, np.zeros((1, 3)), IDENTITY[None])
+    assert found[0].tolist() == [[-INF] * 3, [INF, INF, 4.5]]
+    assert found[1].tolist() == [[INF] * 3, [-INF] * 3]
+
+
+def test_a_plane_that_is_nowhere_has_no_box():
+    plane = PlacedGeometry(0, PLANE, np.zeros(3), IDENTITY)
+    found = boxed([plane], [0], 1, np.full((1, 3), np.nan), IDENTITY[None])
+    assert np.isnan(found).all()
+
+
+def test_a_hull_of_no_points_has_no_box():
+    shapes = [PlacedGeometry(0, shape, np.zeros(3), IDENTITY) for shape in (Geometry.hull([]), BOX)]
+    found = boxed(shapes, [0, 1], 2, np.zeros((1, 3)), IDENTITY[None])
+    assert found[0].tolist() == [[INF] * 3, [-INF] * 3]
+    assert found[1].tolist() == [[-0.2, -0.1, -0.5], [0.2, 0.1, 0.5]]
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 15, 16, 17, 100])
+def test_hulls_of_few_and_of_many_points(count):
+    """Points are turned in bunches: the last one is not to be lost, nor a bunch to be mixed up."""
+    points = np.random.default_rng(count).normal(size=(count, 3))
+    shapes = [
+        PlacedGeometry(0, Geometry.hull(points), np.zeros(3), IDENTITY),
+        PlacedGeometry(1, Geometry.hull(points[::-1] * 2), np.zeros(3), IDENTITY),
+    ]
+    turns = turned(count, 2)
+    found = boxed(shapes, [0, 1], 2, np.zeros((2, 3)), turns)
+    for row, factor in ((0, 1), (1, 2)):
+        world = of(turns[row]).apply(points * factor)
+        assert found[row] == pytest.approx(
+            np.array([world.min(axis=0), world.max(axis=0)]), abs=1e-12
+        )
+
+
+# -- equal geometries --------------------------------------------------------------------------
+
+DIFFERENT = {
+    **SOLID,
+    "plane": PLANE,
+    "another box": Geometry.primitive("box", (0.4, 0.2, 1.0 + 1e-15)),
+    "a cylinder as a capsule": replace(CYLINDER, type="capsule"),
+    "a hull of the mesh's points": Geometry.hull(MESH.vertices),
+    "the mesh less a face": replace(MESH, faces=MESH.faces[:2]),
+    "the mesh with a face turned": replace(MESH, faces=MESH.faces[:, ::-1].copy()),
+}
+
+
+def test_geometries_have_equal_keys_if_they_are_equal():
+    keys = {shape.key for shape in DIFFERENT.values()}
+    assert len(keys) == len(DIFFERENT)
+    for shape in DIFFERENT.values():
+        copy = replace(shape, vertices=shape.vertices.copy(), faces=shape.faces.copy())
+        assert copy.key == shape.key
+
+
+# -- mesh files -------------------------------------------------------------------------------
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def binary_stl(triangles):
+    body = b"".join(
+        struct.pack("<12fH", 0, 0, 0, *[x for corner in triangle for x in corner], 0)
+        for triangle in triangles
+    )
+    return b"\0" * 80 + struct.pack("<I", len(triangles)) + body
+
+
+def test_the_triangles_of_an_obj_file(write):
+    mesh = load_mesh(write("a.obj", TETRAHEDRON), (1.0, 1.0, 1.0))
+    assert mesh.type == "mesh"
+    assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]]
+    assert mesh.faces.tolist() == [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+
+
+OBJ_FACES = [
+    ("f 1 2 3", [[0, 1, 2]]),
+    ("f 1/5 2/6 3/7", [[0, 1, 2]]),
+    ("f 1/5/9 2/6/9 3/7/9", [[0, 1, 2]]),
+    ("f 1//9 2//9 3//9", [[0, 1, 2]]),
+    ("f -4 -3 -2", [[0, 1, 2]]),
+    ("f 1 2 3 4", [[0, 1, 2], [0, 2, 3]]),
+    ("f 1 2 3 4 # a comment, and a line", [[0, 1, 2], [0, 2, 3]]),
+    ("usemtl red\nf 1 2 3\nusemtl blue\nf 2 3 4", [[0, 1, 2], [1, 2, 3]]),
+]
+
+
+@pytest.mark.parametrize(("faces", "triangles"), OBJ_FACES)
+def test_the_ways_to_write_an_obj_face(write, faces, triangles):
+    text = (
+        "# a cloud\nv 0 0 0\nv 1 0 0\nv 0 2 0 1.0\nv 0 0 3 0.5 0.5 0.5\nvn 0 0 1\nvt 0 1\n" + faces
+    )
+    assert load_mesh(write("a.obj", text), (1.0, 1.0, 1.0)).faces.tolist() == triangles
+
+
+def test_a_mesh_is_scaled_along_its_axes(write):
+    path = write("a.obj", TETRAHEDRON)
+    assert load_mesh(path, (2.0, 3.0, -1.0)).vertices.tolist() == [
+        [0, 0, 0],
+        [2, 0, 0],
+        [0, 6, 0],
+        [0, 0, -3],
+    ]
+    (hull,) = load_hulls(path, (2.0, 3.0, -1.0))
+    assert sorted(hull.vertices.tolist()) == [[0, 0, -3], [0, 0, 0], [0, 6, 0], [2, 0, 0]]
+
+
+@pytest.mark.parametrize("separator", ["o", "g"])
+def test_each_object_of_an_obj_file_is_a_hull(write, separator):
+    first, second = box_obj((0, 0, 0), (1, 1, 1)), box_obj((5, 5, 5), (6, 7, 8), first=8)
+    path = write("two.obj", f"{separator} a\n{first}{separator} b\n{second}")
+    hulls = load_hulls(path, (1.0, 1.0, 1.0))
+    assert [hull.type for hull in hulls] == ["hull", "hull"]
+    spans = [
+        (hull.vertices.min(axis=0).tolist(), hull.vertices.max(axis=0).tolist()) for hull in hulls
+    ]
+    assert spans == [([0, 0, 0], [1, 1, 1]), ([5, 5, 5], [6, 7, 8])]
+    assert len(load_mesh(path, (1.0, 1.0, 1.0)).vertices) == 16
+
+
+def test_points_that_no_face_uses_are_not_in_the_hull(write):
+    (hull,) = load_hulls(
+        write("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nf 1 2 3\n"), (1.0, 1.0, 1.0)
+    )
+    assert sorted(hull.vertices.tolist()) == [[0, 0, 0], [0, 1, 0], [1, 0, 0]]
+
+
+def test_an_stl_file(tmp_path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(
+        binary_stl([[(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 0, 0), (1, 0, 0), (0, 0, 2)]])
+    )
+    mesh = load_mesh(path, (1.0, 1.0, 10.0))
+    assert len(mesh.faces) == 2
+    assert mesh.vertices.max(axis=0).tolist() == [1, 1, 20]
+    (hull,) = load_hulls(path, (1.0, 1.0, 10.0))
+    assert hull.vertices.max(axis=0).tolist() == [1, 1, 20]
+
+
+# (file name, its text, words of the complaint)
+DAMAGED = [
+    ("empty.obj", "", "holds no triangles"),
+    ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "holds no triangles"),
+    ("names.obj", "o a\no b\n", "holds no triangles"),
+    ("letters.obj", "v 0 0 x\nf 1 1 1\n", "cannot be read as a mesh"),
+    ("missing.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "a vertex that is not there"),
+    ("before.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 1 2\n", "a vertex that is not there"),
+    ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "no finite number"),
+    ("inf.obj", "v 0 0 inf\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "no finite number"),
+    ("empty.stl", "", "cannot be read as a mesh|holds no triangles"),
+    ("text.stl", "this is no mesh", "cannot be read as a mesh|holds no triangles"),
+    ("mesh.nonsense", "this is no mesh", "cannot be read as a mesh"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "words"), DAMAGED)
+@pytest.mark.parametrize("load", [load_mesh, load_hulls])
+def test_a_damaged_file_is_refused_by_name(write, load, name, text, words):
+    path = write(name, text)
+    with pytest.raises(ValueError, match=words) as caught:
+        load(path, (1.0, 1.0, 1.0))
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("load", [load_mesh, load_hulls])
+def test_a_file_that_is_not_there(tmp_path, load):
+    with pytest.raises(ValueError, match=r"absent\.obj cannot be read: No such file"):
+        load(tmp_path / "absent.obj", (1.0, 1.0, 1.0))
+
+
+def test_a_file_is_read_once_until_it_is_written_anew(write):
+    path = write("a.obj", TETRAHEDRON)
+    first = load_mesh(path, (1.0, 1.0, 1.0))
+    assert load_mesh(path, (1.0, 1.0, 1.0)) is first
+    assert load_mesh(path, (2.0, 1.0, 1.0)) is not first
+    write("a.obj", TETRAHEDRON + "f 1 2 3\n")
+    assert len(load_mesh(path, (1.0, 1.0, 1.0)).faces) == len(first.faces) + 1
+
+
+def test_no_more_files_are_kept_than_a_scene_has(write):
+    path = write("a.obj", TETRAHEDRON)
+    for size in range(1, mesh_files.CACHED_FILES + 20):
+        load_hulls(path, (float(size), 1.0, 1.0))
+    assert mesh_files._hulls.cache_info().currsize == mesh_files.CACHED_FILES

@@ -1,0 +1,380 @@
+"""What is decided for many pairs at once is what is found pair by pair."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssduck.geometry import gjk
+from ssduck.geometry.batch import PairPredicate, box_depths
+from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, compare
+from ssduck.geometry.narrow_phase import COLLIDES
+from ssduck.geometry.queries import FEW, ShapeQueries
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import solid_of
+from ssduck.schema import MOST_IDS
+from tests.support import pairs
+from tests.support.pairs import Shape
+from tests.support.solids import (
+    STRAIGHT,
+    box,
+    capsule,
+    cylinder,
+    mesh_of,
+    narrow,
+    plane,
+    sorts_of,
+    sphere,
+)
+
+CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
+COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))
+COLLIDE = PairPredicate("colliding", COLLIDES)
+BOUNDS = (-COLLIDES, 0.0, 1e-3, 0.05, 0.3)
+
+
+def undecided(two, bounds=BOUNDS):
+    """The gaps less the bounds where nothing is decided; what is decided is right."""
+    gaps = np.array([pairs.gap(*pair).gap for pair in two])
+    left = []
+    for bound in bounds:
+        assert pairs.wrong_verdicts(two, gaps, bound) == []
+        left += [(gaps - bound)[found == UNDECIDED] for found in pairs.verdicts(two, bound)]
+    return np.concatenate(left)
+
+
+@pytest.mark.parametrize("kinds", COMBINATIONS, ids=" ".join)
+def test_verdicts_are_what_gaps_say(kinds):
+    left = undecided([pairs.pair(kinds, seed) for seed in range(60)])
+    assert (np.abs(left) > 1e-6).sum() <= 0.01 * 60 * 2 * len(BOUNDS)
+
+
+@given(
+    kinds=st.sampled_from(COMBINATIONS),
+    seed=st.integers(0, 2**32),
+    bound=st.one_of(st.sampled_from(BOUNDS), st.floats(-0.5, 2.0)),
+)
+@settings(max_examples=150)
+def test_neither_order_nor_place_turns_a_verdict(kinds, seed, bound):
+    two = pairs.pair(kinds, seed)
+    random = np.random.default_rng(seed)
+    shift, turn = random.uniform(-2, 2, 3), random.normal(size=4)
+    moved = tuple(pairs.moved(one, shift, turn / np.linalg.norm(turn)) for one in two)
+    told = {int(one) for found in pairs.verdicts([two, moved], bound) for one in found}
+    assert not {BELOW, ABOVE} <= told
+
+
+# -- what algorithms get wrong -----------------------------------------------------------------
+
+CUBE = Geometry.hull(solid_of(box()).core)
+STACKED = {
+    "box": box(),
+    "cube": CUBE,
+    "cylinder": cylinder(),
+    "prism": Geometry.hull(solid_of(cylinder()).fine_surface.vertices),
+    "octahedron": Geometry.hull(np.vstack((np.eye(3), -np.eye(3))) / 2),
+    "sphere": sphere(),
+    "capsule": capsule(0.25, 0.5),
+}
+OFF = [(0, 0), (0.25, 0), (0.1, 0.07), (1, 0), (0.999999, 0), (0.5, 0.5)]
+TURNS = [STRAIGHT, (1, 0, 0, 0.3), (1, 0, 0, 1)]
+FAR = [(0, 0, 0), (1e4, -1e4, 1e4)]
+DEPTHS = [-1e-3, -1e-5, -2e-6, 0, 0.5e-6, 0.9e-6, 1.1e-6, 2e-6, 1e-5, 1e-4, 1e-2, 0.3, 1]  # fmt: skip
+
+
+def at(geometry, position, turn=STRAIGHT):
+    turn = np.array(turn, float)
+    return Shape(geometry.type, geometry, np.array(position, float), turn / np.linalg.norm(turn))
+
+
+@pytest.mark.parametrize("depth", DEPTHS)
+def test_stacked(depth):
+    """Parallel faces that touch, or are hardly in each other, also 10 km away."""
+    two = [
+        (at(a, far), at(b, np.array(far) + [*off, 1 - depth], turn))
+        for a, b in itertools.combinations_with_replacement(STACKED.values(), 2)
+        for off, turn, far in itertools.product(OFF, TURNS, FAR)
+    ]
+    left = undecided(two, (-COLLIDES, 0.0, 2e-3))
+    assert (np.abs(left) > 1e-6).sum() <= 0.02 * 6 * len(two)
+
+
+def test_deep_pairs_take_no_step(monkeypatch):
+    """The ball in their difference reaches the origin, though those in the two do not meet."""
+    monkeypatch.setattr(gjk, "_step", None)
+    two = [(at(one, (0, 0, 0)), at(one, (0.7, 0.7, 0.3))) for one in (box(), CUBE)]
+    assert all((found == BELOW).all() for found in pairs.verdicts(two, -COLLIDES))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sizes_from_a_millimetre_to_a_kilometre(seed):
+    random = np.random.default_rng(seed)
+
+    def any_size(kind):
+        size = 10.0 ** random.uniform(-3, 3)
+        made = pairs.geometry(kind, random, is_round=False)
+        if kind in ("hull", "flat"):
+            count = int(random.choice([8, 40, 300]))
+            points = random.normal(size=(count, 3)) * [1, 1, kind == "hull"]
+            return Geometry.hull(points * size * 10.0 ** random.uniform(-1.5, 0, 3))
+        return Geometry.primitive(kind, np.array(made.size) * size)
+
+    two = []
+    for kinds in COMBINATIONS * 3:
+        first, second = map(any_size, kinds)
+        way = random.normal(size=3)
+        apart = random.uniform() * sum(solid_of(one).reach for one in (first, second))
+        far = random.normal(size=3) * random.choice([0, 1e4])
+        turned = [random.normal(size=4) for _ in range(2)]
+        place = far + way / np.linalg.norm(way) * apart
+        two.append((at(first, far, turned[0]), at(second, place, turned[1])))
+    left = undecided(two, (-COLLIDES, 0.0, 1e-3, 1.0))
+    assert (np.abs(left) > 1e-6).sum() <= 3
+
+
+def test_parts_of_all_pairs_are_as_all(monkeypatch):
+    random = np.random.default_rng(3)
+    two = [pairs.pair(kinds, int(random.integers(1000))) for kinds in COMBINATIONS * 3]
+    together = pairs.verdicts(two, 0.01)
+    monkeypatch.setattr(gjk, "TOGETHER", 7)
+    monkeypatch.setattr(gjk, "MOST_POINTS", 20)
+    for found, expected in zip(pairs.verdicts(two, 0.01), together, strict=True):
+        assert found.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 9, 13, 17, 100])
+def test_hulls_of_any_number_of_points(count):
+    random = np.random.default_rng(count)
+    ball = random.normal(size=(count, 3))
+    hull = Geometry.hull(ball / np.linalg.norm(ball, axis=1)[:, None])
+    two = [(at(hull, (x, 0.1, 0)), at(box(), (0, 0, 0))) for x in np.linspace(0, 2, 21)]
+    assert not len(undecided(two, (-COLLIDES, 0.0, 0.1)))
+
+
+def test_no_pairs():
+    assert not len(compare(pairs.bodies([at(box(), (0, 0, 0))]), *np.zeros((2, 0), np.intp), 0.0))
+
+
+@pytest.mark.parametrize("apart", [0.3, 1e-4, -1e-4, -0.3])
+def test_boxes_by_axes_and_by_cores(apart):
+    two = [(at(box(), (0, 0, 0)), at(box(), (x, 0, 1 + apart))) for x in np.linspace(0, 0.6, 7)]
+    found = pairs.verdicts(two, -COLLIDES)[0]
+    assert (found == (BELOW if apart < 0 else ABOVE)).all()
+
+
+# -- a tick ------------------------------------------------------------------------------------
+
+NOWHERE = (math.nan, 0.0, 0.0)
+ELL = pairs.ell(1.0, 0.6, 0.8)
+PATCH = Geometry("mesh", (0, 0, 0), pairs.patch_vertices(1, 1, 1), pairs.PATCH)
+ALL = [box(0.5, 0.4, 0.3), sphere(0.3), capsule(0.2, 0.4), cylinder(0.3, 0.4), CUBE, ELL, PATCH]
+ALL += [mesh_of(cylinder()), Geometry.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), plane((0, 0.6, 0.8))]
+APART = [0.0, 1e-3, 0.1, 0.25, 3.0, math.inf]
+
+
+def crowd(seed, *, is_round, side=1.5):
+    """Entities of one to three shapes, two of them lost, two without shapes."""
+    random = np.random.default_rng(seed)
+    entities = []
+    for _ in range(22):
+        shapes = []
+        for _ in range(random.integers(1, 4)):
+            place = random.uniform(0, side, 3)
+            turn = pairs.pose(random, is_round)[1]
+            place = np.round(place * 4) / 4 if is_round else place
+            shapes.append((ALL[random.integers(len(ALL))], place, turn))
+        entities.append(shapes)
+    entities[3][0] = (box(), NOWHERE, STRAIGHT)
+    entities[5].append((box(), (0, 0, 0), (0, 0, 0, 0)))
+    entities[7:9] = [[], [(Geometry.hull(np.zeros((0, 3))), (0, 0, 0), STRAIGHT)]]
+    entities[9].append((Geometry.primitive("sphere", (-1, 0, 0)), (0, 0, 0), STRAIGHT))
+    return entities
+
+
+def boxes_apart(tick, i, j):
+    """How far apart two entities' boxes are along the axis where they are farthest."""
+    a, b = (tick._boxes[tick._starts[e] : tick._starts[e + 1]] for e in (i, j))
+    gaps = np.maximum(a[:, None, :3] - b[None, :, 3:], b[None, :, :3] - a[:, None, 3:]).max(2)
+    return gaps.min(initial=math.inf)
+
+
+@pytest.mark.parametrize("is_round", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_all_pairs_of_a_tick(seed, is_round):
+    entities = crowd(seed, is_round=is_round)
+    together, alone = narrow(*entities), narrow(*entities)
+    sorts = sorts_of(together)
+    every = list(itertools.combinations(range(len(entities)), 2))
+    collide = [pair for pair in every if alone.collides(*pair)]
+    assert together.all_of(COLLIDE, sorts).pairs == collide
+    assert collide
+    gaps = {pair: alone.clearance(*pair) for pair in every}
+    for apart in APART:
+        near = [pair for pair in every if gaps[pair] is not None and gaps[pair] <= apart]
+        assert together.all_of(PairPredicate("within", apart), sorts).pairs == near
+        asked = narrow(*entities)  # anew: what is farther need not be known
+        found = {pair: asked.clearance(*pair, apart) for pair in every}
+        assert [
+            pair for pair in every if (found[pair] or 0) <= apart and gaps[pair] is not None
+        ] == near
+
+
+@pytest.mark.parametrize("apart", [-1e-9, -1.0, -math.inf, math.nan])
+def test_nothing_is_nearer_than_nothing(apart):
+    tick = narrow([(box(), (0, 0, 0))], [(box(), (0.5, 0, 0))])
+    assert tick.all_of(PairPredicate("within", apart), sorts_of(tick)).pairs == []
+    assert tick.calls.pairs == 0
+
+
+# Two shapes along x, and how far apart they are when their origins are 0.
+BESIDE = {
+    "boxes": (box(), box(), 1.0),
+    "spheres": (sphere(), sphere(), 1.0),
+    "capsule and sphere": (capsule(0.5, 1), sphere(0.25), 0.75),
+    "box and cylinder": (box(), cylinder(0.25), 0.75),
+    "cube and octahedron": (CUBE, STACKED["octahedron"], 1.0),
+    "plane and cube": (plane((1, 0, 0)), CUBE, 0.5),
+    "mesh and box": (ELL, box(), 1.0),
+}
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-3, 0.1, 10.0])
+@pytest.mark.parametrize("name", BESIDE)
+def test_at_the_bound(name, apart):
+    """A tenth of a micrometre nearer or farther is told apart; at the bound, both ways agree."""
+    a, b, touching = BESIDE[name]
+    for more, expected in ((-1e-7, True), (0.0, None), (1e-7, False)):
+        tick = narrow([(a, (0, 0, 0))], [(b, (touching + apart + more, 0, 0))])
+        found = tick.all_of(PairPredicate("within", apart), sorts_of(tick)).pairs == [(0, 1)]
+        assert found is (tick.clearance(0, 1) <= apart)
+        assert expected is None or found is expected
+
+
+@pytest.mark.parametrize("name", BESIDE)
+@pytest.mark.parametrize(("depth", "expected"), [(0.0, False), (0.8e-6, False), (1.2e-6, True)])
+def test_at_the_depth_that_collides(name, depth, expected):
+    a, b, touching = BESIDE[name]
+    tick = narrow([(a, (0, 0, 0))], [(b, (touching - depth, 0, 0))])
+    assert (tick.all_of(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]) is expected
+    assert tick.collides(0, 1) is expected
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-200, 1e-150, 1e100, 1e150])
+@pytest.mark.parametrize("solid", [box, lambda size, *_: sphere(size)])
+def test_sizes_beyond_any_scene(solid, size):
+    """What is too large to be squared is not decided by squares."""
+    large = solid(size, size, size)
+    tick = narrow([(large, (0, 0, 0))], [(large, (size / 4, 0, 0))], [(sphere(1.0), (0, 0, 0))])
+    sorts = sorts_of(tick)
+    expected = [(0, 1), (0, 2), (1, 2)] if size > 1 else [(0, 2), (1, 2)]
+    assert tick.all_of(COLLIDE, sorts).pairs == expected
+    assert tick.all_of(PairPredicate("within", 0.1), sorts).pairs == [(0, 1), (0, 2), (1, 2)]
+
+
+# Of a body of a metre.
+BOXES = np.array([[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]]).T
+
+
+# -- what it costs -----------------------------------------------------------------------------
+
+
+def convex_crowd(count, seed=0):
+    random = np.random.default_rng(seed)
+    side = (count / 4) ** (1 / 3)
+    return [
+        [
+            (
+                pairs.geometry(CONVEX[n % 5], random, is_round=False),
+                random.uniform(0, side, 3),
+                random.normal(size=4),
+            )
+        ]
+        for n in range(count)
+    ]
+
+
+def test_of_convex_shapes_fcl_is_not_asked():
+    tick = narrow(*convex_crowd(300))
+    sorts = sorts_of(tick)
+    assert len(tick.all_of(COLLIDE, sorts).numbers) > 100
+    assert len(tick.all_of(PairPredicate("within", 0.01), sorts).numbers) > 100
+    assert tick.calls.calls == 0
+    assert not tick._placed
+
+
+def test_pairs_count_once_a_tick():
+    entities = convex_crowd(60)
+    tick = narrow(*entities)
+    sorts = sorts_of(tick)
+    every = list(itertools.combinations(range(60), 2))
+    meeting = {pair for pair in every if boxes_apart(tick, *pair) <= 0.0}
+    near = {pair for pair in every if boxes_apart(tick, *pair) <= 0.1}
+    tick.all_of(COLLIDE, sorts)
+    assert tick.calls.pairs == len(meeting)
+    for _ in range(2):
+        tick.all_of(PairPredicate("within", 0.1), sorts)
+        tick.all_of(PairPredicate("within", 0.05), sorts)
+        tick.all_of(COLLIDE, sorts)
+        assert tick.calls.pairs == len(near) > len(meeting)
+    shapes = ShapeQueries(tick, {10 * n: n for n in range(60)}, sorts, BOXES, np.zeros(0, np.int64))
+    for i, j in sorted(near)[:5]:
+        shapes.collides(10 * i, 10 * j, COLLIDES)
+        shapes.near(10 * j, 10 * i, 0.1)
+    assert tick.calls.pairs == len(near)
+    i, j = next(pair for pair in every if pair not in near)
+    shapes.collides(10 * i, 10 * j, COLLIDES)
+    assert tick.calls.pairs == len(near) + 1
+
+
+def test_many_questions_are_answered_together():
+    entities = [*convex_crowd(150), [(box(), (math.nan, 0, 0))], [(box(), (0, 0, 0))]]
+    tick, alone = narrow(*entities), narrow(*entities)
+    numbers = {n: n for n in range(len(entities))}
+    shapes = ShapeQueries(tick, numbers, sorts_of(tick), BOXES, np.zeros(0, np.int64))
+    every = list(itertools.combinations(numbers, 2))
+    meeting = [pair for pair in every if boxes_apart(tick, *pair) <= 0.05]
+    unknown = [(149, 150), (151, 150)]
+    assert len(meeting) > 2 * FEW
+    for i, j in [*meeting, *unknown, *every[:200]]:
+        assert shapes.collides(j, i, COLLIDES) is alone.collides(i, j)
+        near = alone.clearance(i, j)
+        assert shapes.near(j, i, 0.05) is (None if near is None else near <= 0.05)
+    assert len(tick._placed) < len(alone._placed)
+
+
+def test_ids_of_all_that_are_near():
+    tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
+    shapes = ShapeQueries(
+        tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64)
+    )
+    assert shapes.all_within(0.4) == []
+    pairs = [divmod(number, MOST_IDS) for number in shapes.all_within(0.5)]
+    assert pairs == [(3, 5), (3, 7), (5, 3), (7, 3)]
+    assert shapes.all_colliding(COLLIDES) == []
+
+
+def test_shapes_of_two_entities_that_collide_are_left_out():
+    """The rest of what two tables are made of is not compared."""
+    table = [(ELL, (0, 0, 0)), (box(), (0, 0, 0)), (ELL, (0.1, 0, 0))]
+    tick = narrow(table, [(box(), (0.2, 0, 0)), (ELL, (0.1, 0.1, 0))])
+    assert tick.all_of(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
+    assert tick.calls.calls == 0
+    assert tick.calls.pairs == 1
+
+
+def test_meshes_that_collide_cost_one_call():
+    tick = narrow([(ELL, (0, 0, 0))], [(ELL, (0.4, 0.3, 0.1))], [(ELL, (0.3, 0, 5))])
+    assert tick.all_of(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
+    assert tick.calls.calls == 1
+    assert tick.penetration(0, 1) > 0.01
+
+
+def test_box_depths_of_no_boxes():
+    tick = narrow([(sphere(), (0, 0, 0))])
+    none = np.zeros(0, np.intp)
+    assert not len(box_depths(tick._scene(sorts_of(tick)), none, none))

@@ -1,0 +1,447 @@
+"""Everything that can be wrong with a program: one clear message, the place, the nearest name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import (
+    MOST_OF_LINE,
+    ArgumentError,
+    EvaluationError,
+    FunctionError,
+    ParseError,
+    RemovedEntityError,
+    SelectScriptError,
+    SimulatorError,
+    SourceSpan,
+    SqlError,
+    UnknownNameError,
+    UnsupportedError,
+    nearest,
+)
+
+
+def broken(value):
+    raise KeyError(value)
+
+
+@pytest.fixture(scope="module")
+def ss():
+    with ssduck.load("kitchen") as interpreter:
+        interpreter.add_function("broken", broken, "Raises.")
+        interpreter.add_variable("array", np.zeros(3))
+        interpreter.add_variable("nothing", None)
+        interpreter.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
+        yield interpreter
+
+
+# (program, kind, the offending text, words of the message, suggestions)
+MISTAKES = [
+    ("x = 1; y = unknwn + 1;", UnknownNameError, "unknwn", "no variable 'unknwn'", []),
+    ("SELECT id FROM kitchn;", UnknownNameError, "kitchn", "no variable 'kitchn'", ["kitchen"]),
+    ("id == 'can';", UnknownNameError, "id", "write id(this)", []),
+    (
+        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE id == 'can';",
+        UnknownNameError,
+        "id",
+        "write id(this)",
+        [],
+    ),
+    ("tabel;", UnknownNameError, "tabel", "no variable 'tabel'", ["table"]),
+    (
+        "SELECT id FROM kitchen WHERE isRobott(this);",
+        UnknownNameError,
+        "isRobott",
+        "no function",
+        ["isRobot"],
+    ),
+    (
+        "SELECT vollume FROM kitchen;",
+        UnknownNameError,
+        "vollume",
+        "no function 'vollume'",
+        ["volume"],
+    ),
+    (
+        "SELECT id FROM kitchen ORDER BY hight;",
+        UnknownNameError,
+        "hight",
+        "no function 'hight'",
+        [],
+    ),
+    ("ISROBOT(table);", UnknownNameError, "ISROBOT", "no function", ["isRobot"]),
+    (
+        "SELECT id FROM kitchen AS dcit;",
+        UnknownNameError,
+        "dcit",
+        "no result form 'dcit'",
+        ["dict"],
+    ),
+    ("help('volum');", UnknownNameError, "help('volum')", "no function 'volum'", ["volume"]),
+    ("var('tabel');", UnknownNameError, "var('tabel')", "no variable 'tabel'", ["table"]),
+    (
+        "SELECT id FROM a=kitchen WHERE isRobot(b.this);",
+        UnknownNameError,
+        "b.this",
+        "no source 'b'",
+        ["a"],
+    ),
+    ("this;", UnknownNameError, "this", "no 'this' here", []),
+    ("above(table);", ArgumentError, "above(table)", "above takes 2 arguments, not 1", []),
+    (
+        "SELECT id FROM kitchen WHERE above(table, this, 3);",
+        ArgumentError,
+        "above(table, this, 3)",
+        "takes 2 arguments",
+        [],
+    ),
+    (
+        "SELECT position(this, 1) FROM kitchen;",
+        ArgumentError,
+        "position(this, 1)",
+        "takes 1 to 3 arguments",
+        [],
+    ),
+    ("SELECT isRobot() FROM kitchen;", ArgumentError, "isRobot()", "takes 1 argument, not 0", []),
+    ("broken(1, 2);", ArgumentError, "broken(1, 2)", "takes 1 argument, not 2", []),
+    (
+        "SELECT to(id(this)) FROM kitchen;",
+        ArgumentError,
+        "to(id(this))",
+        "to takes 2 arguments",
+        [],
+    ),
+    (
+        "SELECT id(a.this) FROM a=kitchen, b=kitchen WHERE isRobot(this);",
+        ArgumentError,
+        "this",
+        "a.this, b.this",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen, kitchen;",
+        ArgumentError,
+        "kitchen",
+        "two sources are called 'kitchen'",
+        [],
+    ),
+    (
+        "SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen;",
+        ArgumentError,
+        "id(b.this)",
+        "two columns are called 'id'",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen AS list(3);",
+        ArgumentError,
+        "list(3)",
+        "too many positional arguments",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen WHERE above(3, this);",
+        ArgumentError,
+        "3",
+        "an entity, not a number",
+        [],
+    ),
+    (
+        "SELECT id FROM kitchen WHERE distance([1, 2], this) < 1;",
+        ArgumentError,
+        "[1, 2]",
+        "not a list of another length",
+        [],
+    ),
+    ("'a' < 1;", ArgumentError, "'a' < 1", "< does not take a text and a number", []),
+    (
+        "SELECT id FROM kitchen WHERE id(this) < 3;",
+        ArgumentError,
+        "id(this) < 3",
+        "< does not take",
+        [],
+    ),
+    ("-'a';", ArgumentError, "-'a'", "- does not take a text", []),
+    (
+        "near(table, table, nothing);",
+        ArgumentError,
+        "near(table, table, nothing)",
+        "near does not take (KinBody, KinBody, nothing): near(a, b, d) -> bool",
+        [],
+    ),
+    ("3[0];", ArgumentError, "0", "a number has no element 0", []),
+    ("1 / 0;", EvaluationError, "1 / 0", "division by zero", []),
+    ("1 % 0;", EvaluationError, "1 % 0", "division by zero", []),
+    (
+        "SELECT id FROM kitchen WHERE 1 / (z(this) - z(this)) > 2;",
+        EvaluationError,
+        "1 / (z(this) - z(this))",
+        "division by zero",
+        [],
+    ),
+    ("10.0 ^ 400;", EvaluationError, "10.0 ^ 400", "too large", []),
+    ("[1, 2][2];", EvaluationError, "2", "no element 2: there are 2 elements", []),
+    ("SELECT id FROM kitchen LIMIT -1;", EvaluationError, "-1", "LIMIT takes a whole number", []),
+    (
+        "SELECT id FROM kitchen LIMIT 'a';",
+        EvaluationError,
+        "'a'",
+        "LIMIT takes a whole number",
+        [],
+    ),
+    ("broken(1);", FunctionError, "broken(1)", "broken: KeyError: 1", []),
+    (
+        "SELECT broken(id(this)) FROM kitchen;",
+        FunctionError,
+        "broken(id(this))",
+        "broken: KeyError: 'fridge_webcam'",
+        [],
+    ),
+    ("sqrt(-1);", ArgumentError, "sqrt(-1)", "sqrt does not take -1", []),
+    ("2 ^ 99999999999;", EvaluationError, "2 ^ 99999999999", "too large", []),
+    ("'a' * 1000000000000;", EvaluationError, "'a' * 1000000000000", "too large", []),
+    ("(-8) ^ 0.5;", EvaluationError, "(-8) ^ 0.5", "no real value", []),
+    ("SELECT to(id, [1]) FROM kitchen;", ArgumentError, None, "cannot be called by that", []),
+    ("print();", ArgumentError, "print()", "print takes", []),
+    ("pow(2);", ArgumentError, "pow(2)", "pow takes 2 arguments, not 1", []),
+    ("help(3);", UnknownNameError, "help(3)", "no function 3", []),
+    ("IF(array; 1; 2);", EvaluationError, "array", "ValueError", []),
+    ("SELECT id FROM kitchen{2.0};", EvaluationError, "kitchen{2.0}", "no tick at 2 s", []),
+    ("eval('1 +');", ParseError, None, "expected an expression", []),
+]
+
+
+@pytest.mark.parametrize(("program", "kind", "offending", "words", "suggestions"), MISTAKES)
+def test_mistakes(ss, program, kind, offending, words, suggestions):
+    variables = dict(ss._variables)
+    with pytest.raises(kind) as caught:
+        ss.eval(program)
+    error = caught.value
+    assert words in error.message
+    for name in suggestions:
+        assert name in error.suggestions
+        assert repr(name) in str(error)
+    if offending is not None:
+        assert error.text == program
+        assert program[error.span.start : error.span.end] == offending
+        first, place, line, mark = str(error).splitlines()
+        assert first.startswith(error.message)
+        assert place == f"  line {error.line}, column {error.column}"
+        assert line[mark.index("^") : mark.rindex("^") + 1] == offending
+    # The session goes on, and no variable has changed.
+    assert ss._variables.keys() == variables.keys()
+    assert all(ss._variables[name] is value for name, value in variables.items())
+    assert ss.eval("1 + 1;") == 2
+
+
+def test_the_cause_of_a_functions_error_is_kept(ss):
+    with pytest.raises(FunctionError) as caught:
+        ss.eval("SELECT id FROM kitchen WHERE broken(this);")
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_errors_are_the_builtin_ones_that_a_user_expects():
+    assert issubclass(UnknownNameError, LookupError)
+    assert issubclass(ParseError, ValueError)
+    assert issubclass(ArgumentError, TypeError)
+    assert issubclass(EvaluationError, ArithmeticError)
+    assert issubclass(SimulatorError, RuntimeError)
+    assert issubclass(UnsupportedError, NotImplementedError)
+
+
+def test_an_error_in_eval_is_told_in_its_own_text(ss):
+    with pytest.raises(EvaluationError) as caught:
+        ss.eval("eval('c = 1; 1 / 0');")
+    assert caught.value.text == "c = 1; 1 / 0"
+    assert (caught.value.line, caught.value.column) == (1, 8)
+
+
+@pytest.mark.parametrize("program", [5, None, ["1;"]])
+def test_what_is_no_program(ss, program):
+    with pytest.raises(ArgumentError, match="a program is a text"):
+        ss.eval(program)
+
+
+def test_a_failed_program_changes_no_variable(ss):
+    ss.add_variable("kept", 1)
+    with pytest.raises(UnknownNameError):
+        ss.eval("kept = 2; added = 3; kept = nothing_of_that_name;")
+    assert ss.call_variable("kept") == 1
+    with pytest.raises(UnknownNameError):
+        ss.call_variable("added")
+    with pytest.raises(UnknownNameError):
+        ss.eval("clear(); nothing_of_that_name;")
+    assert ss.call_variable("kept") == 1
+
+
+@pytest.mark.parametrize("name", ["not a name", "", "1a", "a;b"])
+def test_bad_names_of_variables_and_functions(ss, name):
+    with pytest.raises(ArgumentError, match="letters, digits and _ only"):
+        ss.add_variable(name, 1)
+    with pytest.raises(ArgumentError, match="letters, digits and _ only"):
+        ss.add_function(name, len)
+
+
+@pytest.mark.parametrize("name", ["select", "From", "this", "TRUE", "and"])
+def test_words_of_the_language_are_no_names(ss, name):
+    with pytest.raises(ArgumentError, match="a word of the language"):
+        ss.add_variable(name, 1)
+
+
+@pytest.mark.parametrize("name", ["help", "to", "print", "eval", "clear", "var", "holds"])
+def test_functions_of_the_language_stay(ss, name):
+    with pytest.raises(ArgumentError, match="choose another name"):
+        ss.add_function(name, len)
+
+
+def test_what_is_no_function_is_refused(ss):
+    with pytest.raises(ArgumentError, match="is no function"):
+        ss.add_function("three", 3)
+
+
+@pytest.mark.parametrize("name", ["main", "temp", "information_schema"])
+def test_worlds_cannot_take_duckdbs_schemas(ss, name):
+    world = ssduck.load("kitchen").call_variable("kitchen")
+    with (
+        ssduck.Interpreter() as fresh,
+        pytest.raises(ArgumentError, match="DuckDB has a schema"),
+    ):
+        fresh.add_variable(name, world)
+    world.close()
+
+
+# (sql, words)
+SQL_MISTAKES = [
+    ("SELECT nme FROM entities", "name"),
+    ("SELEC 1", "syntax error"),
+    ("FROM entitis", "entities"),
+    ("SELECT abov(a, b) FROM entities a, entities b", "above"),
+    ("SELECT above(a) FROM entities a", "above"),
+    ("SELECT 1; SELEC 2", "syntax error"),
+]
+
+
+@pytest.mark.parametrize(("sql", "words"), SQL_MISTAKES)
+def test_sql_mistakes(ss, sql, words):
+    with pytest.raises(SqlError, match=words) as caught:
+        ss.sql(sql)
+    assert caught.value.__cause__ is not None
+    assert ss.sql("SELECT 1").fetchall() == [(1,)]
+
+
+def test_a_removed_body():
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+        )
+        bodies = [pybullet.createMultiBody(1, shape, physicsClientId=client) for _ in range(2)]
+        world = ssduck.World.attach(client, names={bodies[0]: "stays", bodies[1]: "goes"})
+        with ssduck.Interpreter() as ss:
+            ss.add_variable("sim", world)
+            ss.eval("goes = SELECT obj FROM sim WHERE id(this) == 'goes' AS value;")
+            ss.eval("both = SELECT obj FROM sim AS list;")
+            pybullet.removeBody(bodies[1], client)
+            world.tick()
+            for program, offending in (
+                ("SELECT id FROM sim WHERE above(goes, this);", "goes"),
+                ("z(goes);", "goes"),
+                ("SELECT z(this) FROM both;", None),
+            ):
+                with pytest.raises(
+                    RemovedEntityError, match="'goes' is no longer in world 'sim'"
+                ) as caught:
+                    ss.eval(program)
+                if offending:
+                    span = caught.value.span
+                    assert program[span.start : span.end] == offending
+            assert ss.eval("SELECT id FROM sim AS list;") == ["stays"]
+            with pytest.raises(UnknownNameError, match="no entity 'goes'"):
+                world["goes"]
+    finally:
+        pybullet.disconnect(client)
+
+
+def test_a_disconnected_client():
+    """The last tick can still be asked; the next one cannot be taken, and says why."""
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.createMultiBody(physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(client))
+        pybullet.disconnect(client)
+        for act in (world.tick, world.step, lambda: world.render(8, 8)):
+            with pytest.raises(SimulatorError, match=f"PyBullet client {client} is disconnected"):
+                act()
+        assert len(ss.eval("SELECT id FROM sim AS list;")) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "best"),
+    [
+        ("isrobot", ["isRobot", "isSensor"], "isRobot"),
+        ("kitchn", ["kitchen", "garage"], "kitchen"),
+        ("volum", ["volume", "aabbVolume"], "volume"),
+    ],
+)
+def test_nearest_names(name, known, best):
+    assert nearest(name, known)[0] == best
+
+
+def test_nothing_is_near_to_nonsense():
+    assert nearest("qqqq", ["isRobot", "volume"]) == ()
+    assert nearest(7, ["7", "isRobot"]) == ()
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "x" * 100_000 + ";",
+        "f" * 100_000 + "(1);",
+        "a = " + "9" * 5000 + "x;",
+        "SELECT this FROM [1] AS " + "q" * 100_000 + ";",
+        "SELECT " + "q" * 100_000 + ".this FROM a = [1], b = [2];",
+        "[" + "1, " * 40 + "[1][7], " + "2, " * 1000 + "3];",
+        "a = [" + "1, " * 2000 + "nope];",
+        "[1, 2]['" + "k" * 100_000 + "'];",
+    ],
+)
+def test_what_is_told_of_a_long_program_is_short(program):
+    with ssduck.Interpreter() as ss, pytest.raises(SelectScriptError) as caught:
+        ss.eval(program)
+    told = str(caught.value)
+    assert len(told) < 5000
+    *_, line, mark = told.splitlines()
+    place = mark.index("^")
+    span = caught.value.span
+    assert line[place : place + 5] == program[span.start : span.start + 5][: len(line) - place]
+    assert max(len(line), len(mark)) <= 4 + 1 + MOST_OF_LINE
+
+
+def test_long_offending_text_over_several_lines_is_marked_on_its_first():
+    error = SelectScriptError("wrong", text="a = [1,\n2];", span=SourceSpan(4, 10))
+    assert str(error).splitlines() == ["wrong", "  line 1, column 5", "    a = [1,", "        ^^^"]
+
+
+NO_TEXTS = [None, 1, 0.5, True, [1], {"a": 1}, b"id"]
+NAMED = {
+    "a statement": lambda ss, value: ss.sql(value),
+    "a program": lambda ss, value: ss.eval(value),
+    "a variable": lambda ss, value: ss.call_variable(value),
+    "a history": lambda ss, value: ss.history(value),
+    "a function": lambda ss, value: ss.help(value),
+    "a function to remove": lambda ss, value: ss.del_function(value),
+    "a dialect": lambda ss, value: ss.compile("SELECT this FROM [1];").sql(value),
+}
+
+
+@pytest.mark.parametrize("what", NAMED)
+def test_what_is_no_text_names_nothing(what):
+    with ssduck.Interpreter() as ss:
+        for value in NO_TEXTS:
+            if what == "a function" and value is None:
+                continue
+            with pytest.raises(ssduck.SelectScriptError):
+                NAMED[what](ss, value)

@@ -1,0 +1,257 @@
+"""Since when, how long and when something held: over the recorded ticks, and as SQL."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import pybullet
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError, UnsupportedError
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, intervals_of
+
+STEP = 1 / 240
+
+
+@pytest.fixture
+def lab() -> Any:
+    """An interpreter and one row by row on a world whose ball is put at a height, tick by tick."""
+    client = pybullet.connect(pybullet.DIRECT)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    board = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], physicsClientId=client
+    )
+    pybullet.createMultiBody(0, board, physicsClientId=client)
+    pybullet.createMultiBody(1, ball, basePosition=[0, 0, 1], physicsClientId=client)
+    world = ssduck.World.attach(client, names={0: "board", 1: "ball"})
+    with ssduck.Interpreter() as ss, ssduck.Interpreter(row_by_row=True) as rows:
+        for each in (ss, rows):
+            each.add_variable("lab", world)
+            for name in ("board", "ball"):
+                each.add_variable(name, world[name])
+        yield ss, rows, world
+    pybullet.disconnect(client)
+
+
+def _put(world: ssduck.World, heights: list[float]) -> list[float]:
+    """Put the ball at heights, one a step; gives the times of these ticks."""
+    times = []
+    for height in heights:
+        world._simulator.step(1)
+        world["ball"].move([0, 0, height])
+        times.append(world.time)
+    return times
+
+
+def _evaluated(lab: Any, program: str) -> Any:
+    ss, rows, _ = lab
+    found = ss.eval(program)
+    assert repr(rows.eval(program)) == repr(found)
+    return found
+
+
+# -- against what a loop finds ----------------------------------------------------------------
+
+
+@given(st.lists(st.booleans(), max_size=40))
+def test_intervals_are_those_of_a_loop(holding: list[bool]) -> None:
+    times = [0.5 * number for number in range(len(holding))]
+    found = intervals_of(times, holding)
+    # What holds at a tick holds until the next one; of the last tick only the instant is known.
+    inside = [any(start <= t < end or t == start for start, end in found) for t in times]
+    last_holds = bool(holding) and holding[-1]
+    assert inside[:-1] == holding[:-1]
+    assert (bool(found) and found[-1][1] == times[-1] and last_holds) or not last_holds
+    assert all(a[1] < b[0] for a, b in pairwise(found))
+    assert all(start <= end for start, end in found)
+
+
+@given(st.lists(st.sampled_from([True, False, 1, 0, "a", None, 1.5]), max_size=30))
+def test_changes_are_those_of_a_loop(values: list[Any]) -> None:
+    times = list(map(float, range(len(values))))
+    found = changes_of(times, values)
+    wanted = [
+        [time, value]
+        for place, (time, value) in enumerate(zip(times, values, strict=True))
+        if place == 0 or repr(values[place - 1]) != repr(value)
+    ]
+    assert repr(found) == repr(wanted)
+
+
+ENDS = st.tuples(st.integers(0, 6), st.integers(0, 6)).map(lambda ends: sorted(map(float, ends)))
+
+
+@given(ENDS, ENDS)
+def test_relations_of_intervals_are_those_of_points(a: list[float], b: list[float]) -> None:
+    held = {name for name, r in RELATIONS_OF_INTERVALS.items() if r.holds(*a, *b)}
+    wanted = {
+        "before": a[1] < b[0],
+        "meets": a[1] == b[0],
+        "overlaps": a[0] < b[0] < a[1] < b[1],
+        "during": b[0] < a[0] and a[1] < b[1],
+    }
+    assert held == {name for name, holds in wanted.items() if holds}
+
+
+@pytest.mark.parametrize("name", list(RELATIONS_OF_INTERVALS))
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        ([0.0, 1.0], [2.0, 3.0]),
+        ([0.0, 2.0], [2.0, 3.0]),
+        ([0.0, 2.5], [2.0, 3.0]),
+        ([2.2, 2.5], [2.0, 3.0]),
+        ([2.0, 2.5], [2.0, 3.0]),
+    ],
+    ids=str,
+)
+def test_sql_and_the_language_agree_on_intervals(
+    lab: Any, name: str, a: list[float], b: list[float]
+) -> None:
+    ss, _, _ = lab
+    holds = RELATIONS_OF_INTERVALS[name].holds(*a, *b)
+    assert _evaluated(lab, f"{name}({a}, {b});") is holds
+    assert ss.sql(f'SELECT "{name}"($a, $b)', {"a": a, "b": b}).fetchall() == [(holds,)]
+
+
+# -- over the recorded ticks ------------------------------------------------------------------
+
+HEIGHTS = [0.21, 0.5, 0.21, 0.21, 0.9, 0.25, 0.22]
+
+
+@pytest.mark.parametrize("near", [0.005, 0.015, 0.03, 0.1, 1.0], ids=str)
+def test_holds_is_what_a_loop_over_ticks_finds(lab: Any, near: float) -> None:
+    _put(lab[2], HEIGHTS)
+    found = _evaluated(lab, f"holds(near(ball, board, {near}));")
+    ticks = (
+        lab[0]
+        .sql("SELECT time, z FROM entities_history WHERE name = 'ball' ORDER BY tick")
+        .fetchall()
+    )
+    told = [z - 0.2 <= near for _, z in ticks]
+    assert found == intervals_of([time for time, _ in ticks], told)
+
+
+def test_since_when_and_how_long(lab: Any) -> None:
+    _put(lab[2], [0.5, 0.21, 0.22, 0.21])
+    now = lab[2].time
+    begun = _evaluated(lab, "since(near(ball, board, 0.1));")
+    assert begun == pytest.approx(now - 2 * STEP)
+    assert _evaluated(lab, "heldFor(near(ball, board, 0.1));") == pytest.approx(2 * STEP)
+    assert _evaluated(lab, "since(near(ball, board, 0.001));") is None
+    assert _evaluated(lab, "heldFor(near(ball, board, 0.001));") == 0.0
+    assert _evaluated(lab, "since(isKinbody(ball) OR z(ball) > 0);") == 0.0
+
+
+@pytest.mark.parametrize("ticks", [239, 240, 241, 720, 1000])
+def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
+    ss, _, world = lab
+    world["ball"].move([0, 0, 5])
+    world["ball"].move([0, 0, 0.5])
+    told: list[str] = []
+    for _ in range(ticks):
+        world.tick()
+    ss._database.connection._tracer = told.append
+    assert ss.eval("since(z(ball) < 2);") == 0.0
+    blocks = [sql for sql in told if "entities_history" in sql]
+    assert len(blocks) == (1 if ticks < 239 else 2 if ticks < 719 else 3)
+
+
+def test_the_closest_approach(lab: Any) -> None:
+    times = _put(lab[2], [0.5, 0.3, 0.25, 0.4])
+    time, distance = _evaluated(lab, "least(clearance(ball, board));")
+    assert (time, distance) == (pytest.approx(times[2]), pytest.approx(0.05, abs=1e-6))
+    late = _evaluated(lab, f"least(clearance(ball, board), {-0.5 * STEP});")
+    assert late[1] == pytest.approx(0.2, abs=0.01)
+
+
+def test_changes_of_a_value(lab: Any) -> None:
+    _put(lab[2], [0.5, 0.21, 0.21, 0.5])
+    found = _evaluated(lab, "changes(near(ball, board, 0.05));")
+    assert [value for _, value in found] == [False, True, False]
+    assert _evaluated(lab, "changes(id(ball));") == [[0.0, "ball"]]
+
+
+def test_rows_are_asked_about_one_by_one(lab: Any) -> None:
+    _put(lab[2], [0.21, 0.5])
+    program = "SELECT id(this), heldFor(z(this) < 2) FROM lab AS list;"
+    now = lab[2].time
+    assert _evaluated(lab, program) == ["board", now, "ball", now]
+    program = "SELECT id(this) FROM lab WHERE heldFor(z(this) > 0.4) > 0 AS list;"
+    assert _evaluated(lab, program) in ([], ["ball"])
+
+
+def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
+    ss, _, world = lab
+    client = world._simulator.client
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    world.step(5)
+    body = pybullet.createMultiBody(1, shape, basePosition=[0, 0, 3], physicsClientId=client)
+    world.step()
+    came = world.time
+    (new,) = [entity for entity in world if entity.id == 3]
+    world.step()
+    for each in lab[:2]:
+        each.add_variable("new", new)
+    assert _evaluated(lab, "holds(above(ball, new) OR z(new) > 0);") == [[came, world.time]]
+    assert ss.eval("since(z(new) > 0);") == came
+    pybullet.removeBody(body, client)
+
+
+@pytest.mark.parametrize(
+    ("program", "error", "told"),
+    [
+        ("holds(1 < 2);", ArgumentError, "holds takes an expression of entities"),
+        ("holds([] == (SELECT this FROM lab));", UnsupportedError, "without a query in it"),
+        ("holds(near(ball, bord, 1));", UnknownNameError, "did you mean 'board'"),
+        ("since(z(ball) > 0, 1);", ArgumentError, "since takes one argument"),
+        ("holds();", ArgumentError, "holds takes 1 to 2 arguments"),
+        ("holds(z(ball) > 0, 'a');", ArgumentError, "number of seconds"),
+        ("holds(z(ball) > 0, 99.0);", EvaluationError, "there is no tick at 99 s"),
+        ("meets([1, 2], 3);", ArgumentError, r"an interval is \[start, end\]"),
+        ("meets([2, 1], [1, 2]);", ArgumentError, r"an interval is \[start, end\]"),
+    ],
+)
+def test_what_is_no_expression_over_time(
+    lab: Any, program: str, error: type[Exception], told: str
+) -> None:
+    for each in lab[:2]:
+        with pytest.raises(error, match=told):
+            each.eval(program)
+
+
+def test_entities_of_two_worlds(lab: Any) -> None:
+    client = pybullet.connect(pybullet.DIRECT)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, ball, physicsClientId=client)
+    other = ssduck.World.attach(client, names={0: "other"})
+    lab[0].add_variable("attic", other)
+    lab[0].add_variable("other", other["other"])
+    with pytest.raises(UnsupportedError, match="holds takes entities of one world"):
+        lab[0].eval("holds(distance(ball, other) > 1);")
+    pybullet.disconnect(client)
+
+
+# -- as SQL -----------------------------------------------------------------------------------
+
+
+def test_intervals_in_sql_are_those_of_the_language(lab: Any) -> None:
+    ss, _, world = lab
+    _put(world, HEIGHTS)
+    ss.sql(
+        "CREATE TEMP VIEW touching AS SELECT a.tick, a.time, near(a, b, 0.02) AS holds "
+        "FROM entities_history a JOIN entities_history b USING (tick) "
+        "WHERE a.name = 'ball' AND b.name = 'board'"
+    )
+    rows = ss.sql("FROM intervals('touching')").fetchall()
+    wanted = ss.eval("holds(near(ball, board, 0.02));")
+    assert [[start, end] for start, end, _ in rows if end > start] == [
+        interval for interval in wanted if interval[1] > interval[0]
+    ]
+    assert [still for _, _, still in rows] == [False] * (len(rows) - 1) + [True]
+    row = ss.sql("FROM duckdb_functions() WHERE function_name = 'intervals'").fetchall()
+    assert len(row) == 1

@@ -1,0 +1,731 @@
+"""What is kept of a world's ticks: the tables of history, and queries of the past."""
+
+from __future__ import annotations
+
+import gc
+import re
+import threading
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import ArgumentError, EvaluationError, SqlError, UnsupportedError
+
+ALL = ("entities", "links", "joints", "shapes", "contacts", "sensings")
+
+
+def _falling(balls: int = 2) -> tuple[int, list[int]]:
+    """A client of PyBullet with a table that stands still and balls that fall on it."""
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -9.81, client)
+    board = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[2, 2, 0.05], physicsClientId=client
+    )
+    pybullet.createMultiBody(0, board, basePosition=[0, 0, 0.45], physicsClientId=client)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    bodies = [
+        pybullet.createMultiBody(1, ball, basePosition=[i - 0.5, 0, 1], physicsClientId=client)
+        for i in range(balls)
+    ]
+    return client, bodies
+
+
+@pytest.fixture
+def falling() -> Any:
+    """An interpreter on such a world; its name is `lab`, the board's `board`."""
+    client, bodies = _falling()
+    names = {0: "board", **{body: f"ball_{i}" for i, body in enumerate(bodies)}}
+    world = ssduck.World.attach(client, names=names)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        yield ss
+    pybullet.disconnect(client)
+
+
+def _step(ss: ssduck.Interpreter, count: int, world: str = "lab") -> None:
+    for _ in range(count):
+        ss.call_variable(world).step()
+
+
+def _both(ss: ssduck.Interpreter, program: str) -> list[Any]:
+    """What a program gives as SQL, and row by row, on the same ticks."""
+    rows = ssduck.Interpreter(row_by_row=True, recording=None)
+    try:
+        rows._database = ss._database
+        rows._planner._database = ss._database
+        rows._variables = ss._variables
+        return [ss.eval(program), rows.eval(program)]
+    finally:
+        rows._finalized = True
+
+
+@contextmanager
+def _stepped(world: ssduck.World) -> Iterator[None]:
+    """While this lasts, another thread steps the world."""
+    ends = threading.Event()
+
+    def steps() -> None:
+        while not ends.is_set():
+            world.step()
+
+    thread = threading.Thread(target=steps)
+    thread.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
+
+
+# -- the tables -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [1, 239, 240, 241, 500], ids=str)
+def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps: int) -> None:
+    _step(falling, steps)
+    rows = falling.sql(
+        "SELECT tick, count(*), min(time), max(time) FROM entities_history GROUP BY tick ORDER BY 1"
+    ).fetchall()
+    assert [row[0] for row in rows] == list(range(1, steps + 2))
+    assert {row[1] for row in rows} == {3}
+    assert all(row[2] == row[3] for row in rows)
+    assert falling.sql("SELECT count(*) FROM ticks_history").fetchall() == [(steps + 1,)]
+
+
+@pytest.mark.parametrize("changed", [False, True], ids=["all", "changed"])
+def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(tables=ALL, changed=changed))
+        _step(ss, 30, "kitchen")
+        ss.flush()
+        _step(ss, 5, "kitchen")
+        for table in (*ALL, "ticks"):
+            live = ss.sql(f"SELECT * FROM {table} ORDER BY ALL").fetchall()
+            past = ss.sql(
+                f"SELECT * FROM {table}_history WHERE tick = (SELECT tick FROM ticks) ORDER BY ALL"
+            ).fetchall()
+            assert live, table
+            assert past == live, table
+
+
+def test_what_changed_is_all_there_is_to_store(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(changed=True))
+    _step(falling, 50)
+    falling.flush()
+    _step(falling, 50)
+    falling.flush()
+    schema = falling.sql(
+        "SELECT schema_name FROM duckdb_schemas() WHERE schema_name LIKE 'lab_record%'"
+    ).fetchall()[-1][0]
+    stored = falling.sql(f'SELECT count(*) FROM "{schema}"."entities 0" WHERE id = 1').fetchall()
+    assert stored == [(2,)]  # the board, once each time
+    rows = falling.sql("SELECT count(*), count(DISTINCT tick) FROM entities_history WHERE id = 1")
+    assert rows.fetchall() == [(101, 101)]
+
+
+def test_changes_are_found_of_entities_that_come_and_go() -> None:
+    client, bodies = _falling()
+    world = ssduck.World.attach(client)
+    with ssduck.Interpreter() as plain, ssduck.Interpreter() as sparse:
+        plain.add_variable("lab", world)
+        sparse.add_variable("lab", world)
+        sparse.record("lab", Recording(changed=True))
+        for tick in range(40):
+            if tick == 10:
+                pybullet.removeBody(bodies[0], client)
+            if tick == 20:
+                ball = pybullet.createCollisionShape(
+                    pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client
+                )
+                pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
+            if tick == 30:
+                sparse.flush()
+            world.step()
+        query = "SELECT * FROM entities_history WHERE tick > 1 ORDER BY tick, id"
+        assert sparse.sql(query).fetchall() == plain.sql(query).fetchall()
+        assert len(plain.sql(query).fetchall()) == 10 * 3 + 10 * 2 + 20 * 3 - 0
+    pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize("every", [1, 2, 7])
+def test_every_nth_tick_is_kept(falling: ssduck.Interpreter, every: int) -> None:
+    falling.record("lab", Recording(every=every))
+    first = falling.call_variable("lab").snapshot.number
+    _step(falling, 20)
+    ticks = [row[0] for row in falling.sql("SELECT tick FROM ticks_history").fetchall()]
+    assert ticks == list(range(first, first + 21, every))
+
+
+def test_some_entities_are_kept(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(entities=("ball_1",), tables=("contacts", "shapes")))
+    _step(falling, 100)
+    assert falling.sql("SELECT DISTINCT name FROM entities_history").fetchall() == [("ball_1",)]
+    assert falling.sql("SELECT count(*) FROM contacts_history").fetchall() == [(0,)]
+    assert falling.sql("SELECT DISTINCT entity FROM shapes_history").fetchall() == [(3,)]
+
+
+def test_a_sensor_brings_what_it_sits_on() -> None:
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(entities=("fridge_webcam",)))
+        _step(ss, 3, "kitchen")
+        names = ss.sql("SELECT DISTINCT name FROM entities_history ORDER BY 1").fetchall()
+        assert names == [("fridge",), ("fridge_webcam",)]
+
+
+@pytest.mark.parametrize(
+    ("recording", "least", "most"),
+    [
+        (Recording(ticks=100), 100, 151),
+        (Recording(seconds=0.5), 121, 182),
+        (Recording(seconds=0.5, ticks=50), 50, 76),
+        (Recording(ticks=1), 1, 3),
+        (Recording(ticks=2000), 2000, 3001),
+    ],
+    ids=["ticks", "seconds", "both", "one", "many"],
+)
+def test_old_ticks_are_dropped(
+    falling: ssduck.Interpreter, recording: Recording, least: int, most: int
+) -> None:
+    falling.record("lab", recording)
+    for _ in range(10):
+        _step(falling, 130)
+        ((count, first, last),) = falling.sql(
+            "SELECT count(*), min(tick), max(tick) FROM ticks_history"
+        ).fetchall()
+        assert count == last - first + 1
+        assert count <= most
+    assert count >= min(least, 1301)
+    past = falling.past("lab")
+    assert past.ticks == list(range(first, last + 1))
+    assert falling.sql("SELECT min(tick) FROM entities_history").fetchall() == [(first,)]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"tables": ("entitys",)}, "there is no table 'entitys'"),
+        ({"tables": "entities"}, "tables is to be a list of names"),
+        ({"every": 0}, "every is to be a whole number above 0"),
+        ({"every": 1.5}, "every is to be a whole number above 0"),
+        ({"ticks": 0}, "ticks is to be a whole number above 0"),
+        ({"seconds": 0.0}, "seconds is to be a number above 0"),
+        ({"seconds": float("nan")}, "seconds is to be a number above 0"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_recordings_that_are_none(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(ArgumentError, match=told):
+        Recording(**given)
+
+
+def test_entities_that_are_recorded_are_there(falling: ssduck.Interpreter) -> None:
+    with pytest.raises(ArgumentError, match="no entity 'bal_1'"):
+        falling.record("lab", Recording(entities=("bal_1",)))
+
+
+@pytest.mark.parametrize("table", ["links", "joints", "shapes", "contacts", "sensings"])
+def test_what_is_not_recorded_is_said_to_be_so(falling: ssduck.Interpreter, table: str) -> None:
+    with pytest.raises(SqlError, match=f"the table of {table} of 'lab' is not recorded"):
+        falling.sql(f"SELECT * FROM {table}_history")
+
+
+def test_nothing_is_kept_where_nothing_is_asked_for() -> None:
+    client, _ = _falling()
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("lab", ssduck.World.attach(client))
+        with pytest.raises(SqlError, match="not recorded"):
+            ss.sql("SELECT * FROM entities_history")
+        with pytest.raises(EvaluationError, match="the ticks of 'lab' are not recorded"):
+            ss.past("lab")
+        ss.record("lab", Recording())
+        _step(ss, 2)
+        assert ss.sql("SELECT count(*) FROM ticks_history").fetchall() == [(3,)]
+        ss.record("lab", None)
+        with pytest.raises(EvaluationError, match="not recorded"):
+            ss.past("lab")
+    pybullet.disconnect(client)
+
+
+def test_a_position_that_is_no_number_is_unknown_in_the_history() -> None:
+    client, bodies = _falling()
+    world = ssduck.World.attach(client, names={bodies[0]: "lost"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        _step(ss, 2)
+        pybullet.resetBasePositionAndOrientation(
+            bodies[0], [float("nan"), 0, 0], [0, 0, 0, 1], client
+        )
+        with pytest.warns(UserWarning, match="lost"):
+            world.tick()
+        rows = ss.sql("SELECT tick, x FROM entities_history WHERE name = 'lost' ORDER BY 1")
+        assert [x is None for _, x in rows.fetchall()] == [False, False, False, True]
+    pybullet.disconnect(client)
+
+
+def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
+    client, _ = _falling()
+    world = ssduck.World.attach(client)
+    ss = ssduck.Interpreter()
+    ss.add_variable("lab", world)
+    world.step()
+    gone = weakref.ref(ss._database)
+    del ss
+    gc.collect()
+    assert gone() is None
+    world.step()
+    pybullet.disconnect(client)
+
+
+def test_ticks_are_taken_while_another_thread_asks(falling: ssduck.Interpreter) -> None:
+    with _stepped(falling.call_variable("lab")):
+        for _ in range(30):
+            counts = falling.sql(
+                "SELECT tick, count(*) AS n FROM entities_history GROUP BY tick HAVING n <> 3"
+            ).fetchall()
+            gaps = falling.sql(
+                "SELECT max(tick) - min(tick) + 1 - count(*) FROM ticks_history"
+            ).fetchall()
+            assert (counts, gaps) == ([], [(0,)])
+
+
+# -- the past as a source ---------------------------------------------------------------------
+
+PAST = [
+    "SELECT id, tick, time, z FROM lab{0.1} AS list;",
+    "SELECT id(this), tick(this) FROM lab{-0.1} WHERE id(this) == 'ball_0' AS list;",
+    "SELECT tick(this) FROM lab{} WHERE this == ball AND z(this) < 0.8 AS list;",
+    "SELECT tick(this) FROM lab{} WHERE this == ball AND near(board, this, 0.05) AS list;",
+    "SELECT clearance(this, board) FROM lab{0.2} WHERE this == ball AS value;",
+    "SELECT id(this), collides(this, board), on(board, this) FROM lab{0.9} AS list;",
+    "SELECT id(a.this), distance(a.this, b.this) FROM a=lab, b=lab{0.0} WHERE a.this == b.this;",
+    "SELECT id(a.this), id(b.this), tick(a.this) FROM a=lab{-0.05}, b=lab{-0.05} "
+    "WHERE near(a.this, b.this, 0.01) AS list;",
+    "SELECT this FROM lab{0.5} ORDER BY z(this) DESC LIMIT 2 AS list;",
+    "x = SELECT this FROM lab{-0.02} AS list; SELECT id, tick, position FROM x AS list;",
+    "count(SELECT this FROM lab{} WHERE above(board, this) AS list);",
+    "SELECT id(this), count(SELECT x.this FROM x=lab{0.3} WHERE above(x.this, board) AS list) "
+    "FROM lab{0.2} AS list;",
+    "SELECT z FROM lab{-0.05} GROUP BY id(this) AS list;",
+    "SELECT tick(this), velocity(this), mass, aabb FROM lab{-0.01} AS list;",
+    "SELECT isSphere(this), isEnabled(this), obj FROM lab{0.3} AS list;",
+    "SELECT tick(this) FROM lab{} WHERE this == ball AND near(board, ball, 0.05) AS list;",
+    "SELECT tick(this), z(ball), z(this) FROM lab{-0.03} WHERE this == ball AS list;",
+    "count(SELECT this FROM lab{} WHERE id(this) == 'board' AND z(ball) < 0.8 AS list);",
+    "SELECT z(ball) - z(a.this) FROM a=lab{0.2}, b=lab WHERE id(a.this) == id(b.this) AS list;",
+]
+
+
+@pytest.mark.parametrize("program", PAST)
+def test_both_evaluators_see_one_past(falling: ssduck.Interpreter, program: str) -> None:
+    _step(falling, 300)
+    falling.eval("board = SELECT obj FROM lab WHERE id(this) == 'board' AS value;")
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    as_sql, row_by_row = _both(falling, program)
+    assert repr(as_sql) == repr(row_by_row)
+    assert as_sql not in ([], None)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    heights=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=12),
+    age=st.floats(-0.1, 0.1),
+)
+def test_the_past_is_what_was(heights: list[float], age: float) -> None:
+    client, (ball, _) = _falling()
+    world = ssduck.World.attach(client, names={ball: "ball"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        seen = [(world.time, world["ball"].position[2])]
+        for height in heights:
+            world["ball"].move(position=[0, 0, height])
+            seen.append((world.time, height))
+            world.step()
+            seen.append((world.time, world["ball"].position[2]))
+        now = world.time
+        if age < 0:
+            wanted = [z for time, z in seen if time >= now + age - 1e-9]
+        else:
+            before = [z for time, z in seen if time <= age + 1e-9]
+            wanted = [before[-1]]
+            if age > now:
+                with pytest.raises(EvaluationError, match="there is no tick at"):
+                    ss.past("lab", age)
+                return
+        ss.add_variable("then", ss.past("lab", age))
+        assert ss.eval("SELECT z FROM then WHERE id(this) == 'ball' AS list;") == wanted
+    pybullet.disconnect(client)
+
+
+def test_handles_of_the_past_stay(falling: ssduck.Interpreter) -> None:
+    _step(falling, 20)
+    then = falling.eval("SELECT this FROM lab{0.05} WHERE id(this) == 'ball_0' AS value;")
+    height = then.position[2]
+    _step(falling, 50)
+    now = falling.call_variable("lab")["ball_0"]
+    assert then == now
+    assert then.position[2] == height > now.position[2]
+    assert then.state.time == pytest.approx(0.05)
+    assert [link.name for link in then.links] == [link.name for link in now.links]
+    with pytest.raises(UnsupportedError, match="a recorded tick does not change"):
+        then.move([0, 0, 0])
+
+
+def test_a_handle_that_was_not_there_is_unknown(falling: ssduck.Interpreter) -> None:
+    _step(falling, 5)
+    world = falling.call_variable("lab")
+    client = world._simulator.client
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
+    world.step()
+    (new,) = [entity for entity in world if entity.id == 4]
+    falling.add_variable("new", new)
+    program = "SELECT tick(this) FROM lab{} WHERE id(this) == 'board' AND above(this, new) AS list;"
+    for found in _both(falling, program):
+        assert found == [world.snapshot.number]
+
+
+def test_shapes_of_two_ticks_are_not_compared(falling: ssduck.Interpreter) -> None:
+    _step(falling, 30)
+    program = "SELECT near(a.this, b.this, 5) FROM a=lab{0.02}, b=lab{0.1} AS list;"
+    with pytest.raises(UnsupportedError, match="shapes are compared at one tick"):
+        falling.eval(program)
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [
+        ("SELECT z FROM lab{9.0};", "'lab' is recorded from 0 s to 0.0"),
+        ("SELECT z FROM lab{'now'};", "is a number of seconds, not 'now'"),
+        ("SELECT z FROM lab{True};", "is a number of seconds, not True"),
+    ],
+)
+def test_ticks_that_are_not_kept(falling: ssduck.Interpreter, program: str, told: str) -> None:
+    _step(falling, 12)
+    with pytest.raises((EvaluationError, ArgumentError), match=told) as caught:
+        falling.eval(program)
+    assert "line 1, column 15" in str(caught.value)
+
+
+def test_no_statement_reads_ticks_that_are_not_asked_for(falling: ssduck.Interpreter) -> None:
+    _step(falling, 480)
+    falling.flush()
+    told: list[str] = []
+    falling._database.connection._tracer = told.append
+    falling.eval("SELECT z FROM lab{-0.1} WHERE id(this) == 'ball_0' AS list;")
+    (query,) = [sql for sql in told if "entities_history" in sql]
+    assert "BETWEEN" in query
+
+
+def test_raw_sql_compares_shapes_of_the_past(falling: ssduck.Interpreter) -> None:
+    _step(falling, 200)
+    rows = falling.sql(
+        "SELECT a.tick FROM entities_history a JOIN entities_history b ON a.tick = b.tick "
+        "WHERE a.name = 'board' AND b.name = 'ball_0' AND near(a, b, 0.001) ORDER BY 1"
+    ).fetchall()
+    heights = dict(
+        falling.sql("SELECT tick, z FROM entities_history WHERE name = 'ball_0'").fetchall()
+    )
+    wanted = [tick for tick, z in sorted(heights.items()) if z - 0.6 <= 0.001]
+    assert [tick for (tick,) in rows] == wanted
+    assert wanted
+
+
+LOOKED_UP = [
+    ("isSensing(a, b)", "isSensing(a.this, b.this)"),
+    ("sensingAmount(a, b)", "sensingAmount(a.this, b.this)"),
+    ("inContact(a, b)", "inContact(a.this, b.this)"),
+    ("contactForce(a, b)", "contactForce(a.this, b.this)"),
+    ("sensingEnvIDs(a)", "sensingEnvIDs(a.this)"),
+    ("force(a)", "force(a.this)"),
+    ("torque(a)", "torque(a.this)"),
+    ("isBox(a)", "isBox(a.this)"),
+    ("solidVolume(a)", "solidVolume(a.this)"),
+    ('"on"(a, b)', "on(a.this, b.this)"),
+    ("penetration(a, b)", "penetration(a.this, b.this)"),
+    ("nextTo(a, b)", "nextTo(a.this, b.this)"),
+    ("enclosed(a, b)", "enclosed(a.this, b.this)"),
+    ("supports(a, b)", "supports(a.this, b.this)"),
+    ("restsOn(a, b)", "restsOn(a.this, b.this)"),
+    ("isOpen(a)", "isOpen(a.this)"),
+    ("isClosed(a)", "isClosed(a.this)"),
+]
+
+
+@pytest.fixture(scope="module")
+def looked_at() -> Any:
+    """The kitchen with all its tables recorded, the roomba on its way."""
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(tables=ALL))
+        kitchen = ss.call_variable("kitchen")
+        for place in range(8):
+            kitchen["roomba_625x"].move([0.2 * place - 0.5, -1.0, 0.1])
+            kitchen.step(4)
+        yield ss
+
+
+@pytest.mark.parametrize(("sql", "program"), LOOKED_UP, ids=[sql for sql, _ in LOOKED_UP])
+def test_raw_sql_looks_up_what_was_told_then(
+    looked_at: ssduck.Interpreter, sql: str, program: str
+) -> None:
+    ticks = looked_at.past("kitchen").ticks[3:-1:6]
+    for tick in ticks:
+        where = f"a.tick = {tick} AND b.tick = {tick} AND b.name LIKE 'r%'"
+        rows = looked_at.sql(
+            f"SELECT {sql} FROM entities_history a, entities_history b WHERE {where} "
+            "ORDER BY a.kind <> 'sensor', a.id, b.kind <> 'sensor', b.id"
+        ).fetchall()
+        past = looked_at.past("kitchen")
+        looked_at.add_variable("then", type(past)(past.record, tick, tick, is_window=False))
+        looked_at.add_function("starts", lambda name: name.startswith("r"), "")
+        wanted = looked_at.eval(
+            f"SELECT {program} FROM a=then, b=then WHERE starts(id(b.this)) AS list;"
+        )
+        assert len(rows) > 100
+        for (value,), other in zip(rows, wanted, strict=True):
+            assert value == (pytest.approx(other, abs=1e-9) if value is not None else other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["near(a.this, b.this, 0.3)", "collides(a.this, b.this)"])
+@pytest.mark.parametrize(
+    "where",
+    [
+        "a.this == robot AND {}",
+        "id(a.this) == 'roomba_625x' AND {}",
+        "id(a.this) == 'roomba_625x' AND id(b.this) == 'kitchen' AND {}",
+        "isRobot(a.this) AND isRobot(b.this) AND {}",
+        "{} AND tick(a.this) % 7 == 0 AND z(b.this) > 1",
+        "id(b.this) == 'no such' AND {}",
+    ],
+)
+def test_all_ticks_at_once_are_each_tick(
+    looked_at: ssduck.Interpreter, form: str, where: str
+) -> None:
+    kitchen = looked_at.call_variable("kitchen")
+    looked_at.add_variable("robot", kitchen["roomba_625x"])
+    program = f"SELECT tick(a.this), id(a.this), id(b.this) FROM a=kitchen{{}}, b=kitchen{{}} WHERE {where.format(form)} AS list;"
+    found = looked_at.eval(program)
+    relation = form.partition("(")[0]
+    wanted: list[Any] = []
+    record = looked_at.past("kitchen").record
+    for tick in looked_at.past("kitchen").ticks:
+        then = record.at(tick)
+        shapes = then.shapes()
+        for a in then:
+            for b in then:
+                if not _is_chosen(where, a, b, tick):
+                    continue
+                holds = (
+                    shapes.collides(a.id, b.id)
+                    if relation == "collides"
+                    else a.id != b.id and shapes.near(a.id, b.id, 0.3)
+                )
+                if holds:
+                    wanted += [tick, a.name, b.name]
+    assert found == wanted
+    assert wanted or "no such" in where or "isRobot(b" in where or "% 7" in where
+
+
+def _is_chosen(where: str, a: Any, b: Any, tick: int) -> bool:
+    if "no such" in where:
+        return False
+    if "isRobot" in where:
+        return a.kind == b.kind == "robot"
+    if "% 7" in where:
+        return tick % 7 == 0 and b.position[2] > 1
+    return a.name == "roomba_625x" and ("'kitchen'" not in where or b.name == "kitchen")
+
+
+def test_a_window_is_compared_once(looked_at: ssduck.Interpreter) -> None:
+    looked_at.eval("robot = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;")
+    looked_at.eval("room = SELECT obj FROM kitchen WHERE id(this) == 'kitchen' AS value;")
+    before = looked_at.statistics()["kitchen"].pairs
+    found = looked_at.eval("holds(near(robot, room, 0.02));")
+    pairs = looked_at.statistics()["kitchen"].pairs - before
+    ((meeting,),) = looked_at.sql(
+        "SELECT count(*) FROM entities_history a JOIN entities_history b ON a.tick = b.tick "
+        "WHERE a.name = 'roomba_625x' AND b.name = 'kitchen' "
+        "AND a.xmin <= b.xmax + 0.02 AND b.xmin <= a.xmax + 0.02 AND a.ymin <= b.ymax + 0.02 "
+        "AND b.ymin <= a.ymax + 0.02 AND a.zmin <= b.zmax + 0.02 AND b.zmin <= a.zmax + 0.02"
+    ).fetchall()
+    assert 0 < pairs <= meeting
+    assert found
+
+
+def test_a_long_window_has_its_values_written_in(falling: ssduck.Interpreter) -> None:
+    from ssduck.interpreter import query_runner as queries
+
+    _step(falling, 60)
+    for name in ("board", "ball_0"):
+        falling.add_variable(name, falling.call_variable("lab")[name])
+    program = (
+        "SELECT tick(this) FROM lab{} WHERE this == ball_0 AND near(board, this, 0.4) AS list;"
+    )
+    wanted = falling.eval(program)
+    told: list[str] = []
+    falling._database.connection._tracer = told.append
+    before, queries.LONG = queries.LONG, 10
+    try:
+        assert falling.eval(program) == wanted != []
+    finally:
+        queries.LONG = before
+    (sql,) = [sql for sql in told if "entities_history" in sql]
+    assert re.search(r"BETWEEN 1 AND 6\d", sql)
+    assert "$" not in sql
+
+
+# -- what is kept no longer, and nested queries ---------------------------------------------
+
+
+def test_a_past_that_is_recorded_anew_is_refused(falling: ssduck.Interpreter) -> None:
+    _step(falling, 10)
+    then = falling.past("lab", 0.01)
+    falling.add_variable("then", then)
+    falling.add_variable("handle", then["ball_0"])
+    falling.record("lab", Recording())
+    _step(falling, 2)
+    for program in ("SELECT z FROM then AS list;", "SELECT z(this) FROM [handle] AS list;"):
+        with pytest.raises(EvaluationError, match="is kept no longer"):
+            falling.eval(program)
+    with pytest.raises(EvaluationError, match="is kept no longer"):
+        then["ball_0"]
+    assert "is kept no longer" in repr(then)
+
+
+def test_a_past_that_was_dropped_is_refused(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(ticks=8))
+    _step(falling, 2)
+    then = falling.past("lab", falling.call_variable("lab").time)
+    falling.add_variable("then", then)
+    handle = then["ball_0"]
+    assert handle.position[2] < 1.0
+    falling.add_variable("handle", handle)
+    _step(falling, 60)
+    for program in (
+        "SELECT z FROM then AS list;",
+        "z(handle);",
+        "SELECT z(this) FROM [handle] AS list;",
+    ):
+        with pytest.raises(EvaluationError, match="is kept no longer"):
+            falling.eval(program)
+    with pytest.raises(EvaluationError, match="is kept no longer"):
+        _ = handle.position
+
+
+def test_the_past_of_another_interpreter_is_refused(falling: ssduck.Interpreter) -> None:
+    _step(falling, 3)
+    with ssduck.Interpreter() as other:
+        other.add_variable("lab", falling.call_variable("lab"))
+        falling.add_variable("then", other.past("lab"))
+        with pytest.raises(EvaluationError, match="another interpreter's record"):
+            falling.eval("SELECT z FROM then AS list;")
+
+
+NESTED = [
+    "SELECT (SELECT z(ball) FROM [1] WHERE tick(a.this) > 0 AS value), z(ball) "
+    "FROM a=lab{0.0} WHERE id(a.this) == 'board' AS list;",
+    "SELECT tick(a.this) FROM a=lab{} WHERE (SELECT z(ball) FROM [1] WHERE tick(a.this) > 0 "
+    "AS value) > 0.99 AND id(a.this) == 'board' AS list;",
+    "SELECT tick(a.this), count(SELECT b.this FROM b=lab{} WHERE b.this == a.this AND "
+    "z(b.this) > z(ball) AS list) FROM a=lab{-0.01} AS list;",
+    "SELECT tick(a.this), count(SELECT b.this FROM b=lab WHERE z(b.this) < z(a.this) AS list) "
+    "FROM a=lab{0.0} AS list;",
+    "SELECT id(a.this), count(SELECT b.this FROM b=lab WHERE z(b.this) < z(ball) AS list) "
+    "FROM a=lab{0.0} AS list;",
+]
+
+
+@pytest.mark.parametrize("program", NESTED)
+def test_nested_queries_of_the_past(falling: ssduck.Interpreter, program: str) -> None:
+    _step(falling, 40)
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    as_sql, row_by_row = _both(falling, program)
+    assert repr(as_sql) == repr(row_by_row)
+    assert as_sql
+
+
+def test_a_handle_in_a_nested_query_goes_with_the_row(falling: ssduck.Interpreter) -> None:
+    _step(falling, 40)
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    assert falling.eval(NESTED[0]) == [1.0, 1.0]
+
+
+def test_a_name_that_two_had() -> None:
+    client, bodies = _falling(1)
+    world = ssduck.World.attach(client, names={0: "board"})
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        (name,) = [entity.name for entity in world if entity.name != "board"]
+        _step(ss, 3)
+        pybullet.removeBody(bodies[0], client)
+        _step(ss, 3)
+        pybullet.createMultiBody(1, ball, basePosition=[0, 0, 0.6], physicsClientId=client)
+        _step(ss, 3)
+        program = (
+            "SELECT tick(a.this) FROM a=lab{}, b=lab{} WHERE id(a.this) == '" + name + "' "
+            "AND id(b.this) == 'board' AND near(a.this, b.this, 1.0) AS list;"
+        )
+        as_sql, row_by_row = _both(ss, program)
+        assert as_sql == row_by_row
+        assert len(as_sql) >= 6
+        assert ss.eval(program.replace("'board'", "'nobody'")) == []
+    pybullet.disconnect(client)
+
+
+def test_the_present_beside_a_past_that_lacks_it(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(every=3, entities=("ball_0",)))
+    _step(falling, 2)
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    program = (
+        "SELECT id(now.this), near(now.this, ball, 5) FROM now=lab, x=lab{0.0} "
+        "WHERE x.this == ball AS list;"
+    )
+    for found in _both(falling, program):
+        assert found == ["board", True, "ball_0", False, "ball_1", True]
+
+
+def test_a_bounded_record_is_exported_in_order(falling: ssduck.Interpreter, tmp_path: Any) -> None:
+    falling.record("lab", Recording(ticks=40))
+    _step(falling, 170)
+    ticks = falling.past("lab").ticks
+    falling.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        assert record.past("lab").ticks == ticks
+        live = falling.sql("SELECT * FROM entities_history ORDER BY tick, id").fetchall()
+        assert record.sql("SELECT * FROM entities_history ORDER BY tick, id").fetchall() == live
+
+
+def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter) -> None:
+    _step(falling, 20)
+    with _stepped(falling.call_variable("lab")):
+        for _ in range(15):
+            past = falling.past("lab", -0.02)
+            entities = list(past)
+            assert len(entities) == 3 * len(past.ticks)
+            assert all(len(entity.position) == 3 for entity in entities[::7])
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda ss: ss.export("none", entities=[]), "no entities to be written"),
+        (lambda ss: ss.export("none", start="a"), "number of seconds"),
+        (lambda ss: ss.record("lab", "x"), "told by a Recording, not 'x'"),
+        (lambda _: Recording(seconds="1"), "seconds is to be a number above 0"),
+        (lambda _: Recording(tables=3), "tables is to be a list of names"),
+        (lambda ss: ss.eval("least(IF(z(ball) > 0.99; 'a'; 1));"), "expression of numbers"),
+    ],
+)
+def test_what_is_no_argument(falling: ssduck.Interpreter, call: Any, told: str) -> None:
+    falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
+    with pytest.raises(ArgumentError, match=told):
+        call(falling)

@@ -1,0 +1,188 @@
+"""Parts of a record's folder: one that is missing, swapped or of another record is noticed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import duckdb
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import RecordError
+from ssduck.recording.stores.parquet_layout import part_name
+
+PARTS = 4
+PLACE = "world=lab/episode={}"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of two episodes of four parts each, of a ball that falls."""
+    place = tmp_path_factory.mktemp("parts") / "run"
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -9.81, client)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client))
+        for _ in range(2):
+            with ss.record_to(place, recording=Recording(tables=("entities", "links"))) as writing:
+                for part in range(PARTS):
+                    if part == 2:  # what entities are has two parts, too
+                        pybullet.createMultiBody(
+                            1, shape, basePosition=[3, 0, 0], physicsClientId=client
+                        )
+                    world.step()
+                    world.step()
+                    writing.flush()
+    pybullet.disconnect(client)
+    return place
+
+
+@pytest.fixture
+def run(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "run"))
+
+
+def part(run: Path, table: str, number: int, episode: int = 1) -> Path:
+    return run / table / PLACE.format(episode) / part_name(number)
+
+
+def swap(one: Path, other: Path) -> None:
+    between = one.with_name("between")
+    one.rename(between)
+    other.rename(one)
+    between.rename(other)
+
+
+def without(run: Path, *numbers: int) -> None:
+    for table in ("ticks", "entities", "links"):
+        for number in numbers:
+            part(run, table, number).unlink()
+
+
+def renamed_episode(run: Path) -> None:
+    shutil.copy(run / "episodes" / "lab-0.json", run / "episodes" / "lab-1.json")
+
+
+DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
+    ("ticks of a part in the middle", lambda r: part(r, "ticks", 1).unlink(), "000001.* missing"),
+    ("two in the middle", lambda r: without(r, 1, 2), "000001.* is missing, and parts after it"),
+    ("the first", lambda r: without(r, 0), "000000.* is missing, and parts after it"),
+    ("rows of a part", lambda r: part(r, "entities", 2).unlink(), "is missing: the record was"),
+    (
+        "parts swapped",
+        lambda r: swap(part(r, "entities", 1), part(r, "entities", 2)),
+        "000001.* is another part, or of another record",
+    ),
+    (
+        "all of two parts swapped",
+        lambda r: [swap(part(r, t, 1), part(r, t, 2)) for t in ("ticks", "entities", "links")],
+        "000001.* is another part",
+    ),
+    (
+        "a part twice",
+        lambda r: shutil.copy(part(r, "links", 1), part(r, "links", 2)),
+        "000002.* is another part",
+    ),
+    (
+        "a copy behind the last",
+        lambda r: [
+            shutil.copy(part(r, t, 3), part(r, t, 4)) for t in ("ticks", "entities", "links")
+        ],
+        "000004.* is another part",
+    ),
+    (
+        "of another episode",
+        lambda r: shutil.copy(part(r, "entities", 1, 0), part(r, "entities", 1)),
+        "000001.* is another part, or of another record",
+    ),
+    (
+        "of another table",
+        lambda r: shutil.copy(part(r, "links", 1), part(r, "entities", 1)),
+        "000001.* is another part",
+    ),
+    (
+        "models of another episode",
+        lambda r: shutil.copy(part(r, "models/entities", 0, 0), part(r, "models/entities", 0)),
+        "000000.* is another part",
+    ),
+    (
+        "the last of the models",
+        lambda r: [file.unlink() for file in r.glob(f"models/*/{PLACE.format(0)}/{part_name(1)}")],
+        "",
+    ),
+    (
+        "an episode copied",
+        renamed_episode,
+        "lab-1.json tells of episode 0 of 'lab': it was renamed",
+    ),
+]
+
+
+@pytest.mark.parametrize(("damage", "told"), [d[1:] for d in DAMAGES], ids=[d[0] for d in DAMAGES])
+def test_what_is_not_whole_is_noticed(run: Path, damage, told: str) -> None:
+    damage(run)
+    episode = 1 if told else 0
+    with pytest.raises(RecordError, match=told or "models/entities.* is missing"):
+        ssduck.open(run, episode=episode)
+
+
+@pytest.mark.parametrize("left", range(1, PARTS))
+def test_a_record_that_ends_early_says_so(run: Path, left: int) -> None:
+    without(run, *range(left, PARTS))
+    with (
+        pytest.warns(
+            UserWarning, match=f"closed with {PARTS} parts, and ends after {left}"
+        ) as caught,
+        ssduck.open(run) as ss,
+    ):
+        assert len(ss.past("lab").ticks) == 1 + 2 * left
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+def test_a_whole_one_says_nothing(run: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with ssduck.open(run) as ss:
+            assert len(ss.past("lab").ticks) == 1 + 2 * PARTS
+
+
+def test_a_record_that_was_not_closed_ends_where_it_ends(run: Path) -> None:
+    about = run / "episodes" / "lab-1.json"
+    told = json.loads(about.read_text())
+    assert told.pop("parts")["ticks"] == PARTS
+    about.write_text(json.dumps(told))
+    without(run, PARTS - 1)
+    with ssduck.open(run) as ss:
+        assert len(ss.past("lab").ticks) == 1 + 2 * (PARTS - 1)
+
+
+def older(run: Path) -> None:
+    """Make it a record as they were before parts told which they are."""
+    for file in run.glob(f"*/{PLACE.format(1)}/*.parquet"):
+        duckdb.sql(f"CREATE OR REPLACE TEMP TABLE rows AS FROM '{file}'")
+        duckdb.sql(f"COPY rows TO '{file}' (FORMAT parquet)")
+    about = run / "episodes" / "lab-1.json"
+    told = json.loads(about.read_text())
+    del told["parts"], told["key"]
+    about.write_text(json.dumps(told))
+
+
+def test_an_older_record_is_opened_if_its_ticks_ascend(run: Path) -> None:
+    older(run)
+    with ssduck.open(run) as ss:
+        assert len(ss.past("lab").ticks) == 1 + 2 * PARTS
+    swap(part(run, "ticks", 1), part(run, "ticks", 2))
+    with pytest.raises(RecordError, match="its ticks do not ascend"):
+        ssduck.open(run)
+    swap(part(run, "ticks", 1), part(run, "ticks", 2))
+    without(run, 1)
+    with pytest.raises(RecordError, match="is missing, and parts after it"):
+        ssduck.open(run)

@@ -1,0 +1,130 @@
+"""How what waits is stored: by a store that fails; and in memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import SqlError
+from ssduck.recording.recorder import Recorder
+
+
+class Store:
+    """Keeps what it is given, when it may."""
+
+    keeps = False
+
+    def __init__(self) -> None:
+        self.failures = 0
+        self.rows: list[dict[str, Any]] = []
+
+    def add_members(self, members: Any, geometry_id: Any) -> None:
+        pass
+
+    def add(self, rows: Any, cut: Any) -> None:
+        if self.failures:
+            self.failures -= 1
+            raise SqlError("the disk is full")
+        with cut:
+            self.rows += [rows["entities"].select(["tick", "id", "z"]).to_pylist()]
+
+    def drop_before(self, tick: int) -> int:
+        return tick
+
+    @property
+    def stored(self) -> list[tuple[int, int]]:
+        return [(row["tick"], row["id"]) for part in self.rows for row in part]
+
+
+@pytest.fixture
+def world(client: int) -> ssduck.World:
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    for place in range(3):
+        pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
+    return ssduck.World.attach(client)
+
+
+def _recorded(world: ssduck.World, store: Any, **given: Any) -> tuple[Recorder, int]:
+    recorder = Recorder(Recording(**given), store, waits=10)
+    first = world.snapshot.number
+    world.record(recorder)
+    return recorder, first
+
+
+def test_a_tick_waits_while_those_before_it_are_stored(world: ssduck.World) -> None:
+    store = Store()
+    recorder, first = _recorded(world, store)
+    for ticks in range(1, 1000):
+        world.tick()
+        recorder.wait()
+        assert len(store.stored) == 3 * (ticks // 10 * 10)
+    recorder.flush()
+    assert store.stored == [(tick, id) for tick in range(first, first + 1000) for id in (1, 2, 3)]
+
+
+def test_what_a_store_does_not_take_is_given_again(world: ssduck.World) -> None:
+    store = Store()
+    recorder, first = _recorded(world, store)
+    store.failures = 2
+    failures = 0
+    for _ in range(100):
+        try:
+            world.tick()
+        except SqlError:
+            failures += 1
+    recorder.flush()
+    assert failures == 2
+    assert store.stored == [(t, id) for t in range(first, first + 101) for id in (1, 2, 3)]
+
+
+def test_entities_that_come_and_go_are_told_apart_in_a_ring(
+    world: ssduck.World, client: int
+) -> None:
+    store = Store()
+    recorder, first = _recorded(world, store)
+    for _ in range(4):
+        world.tick()
+    pybullet.removeBody(1, client)
+    for _ in range(20):
+        world.tick()
+    recorder.flush()
+    before = [(tick, id) for tick in range(first, first + 5) for id in (1, 2, 3)]
+    after = [(tick, id) for tick in range(first + 5, first + 25) for id in (1, 3)]
+    assert store.stored == before + after
+
+
+@pytest.mark.parametrize("flushed", [1, 7, 5000])
+def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int) -> None:
+    with ssduck.Interpreter(recording=Recording()) as ss:
+        ss.add_variable("lab", world)
+        first = world.snapshot.number
+        for number in range(1, 2500):
+            world.tick()
+            if number % flushed == 0:
+                ss.flush()
+        rows = ss.sql("SELECT tick, id FROM entities_history ORDER BY ALL").fetchall()
+        assert rows == [(t, id) for t in range(first, first + 2500) for id in (1, 2, 3)]
+        assert len(ss._database._recorders.running[0]._store._parts) < 5
+
+
+def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World) -> None:
+    with ssduck.Interpreter(recording=Recording(ticks=1600)) as ss:
+        ss.add_variable("lab", world)
+        kept = []
+        for _ in range(12):
+            for _ in range(800):
+                world.step()
+            kept.append(ss._database.record_of(world).fetch("entities", 0, 10**9))
+            ((low, high, count),) = ss.sql(
+                "SELECT min(tick), max(tick), count(*) FROM entities_history"
+            ).fetchall()
+            assert count == 3 * (high - low + 1)
+        # What was fetched is as it was, whatever was written since.
+        for rows in kept:
+            ticks = rows["tick"].to_pylist()
+            assert ticks == [tick for tick in range(ticks[0], ticks[-1] + 1) for _ in range(3)]
+        assert len(ss._database._recorders.running[0].rings["entities"]._lent) < 30

@@ -1,0 +1,225 @@
+"""Rows tell which run they are of: relations in SQL answer for that one, or say that they cannot."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import duckdb
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import EvaluationError, SelectScriptError, SqlError
+from ssduck.recording.spec import RECORDABLE
+
+ALL = Recording(tables=RECORDABLE)
+# Of episode 0 and 1: how far the centres of two balls of radius 0.5 are apart, and the gap.
+APART = (0.8, 1.3)
+GAPS = (0.0, 0.3)
+RADIUS = 0.5
+
+
+def balls(client: int, apart: float) -> ssduck.World:
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client
+    )
+    for x in (0, apart):
+        pybullet.createMultiBody(0, shape, basePosition=[x, 0, 0], physicsClientId=client)
+    return ssduck.World.attach(client)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of two episodes of one world's name."""
+    place = tmp_path_factory.mktemp("runs") / "r"
+    for apart in APART:
+        client = pybullet.connect(pybullet.DIRECT)
+        with ssduck.Interpreter(recording=ALL) as ss:
+            ss.add_variable("lab", balls(client, apart)).step()
+            ss.export(place)
+        pybullet.disconnect(client)
+    return place
+
+
+@pytest.fixture(scope="module")
+def opened(folder: Path):
+    with ssduck.open(folder) as ss:  # episode 1
+        yield ss
+
+
+def rows_of(folder: Path, episode: int | None = None) -> str:
+    chosen = "" if episode is None else f" WHERE episode = {episode}"
+    return (
+        f"(FROM read_parquet('{folder}/entities/**/*.parquet', hive_partitioning = true){chosen})"
+    )
+
+
+def asked(ss, what: str, rows: str):
+    return ss.sql(
+        f"WITH e AS {rows} SELECT {what} FROM e AS a JOIN e AS b USING (world, episode, tick) "
+        "WHERE a.id < b.id"
+    ).fetchall()
+
+
+ANSWERS = {
+    "clearance(a, b)": 0.3,
+    "lab.clearance(a, b)": 0.3,
+    "collides(a, b)": False,
+    "near(a, b, 0.4)": True,
+    "penetration(a, b)": 0.0,
+    "touching(a, b)": False,
+    "inContact(a, b)": False,
+    "contactForce(a, b)": 0.0,
+    "isSensing(a, b)": False,
+    "isBox(a)": False,
+    "nearestPoints(a, b)[1][1]": 0.5,
+    "solidVolume(a)": 4 / 3 * 3.141592653589793 * RADIUS**3,
+}
+
+
+@pytest.mark.parametrize("what", ANSWERS)
+def test_rows_of_the_opened_episode_are_answered(opened, folder, what: str) -> None:
+    assert asked(opened, what, rows_of(folder, 1)) == [(pytest.approx(ANSWERS[what]),)] * 2
+
+
+# Without a call: boxes that are apart tell.
+FOREIGN = [what for what in ANSWERS if not what.startswith("touching")]
+
+
+@pytest.mark.parametrize("what", FOREIGN)
+def test_rows_of_another_episode_are_an_error(opened, folder, what: str) -> None:
+    with pytest.raises(SelectScriptError, match=r"is of the run|of another run"):
+        asked(opened, what, rows_of(folder, 0))
+    with pytest.raises(SelectScriptError, match=r"is of the run|of another run"):
+        asked(opened, what, rows_of(folder))
+
+
+def test_each_episode_answers_for_its_own_rows(folder) -> None:
+    for episode, gap in enumerate(GAPS):
+        with ssduck.open(folder, episode=episode) as ss:
+            told = asked(ss, "clearance(a, b), collides(a, b)", rows_of(folder, episode))
+            assert told == [(pytest.approx(gap), gap == 0.0)] * 2
+            with pytest.raises(EvaluationError, match="is of the run"):
+                asked(ss, "clearance(a, b)", rows_of(folder, 1 - episode))
+
+
+def test_another_world_answers_for_none_of_them(folder) -> None:
+    with ssduck.load("kitchen") as ss:
+        for what in ("clearance(a, b)", "collides(a, b)"):
+            with pytest.raises(EvaluationError, match="is of the run"):
+                asked(ss, what, rows_of(folder, 0))
+
+
+@pytest.fixture(scope="module")
+def live():
+    client = pybullet.connect(pybullet.DIRECT)
+    with ssduck.Interpreter(recording=ALL) as ss:
+        world = ss.add_variable("lab", balls(client, 0.8))
+        for x in (0.9, 1.3):
+            body = pybullet.getBodyUniqueId(1, physicsClientId=client)
+            pybullet.resetBasePositionAndOrientation(
+                body, [x, 0, 0], [0, 0, 0, 1], physicsClientId=client
+            )
+            world.step()
+        yield ss
+    pybullet.disconnect(client)
+
+
+def test_rows_that_were_copied_are_answered_from_their_tick(live) -> None:
+    live.sql("CREATE OR REPLACE TABLE copied AS SELECT * FROM entities_history")
+    told = live.sql(
+        "SELECT clearance(a, b) FROM copied a JOIN copied b USING (tick) WHERE a.id < b.id ORDER BY tick"
+    ).fetchall()
+    assert [gap for (gap,) in told] == pytest.approx([0.0, 0.0, 0.3])
+
+
+CHANGED = [
+    ("* REPLACE (x + 1 AS x)", EvaluationError, "not as it was recorded"),
+    ("* REPLACE (-qw AS qw)", EvaluationError, "not as it was recorded"),
+    ("* REPLACE (NULL::DOUBLE AS z)", EvaluationError, "not as it was recorded"),
+    ("* REPLACE (run + 1 AS run)", EvaluationError, "is of the run"),
+    ("* REPLACE (NULL::BIGINT AS run)", EvaluationError, "is of the run"),
+    ("* REPLACE (99999 AS tick)", SelectScriptError, "tick"),
+    ("* EXCLUDE (run)", SqlError, "whole rows of entities"),
+    ("tick, id", SqlError, "whole rows of entities"),
+]
+
+
+@pytest.mark.parametrize(("columns", "error", "told"), CHANGED, ids=[row[0] for row in CHANGED])
+def test_rows_that_were_changed_are_an_error(live, columns: str, error, told: str) -> None:
+    with pytest.raises(error, match=told):
+        live.sql(f"SELECT clearance(a, b) FROM (SELECT {columns} FROM entities) a, entities b")
+
+
+def test_what_is_no_row_is_unknown(live) -> None:
+    told = live.sql(
+        "SELECT clearance(a, b), collides(a, b) FROM entities a LEFT JOIN entities b ON false"
+    )
+    assert told.fetchall() == [(None, None)] * 2
+    same = "SELECT clearance(a, b) FROM (SELECT * REPLACE (x + 0 AS x) FROM entities) a, entities b"
+    assert len(live.sql(same).fetchall()) == 4
+
+
+def test_rows_of_two_ticks_are_an_error(live) -> None:
+    for what in ("clearance(a, b)", "inContact(a, b)", "contactForce(a, b)", "isSensing(a, b)"):
+        with pytest.raises(SelectScriptError, match=r"two ticks|at one tick"):
+            live.sql(
+                f"SELECT {what} FROM entities_history a, entities_history b WHERE a.tick < b.tick"
+            )
+
+
+def test_a_what_if_world_is_another_run(live) -> None:
+    world = live.call_variable("lab")
+    first = next(iter(world)).name
+    live.add_variable("moved", world.what_if({first: [1, 0, 0, 0, 0.5, 0, 0]}))
+    try:
+        pairs = "SELECT {0}.clearance(a, b) FROM {1}.entities a, {1}.entities b WHERE a.id < b.id"
+        (gap,) = live.sql(pairs.format("moved", "moved")).fetchone()
+        assert gap == 0.0
+        for one, other in (("lab", "moved"), ("moved", "lab")):
+            with pytest.raises(EvaluationError, match="is of the run"):
+                live.sql(pairs.format(one, other))
+        runs = "SELECT count(DISTINCT run) FROM (FROM lab.entities UNION ALL FROM moved.entities)"
+        assert live.sql(runs).fetchone() == (2,)
+    finally:
+        live.add_variable("moved", world)
+
+
+def test_a_run_is_the_same_wherever_it_is_kept(tmp_path: Path, client: int) -> None:
+    file = tmp_path / "r.duckdb"
+    with ssduck.Interpreter(file, recording=ALL) as ss:
+        world = ss.add_variable("lab", balls(client, 0.8))
+        with ss.record_to(tmp_path / "live"):
+            world.step()
+        ss.export(tmp_path / "copy")
+        runs = {ss.sql("SELECT any_value(run) FROM entities").fetchone()}
+        runs |= set(ss.sql("SELECT DISTINCT run FROM entities_history").fetchall())
+    for place in (file, tmp_path / "live", tmp_path / "copy"):
+        with ssduck.open(place) as ss:
+            for table in ("entities", "entities_history", "entities_model"):
+                runs |= set(ss.sql(f"SELECT DISTINCT run FROM {table}").fetchall())
+    assert len(runs) == 1
+    ((run,),) = runs
+    assert 0 < run < 2**53
+
+
+def test_a_record_that_does_not_tell_runs_is_opened(folder: Path, tmp_path: Path) -> None:
+    """As records were before the column: its rows get a number when they are opened."""
+    old = tmp_path / "old"
+    shutil.copytree(folder, old)
+    for file in (*old.glob("entities/**/*.parquet"), *old.glob("models/entities/**/*.parquet")):
+        duckdb.sql(f"CREATE OR REPLACE TEMP TABLE rows AS SELECT * EXCLUDE (run) FROM '{file}'")
+        duckdb.sql(f"COPY rows TO '{file}' (FORMAT parquet)")
+    for file in old.glob("episodes/*.json"):
+        told = json.loads(file.read_text())
+        del told["key"], told["parts"]
+        file.write_text(json.dumps(told))
+    with ssduck.open(old) as ss:
+        pairs = "FROM entities_history a JOIN entities_history b USING (tick) WHERE a.id < b.id"
+        assert ss.sql(f"SELECT clearance(a, b) {pairs}").fetchall() == [(pytest.approx(0.3),)] * 2
+        assert ss.sql("SELECT count(DISTINCT run) FROM entities_model").fetchone() == (1,)
+        with pytest.raises(SqlError, match="whole rows of entities"):
+            asked(ss, "clearance(a, b)", rows_of(old, 1).replace("FROM", "SELECT * FROM", 1))

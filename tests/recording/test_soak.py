@@ -1,0 +1,17 @@
+"""A recorded world runs for long and takes no more memory: a short form of `python -m tools.soak`."""
+
+from __future__ import annotations
+
+import pytest
+
+from tools import soak
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("in_file", [False, True], ids=["memory", "file"])
+def test_memory_does_not_grow(tmp_path, in_file, capsys):
+    database = str(tmp_path / "soak.duckdb") if in_file else ":memory:"
+    found = soak.soaked(15_000, 0, database)
+    assert capsys.readouterr().out.count("MB") == 10
+    assert found[-1] < soak.MOST * found[0]

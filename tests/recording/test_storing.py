@@ -1,0 +1,441 @@
+"""Ticks go on while those before them are stored in a thread: what is seen, and what may happen."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.database import recorders, writer
+from ssduck.database.writer import WriterConnection
+from ssduck.errors import SqlError
+from ssduck.recording.recorder import Recorder
+from tests.support.timing import HANGS
+
+ROOT = Path(__file__).resolve().parents[2]
+RING = 10
+BALLS = 3
+POSIX = pytest.mark.skipif(os.name != "posix", reason="forks")
+
+
+class Gate:
+    """Holds up, or fails, what is run in a thread that stores.
+
+    Attributes:
+        reached: whether something is held up.
+        opened: lets it go on.
+        failures: so many times an insertion fails.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.reached, self.opened = threading.Event(), threading.Event()
+        self.failures = 0
+        self._held = ""
+        run = WriterConnection.run
+
+        def told(own: WriterConnection, sql: str) -> None:
+            if threading.current_thread().name == "ssduck stores":
+                self._pass(sql)
+            run(own, sql)
+
+        monkeypatch.setattr(WriterConnection, "run", told)
+
+    def _pass(self, sql: str) -> None:
+        if self._held and sql.startswith(self._held):
+            self.reached.set()
+            assert self.opened.wait(60)
+        if sql.startswith("INSERT") and self.failures:
+            self.failures -= 1
+            raise SqlError("the disk is full")
+
+    def hold(self, statement: str) -> None:
+        """Hold up statements that begin so."""
+        self._held = statement
+
+
+@pytest.fixture
+def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
+    gate = Gate(monkeypatch)
+    yield gate
+    gate.opened.set()
+
+
+@pytest.fixture
+def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
+    """A world of falling balls; a file takes its ticks ten at a time, and each time a checkpoint."""
+    monkeypatch.setattr(recorders, "RING_TICKS", RING)
+    monkeypatch.setattr(writer, "LONG_LOG", 1)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    for place in range(BALLS):
+        pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
+    return ssduck.World.attach(client, name="lab")
+
+
+@pytest.fixture
+def recorded(world: ssduck.World, tmp_path: Path) -> Iterator[ssduck.Interpreter]:
+    with ssduck.Interpreter(str(tmp_path / "run.duckdb")) as ss:
+        ss.add_variable("lab", world)
+        yield ss
+
+
+def _recorder(ss: ssduck.Interpreter) -> Recorder:
+    return ss._database._recorders.running[0]
+
+
+def _ticked(world: ssduck.World, until: int) -> None:
+    while world.snapshot.number < until:
+        world.tick()
+
+
+def _counts(ss: ssduck.Interpreter) -> dict[int, int]:
+    query = "SELECT tick, count(*) FROM entities_history GROUP BY tick ORDER BY tick"
+    return dict(ss.sql(query).fetchall())
+
+
+def _whole(last: int, first: int = 1) -> dict[int, int]:
+    return dict.fromkeys(range(first, last + 1), BALLS)
+
+
+def _in_thread(call: Callable[[], Any]) -> tuple[threading.Thread, list[Any]]:
+    found: list[Any] = []
+    thread = threading.Thread(target=lambda: found.append(call()))
+    thread.start()
+    return thread, found
+
+
+def _storers() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == "ssduck stores"]
+
+
+# -- what is seen -----------------------------------------------------------------------------
+
+
+def test_what_is_being_stored_is_seen_once(
+    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
+) -> None:
+    gate.hold("INSERT")
+    _ticked(world, RING + 5)
+    assert gate.reached.wait(60)
+    assert _counts(recorded) == _whole(RING + 5)
+    assert recorded.past("lab").ticks == list(range(1, RING + 6))
+    asked = recorded._database.record_of(world)
+    ticks = asked.fetch("entities", RING - 1, RING + 2)["tick"].to_pylist()
+    assert sorted(ticks) == [t for t in range(RING - 1, RING + 3) for _ in range(BALLS)]
+    near = "SELECT tick(this) FROM lab{} WHERE this == ball AND near(this, other, 5) AS list;"
+    balls = sorted(entity.name for entity in world)
+    recorded.add_variable("ball", world[balls[0]])
+    recorded.add_variable("other", world[balls[1]])
+    found = recorded.eval(near)  # its shapes are read with a tick more
+    assert found == list(range(1, RING + 7))
+    gate.opened.set()
+    _recorder(recorded).wait()
+    assert _counts(recorded) == _whole(RING + 6)
+    assert recorded.eval(near) == found
+
+
+def test_a_query_and_a_commit_wait_for_each_other(
+    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
+) -> None:
+    gate.hold("COMMIT")
+    _ticked(world, RING + 1)
+    assert gate.reached.wait(60)
+    thread, found = _in_thread(lambda: _counts(recorded))
+    thread.join(0.1)
+    assert thread.is_alive()  # what it would see is neither here nor there
+    gate.opened.set()
+    thread.join(60)
+    assert found == [_whole(RING + 1)]
+
+
+def test_nothing_is_made_good_amid_a_query(
+    recorded: ssduck.Interpreter, world: ssduck.World
+) -> None:
+    _ticked(world, RING)
+    recorder = _recorder(recorded)
+    with recorded._database.held():
+        recorder._hand_over()
+        thread = _storers()[0]
+        thread.join(0.2)
+        assert thread.is_alive()
+        stored = recorder._store.fetch("entities", 0, 100)  # type: ignore[attr-defined]
+        assert stored.num_rows == 0
+    thread.join(60)
+    assert recorder._store.fetch("entities", 0, 100).num_rows == BALLS * RING
+
+
+def test_queries_see_whole_ticks_while_they_are_stored(
+    recorded: ssduck.Interpreter, world: ssduck.World
+) -> None:
+    ends = threading.Event()
+
+    def stepping() -> None:
+        while not ends.is_set():
+            world.tick()
+
+    thread, _ = _in_thread(stepping)
+    try:
+        for _ in range(20):
+            with recorded._database.held():
+                last = world.snapshot.number
+                for _ in range(2):
+                    assert _counts(recorded) == _whole(last)
+            ticks = recorded.eval("SELECT tick(this) FROM lab{} AS list;")
+            assert ticks == [t for t in range(1, ticks[-1] + 1) for _ in range(BALLS)]
+    finally:
+        ends.set()
+        thread.join()
+    assert world.snapshot.number > 3 * RING
+
+
+def test_entities_that_come_while_others_are_stored(
+    recorded: ssduck.Interpreter, world: ssduck.World, client: int, gate: Gate
+) -> None:
+    gate.hold("INSERT")
+    _ticked(world, RING + 1)
+    assert gate.reached.wait(60)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, ball, basePosition=[0, 5, 1], physicsClientId=client)
+    thread, _ = _in_thread(world.tick)
+    thread.join(0.1)
+    assert thread.is_alive()  # what it is waits for the same connection
+    gate.opened.set()
+    thread.join(60)
+    assert _counts(recorded) == _whole(RING + 1) | {RING + 2: BALLS + 1}
+
+
+# -- waiting ----------------------------------------------------------------------------------
+
+
+def test_a_tick_waits_when_both_are_full(
+    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
+) -> None:
+    gate.hold("INSERT")
+    thread, _ = _in_thread(lambda: _ticked(world, 10 * RING))
+    assert gate.reached.wait(60)
+    thread.join(0.3)
+    assert thread.is_alive()
+    recorder = _recorder(recorded)
+    assert (len(recorder.ticks), recorder.rings["ticks"].count) == (2 * RING, RING)
+    assert len(recorder._storing) == 1
+    gate.opened.set()
+    thread.join(60)
+    assert _counts(recorded) == _whole(10 * RING)
+
+
+def test_a_tick_that_waited_until_ctrl_c_is_kept(
+    recorded: ssduck.Interpreter, world: ssduck.World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _ticked(world, RING)
+    recorder = _recorder(recorded)
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recorder, "wait", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            world.tick()
+    _ticked(world, 3 * RING)
+    assert _counts(recorded) == _whole(3 * RING)
+
+
+@pytest.mark.parametrize("call", ["flush", "close"])
+def test_flush_and_close_wait(
+    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path, call: str
+) -> None:
+    gate.hold("INSERT")
+    _ticked(world, RING + 4)
+    assert gate.reached.wait(60)
+    thread, _ = _in_thread(getattr(recorded, call))
+    thread.join(0.1)
+    assert thread.is_alive()
+    gate.opened.set()
+    thread.join(60)
+    assert not _storers()
+    recorded.close()
+    with ssduck.open(tmp_path / "run.duckdb") as then:
+        assert _counts(then) == _whole(RING + 4)
+
+
+def test_a_world_that_is_recorded_anew_while_it_is_stored(world: ssduck.World, gate: Gate) -> None:
+    with ssduck.Interpreter(recording=Recording(changed=True)) as ss:  # in memory, yet in tables
+        ss.add_variable("lab", world)
+        gate.hold("INSERT")
+        _ticked(world, RING + 1)
+        assert gate.reached.wait(60)
+        thread, _ = _in_thread(lambda: ss.record("lab", Recording()))
+        gate.opened.set()
+        thread.join(60)
+        world.tick()
+        assert _counts(ss) == _whole(RING + 2, first=RING + 1)
+
+
+def test_old_ticks_of_a_file_are_dropped(world: ssduck.World, tmp_path: Path) -> None:
+    kept = Recording(ticks=8 * RING)
+    with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=kept) as ss:
+        ss.add_variable("lab", world)
+        for last in range(7, 30 * RING, 17):
+            _ticked(world, last)
+            ticks = ss.past("lab").ticks
+            assert ticks == list(range(ticks[0], last + 1))
+            assert min(last, 8 * RING) <= len(ticks) <= 12 * RING + 1
+            assert _counts(ss) == _whole(last, ticks[0])
+
+
+# -- what fails -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("told", ["tick", "flush", "close"])
+def test_what_fails_in_the_thread_is_told_and_waits(
+    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path, told: str
+) -> None:
+    gate.failures = 1
+    gate.hold("INSERT")
+    _ticked(world, RING + 1)
+    gate.opened.set()
+    _recorder(recorded).wait()
+    assert _counts(recorded) == _whole(RING + 1)
+    if told == "tick":
+        with pytest.raises(SqlError, match="the disk is full"):
+            world.tick()
+        _ticked(world, 3 * RING)  # is told once, and tried again
+        recorded.flush()
+    else:  # they try at once
+        getattr(recorded, told)()
+    last = world.snapshot.number
+    recorded.close()
+    with ssduck.open(tmp_path / "run.duckdb") as then:
+        assert _counts(then) == _whole(last)
+
+
+def test_what_fails_again_and_again(
+    recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path
+) -> None:
+    gate.failures = 3
+    failures = 0
+    for _ in range(6 * RING):
+        try:
+            world.tick()
+        except SqlError:
+            failures += 1
+        _recorder(recorded).wait()
+        if world.snapshot.number % 4 == 0:
+            assert _counts(recorded) == _whole(world.snapshot.number)
+    assert failures == 3
+    assert recorded.flush() == {"lab": 6 * RING + 1}
+    recorded.close()
+    with ssduck.open(tmp_path / "run.duckdb") as then:
+        assert _counts(then) == _whole(6 * RING + 1)
+
+
+def test_a_log_that_cannot_be_moved_is_told_at_flush(
+    recorded: ssduck.Interpreter, world: ssduck.World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_: Any) -> None:
+        raise SqlError("no checkpoint")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(WriterConnection, "settle", fails)
+        _ticked(world, RING + 1)
+        _recorder(recorded).wait()
+    with pytest.raises(SqlError, match="no checkpoint"):
+        recorded.flush()
+    assert _counts(recorded) == _whole(RING + 1)
+
+
+# -- the end ----------------------------------------------------------------------------------
+
+
+def test_an_interpreter_that_is_forgotten_while_it_stores(
+    world: ssduck.World, gate: Gate, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.duckdb"
+    ss = ssduck.Interpreter(str(path))
+    ss.add_variable("lab", world)
+    gate.hold("INSERT")
+    _ticked(world, RING + 3)
+    assert gate.reached.wait(60)
+    gone = weakref.ref(ss._database)
+    threading.Timer(0.1, gate.opened.set).start()
+    del ss
+    gc.collect()
+    assert gone() is None
+    assert not _storers()
+    with ssduck.open(path) as then:
+        assert _counts(then) == _whole(RING + 3)
+
+
+def test_garbage_is_collected_in_the_thread_that_stores(
+    world: ssduck.World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.duckdb"
+    ss: Any = ssduck.Interpreter(str(path))
+    ss.add_variable("lab", world)
+    finish = ss._database.connection._finalizer
+    run, ended = WriterConnection.run, threading.Event()
+
+    def told(own: WriterConnection, sql: str) -> None:
+        if threading.current_thread().name == "ssduck stores" and sql == "BEGIN":
+            finish()  # as the collector of garbage would
+            ended.set()
+        run(own, sql)
+
+    monkeypatch.setattr(WriterConnection, "run", told)
+    _ticked(world, RING + 3)
+    assert ended.wait(60)
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(60)
+    with ssduck.open(path) as then:
+        counts = _counts(then)
+    assert counts == _whole(len(counts))
+    assert len(counts) >= RING
+
+
+SCRIPT = """
+import os, sys, time, pybullet, ssduck
+from ssduck.database import recorders
+from ssduck.database.writer import Writer
+recorders.RING_TICKS = 10
+client = pybullet.connect(pybullet.DIRECT)
+ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
+for place in range(3):
+    pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1])
+world = ssduck.World.attach(client, name="lab")
+ss = ssduck.Interpreter(sys.argv[1])
+ss.add_variable("lab", world)
+slow = Writer.insert
+def insert(*given):
+    time.sleep(0.05)
+    slow(*given)
+Writer.insert = insert
+while world.snapshot.number < 24:
+    world.tick()
+"""
+ENDS = {
+    "the end": "",
+    "an error": "raise SystemExit(0)",
+    "a fork": "if not os.fork():\n    sys.exit()\nos.wait()\nworld.tick()",
+}
+
+
+@POSIX
+@pytest.mark.parametrize("end", ENDS)
+def test_a_process_that_ends_while_it_stores(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "run.duckdb"
+    subprocess.run(
+        [sys.executable, "-c", SCRIPT + ENDS[end], str(path)], check=True, timeout=HANGS, cwd=ROOT
+    )
+    with ssduck.open(path) as then:
+        assert _counts(then) == _whole(25 if end == "a fork" else 24)

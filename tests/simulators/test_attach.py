@@ -1,0 +1,358 @@
+"""A client that the user made and goes on using: bodies come, go and move behind ssduck's back."""
+
+from __future__ import annotations
+
+import gc
+
+import pybullet
+import pytest
+from pybullet_utils.bullet_client import BulletClient
+
+import ssduck
+from ssduck.errors import RemovedEntityError, SelectScriptError, SimulatorError
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.simulators.scenes import SensorSpec, find_scene
+
+
+@pytest.fixture
+def make(client):
+    """Makes a box in the client."""
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+
+    def made(position=(0, 0, 0), mass=1.0):
+        return pybullet.createMultiBody(mass, shape, basePosition=position, physicsClientId=client)
+
+    return made
+
+
+def test_names_and_kinds_are_the_users_or_the_models(client, make, write):
+    urdf = '<robot name="cube"><link name="l"/></robot>'
+    path = str(write("cube.urdf", urdf))
+    first = pybullet.loadURDF(path, physicsClientId=client)
+    pybullet.loadURDF(path, physicsClientId=client)
+    named, plain = make(), make()
+    world = ssduck.World.attach(
+        client, names={named: "mine", first: "cube"}, kinds={named: "robot"}
+    )
+    assert [entity.name for entity in world] == ["cube", "cube_2", "mine", f"body_{plain}"]
+    assert world["mine"].kind == "robot"
+    assert world["cube_2"].kind == "kinbody"
+
+
+def test_what_has_movable_joints_is_a_robot(client, write):
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    for kind in ("revolute", "continuous", "prismatic", "fixed"):
+        urdf = (
+            f'<robot name="{kind}_one"><link name="a"/><link name="b"/><joint name="j" type="{kind}">'
+            f'<parent link="a"/><child link="b"/><axis xyz="0 0 1"/>{limit}</joint></robot>'
+        )
+        pybullet.loadURDF(str(write(f"{kind}.urdf", urdf)), physicsClientId=client)
+    world = ssduck.World.attach(client)
+    assert {entity.name: entity.kind for entity in world} == {
+        "revolute_one": "robot",
+        "continuous_one": "robot",
+        "prismatic_one": "robot",
+        "fixed_one": "kinbody",
+    }
+
+
+def test_an_empty_client_is_an_empty_world(client, make):
+    world = ssduck.World.attach(client)
+    assert len(world) == 0
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        assert ss.eval("SELECT id FROM sim;") == []
+        make()
+        world.tick()
+        assert len(ss.eval("SELECT id FROM sim;")) == 1
+
+
+def test_bodies_that_come_and_go(client, make):
+    first = make()
+    world = ssduck.World.attach(client, names={first: "first"})
+    ids = {"first": world["first"].id}
+    second = make((1, 0, 0))
+    assert len(world) == 1  # until the next tick
+    world.tick()
+    handle = world[f"body_{second}"]
+    assert handle.position == pytest.approx([1, 0, 0])
+    pybullet.removeBody(first, client)
+    world.tick()
+    assert [entity.name for entity in world] == [handle.name]
+    assert handle.id not in ids.values()
+
+
+def test_a_body_that_took_the_number_of_another(client, make):
+    """PyBullet gives numbers again at once; an equal box in the same place is another body."""
+    body = make((0, 0, 1))
+    world = ssduck.World.attach(client, names={body: "box"})
+    old = world["box"]
+    pybullet.removeBody(body, client)
+    assert make((0, 0, 1)) == body
+    world.tick()
+    (new,) = world
+    assert new.id != old.id
+    assert new != old
+    for act in (lambda: old.position, lambda: old.links, lambda: old.move([0, 0, 0])):
+        with pytest.raises(RemovedEntityError, match="'box' is no longer in world"):
+            act()
+    assert old.name == "box"
+
+
+def test_a_reset_simulation(client, make):
+    make()
+    world = ssduck.World.attach(client)
+    old = next(iter(world))
+    pybullet.resetSimulation(physicsClientId=client)
+    make((5, 0, 0))
+    world.tick()
+    (new,) = world
+    assert new.id != old.id
+    assert new.position == pytest.approx([5, 0, 0])
+
+
+@pytest.mark.parametrize("mass", [0.0, 1.0])
+def test_bodies_that_are_moved_behind_our_back(client, make, mass):
+    """Even those that cannot move by themselves."""
+    body = make((0, 0, 0), mass)
+    world = ssduck.World.attach(client, names={body: "it"})
+    pybullet.resetBasePositionAndOrientation(body, [3, 2, 1], [0, 0, 0, 1], client)
+    assert world["it"].position == pytest.approx([0, 0, 0])
+    world.tick()
+    assert world["it"].position == pytest.approx([3, 2, 1])
+    assert world["it"].aabb[0] == pytest.approx([2.9, 1.9, 0.9])
+
+
+def test_two_worlds_on_one_client(client, make):
+    body = make()
+    worlds = [ssduck.World.attach(client, names={body: name}) for name in ("one", "other")]
+    make((1, 0, 0))
+    for world, name in zip(worlds, ("one", "other"), strict=True):
+        world.tick()
+        assert name in world
+        assert len(world) == 2
+    pybullet.removeBody(body, client)
+    for world in worlds:
+        world.tick()
+        assert len(world) == 1
+
+
+def test_a_client_object_will_do():
+    client = BulletClient(pybullet.DIRECT)
+    client.createMultiBody()
+    assert len(ssduck.World.attach(client)) == 1
+    client.disconnect()
+
+
+@pytest.mark.parametrize("client", [99, "no client", None])
+def test_what_is_no_client(client):
+    with pytest.raises(SimulatorError, match="no connected PyBullet client"):
+        ssduck.World.attach(client)
+
+
+def test_a_disconnected_client_is_no_client():
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.disconnect(client)
+    with pytest.raises(SimulatorError, match="no connected PyBullet client"):
+        ssduck.World.attach(client)
+
+
+@pytest.mark.parametrize("argument", ["names", "kinds"])
+def test_numbers_that_no_body_has(client, make, argument):
+    make()
+    value = {"names": "x", "kinds": "robot"}[argument]
+    with pytest.raises(SelectScriptError, match="no body 7"):
+        ssduck.World.attach(client, **{argument: {7: value}})
+
+
+def test_closing_leaves_the_users_client_connected(client, make):
+    make()
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach(client))
+    assert pybullet.isConnected(client)
+    assert pybullet.getNumBodies(client) == 1
+
+
+def test_time_counts_the_steps_of_the_world_and_of_its_owner(client, make):
+    make()
+    pybullet.setTimeStep(0.01, client)
+    world = ssduck.World.attach(client)
+    assert world.time == 0.0
+    world.step(50)
+    assert world.time == pytest.approx(0.5)
+    pybullet.stepSimulation(client)
+    world.tick()
+    assert world.time == pytest.approx(0.51)
+
+
+def test_names_are_of_the_bodies_that_were_there(client, make):
+    """Not of a later one that PyBullet gives the same number."""
+    body = make()
+    world = ssduck.World.attach(client, names={body: "table"}, kinds={body: "robot"})
+    pybullet.removeBody(body, client)
+    assert make() == body
+    (new,) = world.tick()
+    assert (new.name, new.kind) == (f"body_{body}", "kinbody")
+
+
+def test_names_are_made_unique_whatever_they_end_in(client, make):
+    bodies = [make() for _ in range(5)]
+    names = dict(zip(bodies, ("box", "box_2", "box", "box", "box_2"), strict=True))
+    world = ssduck.World.attach(client, names=names)
+    assert [e.name for e in world] == ["box", "box_2", "box_3", "box_4", "box_2_2"]
+
+
+@pytest.mark.parametrize("kind", ["sensor", "Robot", "", None])
+def test_kinds_that_there_are_not(client, make, kind):
+    body = make()
+    with pytest.raises(SelectScriptError, match="neither 'robot' nor 'kinbody'"):
+        ssduck.World.attach(client, kinds={body: kind})
+
+
+def test_a_moved_handle_of_a_removed_body_moves_no_other(client, make):
+    """Be it that no tick has told it yet, and that another body has its number."""
+    body = make((0, 0, 1))
+    world = ssduck.World.attach(client)
+    (old,) = world
+    pybullet.removeBody(body, client)
+    assert make((7, 7, 7)) == body
+    for arguments in (([1, 1, 1], [1, 0, 0, 0]), ([1, 1, 1],)):
+        with pytest.raises(RemovedEntityError, match="no longer in world"):
+            old.move(*arguments)
+    (new,) = world.tick()
+    assert new.position == pytest.approx([7, 7, 7])
+    with pytest.raises(RemovedEntityError):
+        old.move([1, 1, 1], [1, 0, 0, 0])
+
+
+def test_the_order_of_bodies_is_that_of_their_coming(client, make):
+    first, second, _ = make(), make(), make()
+    world = ssduck.World.attach(client)
+    ids = [e.id for e in world]
+    pybullet.removeBody(first, client)
+    pybullet.removeBody(second, client)
+    again = {make((1, 0, 0)), make((2, 0, 0))}
+    assert again == {first, second}
+    world.tick()
+    assert [e.id for e in world] == [ids[2], 4, 5]
+
+
+def test_equal_bodies_after_a_reset_are_new_ones(client, make):
+    make()
+    world = ssduck.World.attach(client)
+    (old,) = world
+    pybullet.resetSimulation(physicsClientId=client)
+    assert len(world.tick()) == 0
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    pybullet.createMultiBody(1.0, shape, physicsClientId=client)
+    pybullet.addUserData(0, "someone's", "1", physicsClientId=client)
+    (new,) = world.tick()
+    assert new.id == old.id + 1
+
+
+def test_a_world_leaves_nothing_behind_in_the_users_client(client, make):
+    body = make()
+    pybullet.addUserData(body, "mine", "1", physicsClientId=client)
+    world = ssduck.World.attach(client)
+    assert pybullet.getNumUserData(body, client) == 2
+    world.close()
+    assert pybullet.getNumUserData(body, client) == 1
+    with pytest.raises(SimulatorError, match="the world is closed"):
+        world.tick()
+    assert len(ssduck.World.attach(client)) == 1
+
+
+def test_a_timestep_that_changes_on_the_way(client, make):
+    make()
+    pybullet.setTimeStep(0.01, client)
+    world = ssduck.World.attach(client)
+    world.step(10)
+    pybullet.setTimeStep(0.001, client)
+    assert world.time == pytest.approx(0.1, abs=1e-15)
+    assert world.step(10).time == pytest.approx(0.11, abs=1e-15)
+    pybullet.resetSimulation(physicsClientId=client)
+    pybullet.setTimeStep(0.01, client)
+    assert world.step(1).time == pytest.approx(0.12, abs=1e-15)
+
+
+def test_many_steps_do_not_add_up_errors(client):
+    assert ssduck.World.attach(client).step(24_000).time == 100.0
+
+
+# -- clients whose numbers PyBullet gives again -----------------------------------------------------
+
+
+def next_number():
+    """The number of the next client."""
+    number = pybullet.connect(pybullet.DIRECT)
+    pybullet.disconnect(number)
+    return number
+
+
+def test_a_closed_world_does_not_close_the_next_one():
+    first = ssduck.World.load(find_scene("kitchen"))
+    first.close()
+    second = ssduck.World.load(find_scene("kitchen"))
+    assert second._simulator.client == first._simulator.client
+    first.close()
+    for act in (first.tick, first.step, first.render):
+        with pytest.raises(SimulatorError, match="the world is closed"):
+            act()
+    del first
+    gc.collect()
+    assert len(second.step()) == 37
+    second.close()
+
+
+def test_a_lost_client_stays_lost():
+    """The next client of its number is none of the world's."""
+    number = pybullet.connect(pybullet.DIRECT)
+    world = ssduck.World.attach(number)
+    pybullet.disconnect(number)
+    with pytest.raises(SimulatorError, match=f"PyBullet client {number} is disconnected"):
+        world.tick()
+    assert pybullet.connect(pybullet.DIRECT) == number
+    with pytest.raises(SimulatorError, match=f"PyBullet client {number} is disconnected"):
+        world.step()
+    world.close()
+    assert pybullet.isConnected(number)
+    pybullet.disconnect(number)
+
+
+def test_a_world_that_nobody_holds_frees_its_client():
+    number = next_number()
+    world = ssduck.World.load(find_scene("kitchen"))
+    cup = world["cup_905a"]
+    del world
+    gc.collect()
+    assert next_number() > number  # the handle holds it
+    assert cup.position[2] > 0
+    del cup
+    gc.collect()
+    assert next_number() == number
+
+
+# -- sensors on bodies that go ------------------------------------------------------------------------
+
+
+def test_the_sensors_of_a_removed_body_go_with_it(client, make):
+    carrier, other = make(), make()
+    specs = [
+        SensorSpec(
+            f"eye_{body}", f"body_{body}", None, "range_finder", (0, 0, 1), (1, 0, 0, 0), 0, 1, {}
+        )
+        for body in (carrier, other)
+    ]
+    world = ssduck.World(PyBulletSimulator(client, owned=False), sensors=specs)
+    assert [e.name for e in world] == ["eye_0", "eye_1", "body_0", "body_1"]
+    assert [e.id for e in world] == [1, 2, 3, 4]
+    eye = world["eye_0"]
+    pybullet.removeBody(carrier, client)
+    assert [e.name for e in world.tick()] == ["eye_1", "body_1"]
+    assert world["eye_1"].position == pytest.approx([0, 0, 1])
+    with pytest.raises(RemovedEntityError, match="'eye_0'"):
+        eye.position  # noqa: B018

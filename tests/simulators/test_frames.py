@@ -1,0 +1,763 @@
+"""Poses, velocities, boxes, joints, shapes and contacts against PyBullet and the models' files."""
+
+from __future__ import annotations
+
+import math
+import warnings
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pybullet
+import pybullet_data
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import ssduck
+from ssduck.formatting import MOST_NAMED
+from tests.support.arm import ARM, HIGH, LIMIT, LOW, POSE, TWIST, unsettle
+from tests.support.urdf import box_obj, collision, joint, link, robot
+
+LIBRARY = Path(pybullet_data.getDataPath())
+# PyBullet gives link frames in single precision, centres of mass in double.
+SINGLE = 1e-6
+MODELS = [
+    "kuka_iiwa/model.urdf",
+    "r2d2.urdf",
+    "duck_vhacd.urdf",
+    "humanoid/humanoid.urdf",
+    "cartpole.urdf",
+    "pr2_gripper.urdf",
+    "laikago/laikago_toes.urdf",
+    "tray/traybox.urdf",
+]
+
+
+def rows(world, table, columns, entity=None):
+    """Columns of a table as (rows, columns), of one entity or of all."""
+    arrow = world.snapshot.tables[table].arrow
+    numbers = np.array([arrow[name].to_numpy() for name in columns]).T
+    if entity is not None:
+        numbers = numbers[arrow["entity"].to_numpy() == world[entity].id]
+    return numbers
+
+
+def asked(world, *tables):
+    """The world with these tables read at its present state."""
+    world.ask(tables)
+    return world.tick()
+
+
+def matrix(orientation_xyzw):
+    return Rotation.from_quat(orientation_xyzw)
+
+
+def same_turn(quaternions_wxyz, quaternions_xyzw, tolerance=SINGLE):
+    """Whether rows of orientations are the same rotations."""
+    first = Rotation.from_quat(np.roll(quaternions_wxyz, -1, axis=1))
+    second = Rotation.from_quat(quaternions_xyzw)
+    return (first * second.inv()).magnitude().max() < tolerance
+
+
+@pytest.fixture(params=["arm", *MODELS])
+def body(request, client, write):
+    """A body of a client, in a pose of all its joints and of its base that nothing is special of."""
+    path = write("arm.urdf", ARM) if request.param == "arm" else LIBRARY / request.param
+    handle = pybullet.loadURDF(str(path), physicsClientId=client)
+    unsettle(client, handle, seed=len(request.param))
+    return handle
+
+
+def link_states(client, handle):
+    """PyBullet's own states of the links, the base aside."""
+    count = pybullet.getNumJoints(handle, client)
+    return pybullet.getLinkStates(handle, range(count), 1, 1, client) if count else ()
+
+
+def base_state(client, handle):
+    """Pose of the centre of mass, pose of the link frame: scipy's work."""
+    position, turn = pybullet.getBasePositionAndOrientation(handle, client)
+    inner, inner_turn = pybullet.getDynamicsInfo(handle, -1, client)[3:5]
+    frame_turn = matrix(turn) * matrix(inner_turn).inv()
+    return np.array(position), np.array(position) - frame_turn.apply(inner), frame_turn
+
+
+# -- poses and velocities ----------------------------------------------------------------------
+
+
+def test_link_frames_are_pybullets(client, body):
+    world = asked(ssduck.World.attach(client), "links")
+    poses = rows(world, "links", POSE)
+    states = link_states(client, body)
+    assert len(poses) == len(states) + 1
+    _, position, turn = base_state(client, body)
+    expected = [(position, turn.as_quat()), *(state[4:6] for state in states)]
+    assert poses[:, :3] == pytest.approx(np.array([e[0] for e in expected]), abs=SINGLE)
+    assert same_turn(poses[:, 3:], np.array([e[1] for e in expected]))
+    assert poses[0, :3] == pytest.approx(position, abs=1e-12)
+    assert same_turn(poses[:1, 3:], turn.as_quat()[None], tolerance=1e-12)
+    assert np.linalg.norm(poses[:, 3:], axis=1) == pytest.approx(np.ones(len(poses)), abs=1e-9)
+
+
+def test_an_entity_is_where_its_base_is(client, body):
+    world = asked(ssduck.World.attach(client), "links")
+    columns = POSE + TWIST
+    assert rows(world, "entities", columns).tolist() == rows(world, "links", columns)[:1].tolist()
+
+
+def test_velocities_are_those_of_the_link_frames_origins(client, body):
+    """v of a point of a rigid body: that of its centre of mass, and w x r."""
+    world = asked(ssduck.World.attach(client), "links")
+    centre, origin, _ = base_state(client, body)
+    linear, angular = pybullet.getBaseVelocity(body, client)
+    expected = [np.concatenate((linear + np.cross(angular, origin - centre), angular))]
+    for state in link_states(client, body):
+        arm = np.subtract(state[4], state[0])
+        expected.append(np.concatenate((state[6] + np.cross(state[7], arm), state[7])))
+    found = rows(world, "links", TWIST)
+    assert found == pytest.approx(np.array(expected), abs=1e-5)
+    assert found[0] == pytest.approx(expected[0], abs=1e-12)
+
+
+def test_velocities_are_the_change_of_positions(client, write):
+    """Over so short a step, in free fall without gravity, nothing else can be seen."""
+    step = 1e-6
+    pybullet.setTimeStep(step, client)
+    arm = pybullet.loadURDF(str(write("arm.urdf", ARM)), physicsClientId=client)
+    unsettle(client, arm, seed=3)
+    for index in range(pybullet.getNumJoints(arm, client)):
+        pybullet.setJointMotorControl2(
+            arm, index, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client
+        )
+    world = asked(ssduck.World.attach(client), "links")
+    before = rows(world, "links", POSE + TWIST)
+    after = rows(world.step(), "links", POSE + TWIST)
+    moved = (after[:, :3] - before[:, :3]) / step
+    assert np.abs(after[:, 7:10]).min(axis=0).max() > 0.1  # it does move
+    assert moved == pytest.approx(after[:, 7:10], abs=1e-4)
+    first, second = (Rotation.from_quat(np.roll(r[:, 3:7], -1, axis=1)) for r in (before, after))
+    turning = (second * first.inv()).as_rotvec() / step
+    assert turning == pytest.approx(after[:, 10:], abs=1e-3)
+
+
+# -- boxes ------------------------------------------------------------------------------------
+
+
+def floats(text, default):
+    return np.array([float(x) for x in text.split()]) if text else np.array(default, dtype=float)
+
+
+def meshes_of(path):
+    """Of each link of a URDF: the corners of its collision meshes in the link's frame."""
+    found = {}
+    for element in ET.parse(path).getroot().findall("link"):  # noqa: S314  # from PyBullet's wheel
+        sets = []
+        for shape in element.findall("collision"):
+            origin, mesh = shape.find("origin"), shape.find("geometry/mesh")
+            place = origin.attrib if origin is not None else {}
+            loaded = trimesh.load_scene(path.parent / mesh.get("filename"), process=False)
+            points = loaded.to_mesh().vertices * floats(mesh.get("scale"), (1, 1, 1))
+            turn = Rotation.from_euler("xyz", floats(place.get("rpy"), (0, 0, 0)))
+            sets.append(turn.apply(points) + floats(place.get("xyz"), (0, 0, 0)))
+        found[element.get("name")] = np.concatenate(sets) if sets else np.zeros((1, 3))
+    return found
+
+
+@pytest.mark.parametrize("model", ["kuka_iiwa/model.urdf", "duck_vhacd.urdf", "teddy_vhacd.urdf"])
+def test_boxes_are_those_of_all_vertices_of_the_files(client, model):
+    handle = pybullet.loadURDF(str(LIBRARY / model), physicsClientId=client)
+    unsettle(client, handle, seed=8)
+    world = asked(ssduck.World.attach(client), "links")
+    _, origin, turn = base_state(client, handle)
+    frames = [(origin, turn), *((s[4], matrix(s[5])) for s in link_states(client, handle))]
+    names = world.snapshot.tables["links"].arrow["name"].to_pylist()
+    meshes = meshes_of(LIBRARY / model)
+    points = [t.apply(meshes[name]) + place for name, (place, t) in zip(names, frames, strict=True)]
+    lows, highs = rows(world, "links", LOW), rows(world, "links", HIGH)
+    assert lows == pytest.approx(np.array([p.min(axis=0) for p in points]), abs=SINGLE)
+    assert highs == pytest.approx(np.array([p.max(axis=0) for p in points]), abs=SINGLE)
+    every = np.concatenate(points)
+    assert rows(world, "entities", LOW + HIGH)[0] == pytest.approx(
+        np.concatenate((every.min(axis=0), every.max(axis=0))), abs=SINGLE
+    )
+
+
+def test_boxes_lie_within_pybullets_padded_ones(client, body):
+    world = asked(ssduck.World.attach(client), "links")
+    boxes = rows(world, "links", LOW + HIGH)
+    shaped = {shape.frame for shape in world.snapshot.members[0].body.shapes}
+    assert shaped
+    for number in shaped:
+        box = boxes[number]
+        low, high = pybullet.getAABB(body, number - 1, client)
+        # PyBullet computes in single precision, and rounds the corners of hulls.
+        assert np.all(np.array(low) <= box[:3] + 1e-3)
+        assert np.all(np.array(high) >= box[3:] - 1e-3)
+
+
+SHAPES = [
+    ('<box size="0.4 0.2 0.1"/>', (0.2, 0.1, 0.05)),
+    ('<sphere radius="0.3"/>', (0.3, 0.3, 0.3)),
+    ('<capsule radius="0.1" length="0.4"/>', (0.1, 0.1, 0.3)),
+    ('<cylinder radius="0.1" length="0.4"/>', (0.1, 0.1, 0.2)),
+]
+
+
+@pytest.mark.parametrize(("shape", "half"), SHAPES)
+def test_boxes_are_pybullets_but_for_its_padding(client, write, shape, half):
+    path = write("one.urdf", robot(link("one", com=(1, 2, 3), shapes=collision(shape))))
+    handle = pybullet.loadURDF(str(path), [5, 6, 7], physicsClientId=client)
+    world = ssduck.World.attach(client)
+    _, origin, _ = base_state(client, handle)
+    box = rows(world, "entities", LOW + HIGH)[0]
+    assert box == pytest.approx(np.concatenate((origin - half, origin + half)), abs=1e-9)
+    padded = np.concatenate(pybullet.getAABB(handle, -1, client))
+    padding = (box - padded) * ([1] * 3 + [-1] * 3)
+    assert np.all(padding >= -1e-7)
+    assert np.all(padding <= 0.005)
+
+
+def test_an_entitys_box_is_that_of_its_links(client, body):
+    world = asked(ssduck.World.attach(client), "links")
+    lows, highs = rows(world, "links", LOW), rows(world, "links", HIGH)
+    arrow = world.snapshot.tables["shapes"].arrow
+    shaped = np.unique(arrow["link"].to_numpy())  # a link without shapes is a point, and no part
+    assert rows(world, "entities", LOW)[0].tolist() == lows[shaped].min(axis=0).tolist()
+    assert rows(world, "entities", HIGH)[0].tolist() == highs[shaped].max(axis=0).tolist()
+
+
+def test_what_has_no_shapes_is_a_point(client, write):
+    path = write("bare.urdf", robot(link("bare", com=(0, 0, 1))))
+    pybullet.loadURDF(str(path), [1, 2, 3], physicsClientId=client)
+    world = asked(ssduck.World.attach(client), "links")
+    place = rows(world, "entities", ["x", "y", "z"]).tolist()
+    for table in ("entities", "links"):
+        assert rows(world, table, LOW).tolist() == rows(world, table, HIGH).tolist() == place
+
+
+# -- joints -----------------------------------------------------------------------------------
+
+
+def test_joints_are_pybullets(client, body):
+    world = asked(ssduck.World.attach(client), "joints")
+    count = pybullet.getNumJoints(body, client)
+    states = pybullet.getJointStates(body, range(count), client) if count else ()
+    found = rows(world, "joints", ["position", "velocity", "effort"])
+    assert found.tolist() == [[state[0], state[1], state[3]] for state in states]
+    names = world.snapshot.tables["joints"].arrow["name"].to_pylist()
+    infos = [pybullet.getJointInfo(body, index, client) for index in range(count)]
+    assert names == [info[1].decode() for info in infos]
+
+
+def test_efforts_are_those_of_the_last_step(client, write):
+    arm = pybullet.loadURDF(str(write("arm.urdf", ARM)), useFixedBase=True, physicsClientId=client)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+    pybullet.setJointMotorControl2(
+        arm, 0, pybullet.POSITION_CONTROL, targetPosition=0.5, force=40, physicsClientId=client
+    )
+    world = ssduck.World.attach(client)
+    world.ask(["joints"])
+    world.step(5)
+    efforts = rows(world, "joints", ["effort"])[:, 0]
+    assert abs(efforts[0]) > 1e-3
+    assert efforts.tolist() == [s[3] for s in pybullet.getJointStates(arm, range(4), client)]
+
+
+JOINTS = {
+    "shoulder": ("revolute", -2.5, 1.5, 40.0, 3.0),
+    "extend": ("prismatic", -0.2, 0.3, 15.0, 0.5),
+    "mount": ("fixed", None, None, None, None),
+    "roll": ("revolute", None, None, None, None),
+}
+
+
+def test_types_and_limits_of_joints(client, write):
+    pybullet.loadURDF(str(write("arm.urdf", ARM)), physicsClientId=client)
+    world = ssduck.World.attach(client)
+    columns = ("type", "lower", "upper", "max_effort", "max_velocity")
+    table = world.snapshot.tables["joints"].arrow.to_pylist()
+    assert {row["name"]: tuple(row[c] for c in columns) for row in table} == JOINTS
+    links = world.snapshot.tables["links"].arrow.to_pylist()
+    names = {row["link"]: row["name"] for row in links}
+    assert {row["name"]: names[row["link"]] for row in table} == {
+        "shoulder": "upper",
+        "extend": "slide",
+        "mount": "plate",
+        "roll": "wheel",
+    }
+    parents = {row["name"]: row["parent"] and names.get(row["parent"]) for row in links}
+    assert parents == {"base": None, "upper": 0, "slide": "upper", "plate": "slide", "wheel": 0}
+
+
+# A range of nothing is one of its own; a lower limit above the upper one is none.
+LIMITS = [
+    ("revolute", LIMIT.format(0, 0, 5, 2), (0.0, 0.0)),
+    ("prismatic", LIMIT.format(0, 0, 5, 2), (0.0, 0.0)),
+    ("prismatic", LIMIT.format(0.25, 0.5, 5, 2), (0.25, 0.5)),
+    ("revolute", '<limit effort="5" velocity="2"/>', (None, None)),
+    ("prismatic", LIMIT.format(1, -1, 5, 2), (None, None)),
+    ("continuous", "", (None, None)),
+]
+
+
+@pytest.mark.parametrize(("kind", "limit", "limits"), LIMITS)
+def test_limits_of_a_joint(client, write, kind, limit, limits):
+    model = robot(link("a"), link("b"), joint("j", kind, "a", "b", limit=limit))
+    pybullet.loadURDF(str(write("joint.urdf", model)), physicsClientId=client)
+    (only,) = ssduck.World.attach(client).snapshot.tables["joints"].arrow.to_pylist()
+    assert (only["lower"], only["upper"]) == limits
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("spherical", "spherical"), ("planar", "planar"), ("floating", "fixed"), ("fixed", "fixed")],
+)
+def test_rare_types_of_joints(client, write, kind, name):
+    model = robot(link("a"), link("b"), joint("j", kind, "a", "b"))
+    handle = pybullet.loadURDF(str(write("joint.urdf", model)), physicsClientId=client)
+    world = asked(ssduck.World.attach(client), "joints", "links")
+    assert world.snapshot.tables["joints"].arrow["type"].to_pylist() == [name]
+    assert world["model"].kind == ("kinbody" if name == "fixed" else "robot")
+    assert rows(world, "links", ["x", "y", "z"])[1] == pytest.approx(
+        np.array(link_states(client, handle)[0][4])
+    )
+
+
+# -- shapes -----------------------------------------------------------------------------------
+
+
+def test_shapes_are_where_pybullet_has_them(client, write):
+    handle = pybullet.loadURDF(
+        str(write("arm.urdf", ARM)),
+        flags=pybullet.URDF_USE_IMPLICIT_CYLINDER,
+        physicsClientId=client,
+    )
+    unsettle(client, handle, seed=21)
+    world = asked(ssduck.World.attach(client), "shapes")
+    states = link_states(client, handle)
+    coms = [pybullet.getBasePositionAndOrientation(handle, client), *(s[:2] for s in states)]
+    expected = []
+    for number, (position, turn) in enumerate(coms):
+        for data in pybullet.getCollisionShapeData(handle, number - 1, client):
+            place = matrix(turn).apply(data[5]) + position
+            expected.append((number, place, (matrix(turn) * matrix(data[6])).as_quat(), data[2]))
+    poses = rows(world, "shapes", POSE)
+    arrow = world.snapshot.tables["shapes"].arrow
+    assert arrow["link"].to_pylist() == [e[0] for e in expected] == [0, 0, 1, 2, 4]
+    assert poses[:, :3] == pytest.approx(np.array([e[1] for e in expected]), abs=1e-9)
+    assert same_turn(poses[:, 3:], np.array([e[2] for e in expected]))
+    assert arrow["shape"].to_pylist() == [0, 1, 2, 3, 4]
+    known = {row["id"]: row for row in world.snapshot.tables["geometries"].arrow.to_pylist()}
+    found = [known[number] for number in arrow["geometry"].to_pylist()]
+    sizes = [(g["type"], *(g[f"size_{axis}"] for axis in "xyz")) for g in found]
+    assert sizes == [
+        ("box", 0.4, 0.2, 0.1),
+        ("cylinder", 0.1, 0.5, 0.0),
+        ("capsule", 0.05, 0.4, 0.0),
+        ("sphere", 0.07, 0.0, 0.0),
+        ("cylinder", 0.15, 0.04, 0.0),
+    ]
+
+
+def test_a_shapes_box_is_that_of_its_geometry(client, write):
+    """The rows of `shapes` and `geometries` together tell the boxes of `links`."""
+    pybullet.loadURDF(str(write("arm.urdf", ARM)), physicsClientId=client)
+    world = asked(ssduck.World.attach(client), "shapes", "links")
+    on = world.snapshot.tables["shapes"].arrow["link"].to_numpy()
+    lows, highs = rows(world, "shapes", LOW), rows(world, "shapes", HIGH)
+    for number in np.unique(on):
+        assert rows(world, "links", LOW)[number].tolist() == lows[on == number].min(axis=0).tolist()
+        assert (
+            rows(world, "links", HIGH)[number].tolist() == highs[on == number].max(axis=0).tolist()
+        )
+
+
+def shapes_of(world, name):
+    """Of each shape of an entity: its type, and its box, (2, 3)."""
+    arrow = world.snapshot.tables["shapes"].arrow
+    known = {row["id"]: row for row in world.snapshot.tables["geometries"].arrow.to_pylist()}
+    mine = arrow["entity"].to_numpy() == world[name].id
+    types = [known[number]["type"] for number in arrow["geometry"].to_numpy()[mine].tolist()]
+    boxes = rows(world, "shapes", LOW + HIGH, name).reshape(-1, 2, 3)
+    return list(zip(types, boxes, strict=True))
+
+
+def test_equal_geometries_are_one_row(client, write):
+    path = str(write("arm.urdf", ARM))
+    for _ in range(3):
+        pybullet.loadURDF(path, physicsClientId=client)
+    tables = ssduck.World.attach(client).snapshot.tables
+    assert tables["shapes"].count == 15
+    assert tables["geometries"].count == 5
+
+
+MESH = '<mesh filename="{}" scale="{}"/>'
+
+
+@pytest.fixture
+def pieces(write):
+    """Two boxes in one file, and one in another."""
+    write("one.obj", box_obj((0, 0, 0), (1, 2, 3)))
+    first = box_obj((0, 0, 0), (1, 1, 1), name="a")
+    write("two.obj", first + box_obj((3, 0, 0), (4, 1, 1), first=8, name="b"))
+
+
+# The mesh elements of a link, in order; each as (file, concave), and the types that come of them.
+LINKS = [
+    ([("one", False)], ["hull"]),
+    ([("two", False)], ["hull", "hull"]),
+    ([("one", True)], ["mesh"]),
+    ([("one", False), ("one", False)], ["hull", "hull"]),
+    ([("two", False), ("one", False)], ["hull", "hull", "hull"]),
+    ([("one", False), ("two", False), ("one", False)], ["hull", "hull", "hull", "hull"]),
+    ([("one", False), ("one", True)], ["hull", "mesh"]),
+    ([("two", True), ("one", False)], ["mesh", "hull"]),
+    ([("two", True), ("two", False), ("one", True)], ["mesh", "hull", "hull", "mesh"]),
+]
+
+
+@pytest.mark.parametrize(("elements", "types"), LINKS)
+def test_meshes_of_a_link_are_hulls_or_surfaces_as_its_file_says(
+    client, write, pieces, elements, types
+):
+    """Whichever of several they are: PyBullet tells of the first one's corners only."""
+    parts = [
+        collision(
+            f'<mesh filename="{file}.obj" scale="0.5 0.4 0.3"/>',
+            xyz=(number, 2 * number, 0.5),
+            rpy=(0.1 * number, 0.2, 0.3),
+        ).replace("<mesh", '<mesh concave="yes"' if concave else "<mesh")
+        for number, (file, concave) in enumerate(elements)
+    ]
+    if any(concave for _, concave in elements):
+        parts = [
+            part.replace("<collision", '<collision concave="yes"', 1) if "concave" in part else part
+            for part in parts
+        ]
+    model = robot(
+        link("a", mass=0, com=(0.1, 0.2, 0.3), rpy=(0.3, 0.2, 0.1), shapes="".join(parts))
+    )
+    handle = pybullet.loadURDF(
+        str(write("m.urdf", model)), [1, 2, 3], [0.5, 0.5, 0.5, 0.5], physicsClientId=client
+    )
+    world = asked(ssduck.World.attach(client), "shapes")
+    found = shapes_of(world, "model")
+    assert [kind for kind, _ in found] == types
+    low = np.min([box[0] for _, box in found], axis=0)
+    high = np.max([box[1] for _, box in found], axis=0)
+    own_low, own_high = pybullet.getAABB(handle, -1, client)
+    assert np.all(own_low <= low + 1e-4)
+    assert np.all(own_high >= high - 1e-4)
+    assert np.all(high - low > 0.3 * np.subtract(own_high, own_low))
+
+
+def test_files_in_the_library_have_the_hulls_that_are_in_them(client):
+    pybullet.loadURDF(str(LIBRARY / "duck_vhacd.urdf"), physicsClientId=client)
+    world = ssduck.World.attach(client, names={0: "duck"})
+    text = (LIBRARY / "duck_vhacd.obj").read_text()
+    objects = sum(line.startswith("o ") for line in text.splitlines())
+    assert [kind for kind, _ in shapes_of(asked(world, "shapes"), "duck")] == ["hull"] * objects
+
+
+def test_a_mesh_given_by_points_is_their_hull(client):
+    corners = np.random.default_rng(4).normal(size=(30, 3))
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH,
+        vertices=corners.tolist(),
+        meshScale=[1, 2, 3],
+        collisionFramePosition=[0.1, 0.2, 0.3],
+        collisionFrameOrientation=[0.5, 0.5, 0.5, 0.5],
+        physicsClientId=client,
+    )
+    turn = Rotation.random(random_state=2)
+    pybullet.createMultiBody(
+        1.0,
+        shape,
+        basePosition=[1, 2, 3],
+        baseOrientation=turn.as_quat(),
+        baseInertialFramePosition=[0.4, 0.5, 0.6],
+        physicsClientId=client,
+    )
+    world = asked(ssduck.World.attach(client), "shapes")
+    inner = Rotation.from_quat([0.5, 0.5, 0.5, 0.5]).apply(corners * [1, 2, 3]) + np.array(
+        [0.1, 0.2, 0.3]
+    )
+    _, origin, frame = base_state(client, 0)
+    points = frame.apply(inner) + origin
+    box = rows(world, "entities", LOW + HIGH)[0]
+    expected = np.concatenate((points.min(axis=0), points.max(axis=0)))
+    assert box == pytest.approx(expected, abs=1e-3)  # PyBullet rounds the corners of hulls
+    assert [kind for kind, _ in shapes_of(world, world.snapshot.members[0].name)] == ["hull"]
+
+
+def test_several_shapes_on_one_link(client):
+    shape = pybullet.createCollisionShapeArray(
+        [pybullet.GEOM_BOX, pybullet.GEOM_SPHERE],
+        halfExtents=[[1, 1, 1], [0, 0, 0]],
+        radii=[0, 0.5],
+        collisionFramePositions=[[0, 0, 0], [1, 2, 3]],
+        physicsClientId=client,
+    )
+    pybullet.createMultiBody(1.0, shape, physicsClientId=client)
+    world = asked(ssduck.World.attach(client, names={0: "two"}), "shapes")
+    found = shapes_of(world, "two")
+    assert [(kind, box.tolist()) for kind, box in found] == [
+        ("box", [[-1, -1, -1], [1, 1, 1]]),
+        ("sphere", [[0.5, 1.5, 2.5], [1.5, 2.5, 3.5]]),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("normal", "corners"),
+    [
+        ([0, 0, 1], [[-math.inf] * 3, [math.inf, math.inf, 3]]),
+        ([0, 2, 0], [[-math.inf] * 3, [math.inf, 2, math.inf]]),
+        ([1, 1, 0], [[-math.inf] * 3, [math.inf] * 3]),
+    ],
+)
+def test_planes_are_endless(client, normal, corners):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_PLANE, planeNormal=normal, physicsClientId=client
+    )
+    pybullet.createMultiBody(0, shape, basePosition=[1, 2, 3], physicsClientId=client)
+    world = ssduck.World.attach(client)
+    assert rows(world, "entities", LOW + HIGH).reshape(2, 3).tolist() == corners
+
+
+# -- shapes that PyBullet does not tell -----------------------------------------------------------
+
+
+def concave(client):
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH, vertices=corners, indices=[0, 1, 2, 0, 1, 3], physicsClientId=client
+    )
+    return pybullet.createMultiBody(0, shape, basePosition=[1, 0, 0], physicsClientId=client)
+
+
+def heightfield(client):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_HEIGHTFIELD,
+        meshScale=[1, 1, 1],
+        heightfieldData=[0.0, 1.0] * 8,
+        numHeightfieldRows=4,
+        numHeightfieldColumns=4,
+        physicsClientId=client,
+    )
+    return pybullet.createMultiBody(0, shape, physicsClientId=client)
+
+
+def rigid_mesh(client):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH, fileName=str(LIBRARY / "duck_vhacd.obj"), physicsClientId=client
+    )
+    return pybullet.createMultiBody(1, shape, useMaximalCoordinates=True, physicsClientId=client)
+
+
+def soft(client):
+    return pybullet.loadSoftBody(str(LIBRARY / "bunny.obj"), physicsClientId=client)
+
+
+@pytest.mark.parametrize("make", [heightfield, soft])
+def test_a_box_stands_in_for_a_shape_that_pybullet_does_not_tell(client, make, capfd):
+    handle = make(client)
+    capfd.readouterr()
+    with pytest.warns(UserWarning, match=r"^strange: PyBullet does not give back all shapes"):
+        world = ssduck.World.attach(client, names={handle: "strange"})
+    low, high = pybullet.getAABB(handle, -1, client)
+    assert rows(world, "entities", LOW)[0] == pytest.approx(np.array(low), abs=1e-6)
+    assert rows(world, "entities", HIGH)[0] == pytest.approx(np.array(high), abs=1e-6)
+    assert capfd.readouterr() == ("", "")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        world.step(2)  # it is said once
+
+
+@pytest.mark.parametrize("make", [concave, rigid_mesh])
+def test_what_pybullet_saves_needs_no_box(client, make):
+    handle = make(client)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        world = asked(ssduck.World.attach(client, names={handle: "strange"}), "shapes")
+    low, high = (np.array(corner) for corner in pybullet.getAABB(handle, -1, client))
+    found = shapes_of(world, "strange")
+    assert {kind for kind, _ in found} == {"mesh" if make is concave else "hull"}
+    boxes = np.array([box for _, box in found])
+    # PyBullet's own box is wider by a margin of at most 4 cm.
+    for own, told in ((boxes[:, 0].min(axis=0), low), (-boxes[:, 1].max(axis=0), -high)):
+        assert (own >= told - 1e-6).all()
+        assert (own <= told + 0.041).all()
+
+
+def test_many_bodies_are_one_warning(client):
+    for _ in range(MOST_NAMED + 3):
+        heightfield(client)
+    with pytest.warns(UserWarning, match=r"body_0, body_1, .*, body_49 and 3 more: ") as said:
+        ssduck.World.attach(client, names={n: f"body_{n}" for n in range(MOST_NAMED + 3)})
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize(
+    "model", ["humanoid.xml", "ant.xml", "half_cheetah.xml", "capsule_fromtoX.xml"]
+)
+def test_capsules_between_two_points_do_not_crash(client, model):
+    """PyBullet crashes if it is asked for them."""
+    handles = pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        world = asked(ssduck.World.attach(client), "links")
+    bodies = [member for member in world.snapshot.members if member.body is not None]
+    assert len(bodies) == len(handles)
+    for member in bodies:
+        boxes = rows(world, "links", LOW + HIGH, member.name)
+        for number, box in enumerate(boxes):
+            low, high = pybullet.getAABB(member.body.handle, number - 1, client)
+            if high[0] < 1e20:
+                assert np.all(box[:3] >= np.array(low) - 1e-6)
+                assert np.all(box[3:] <= np.array(high) + 1e-6)
+
+
+def test_drawn_capsules_are_exact_where_they_are_the_shapes(client):
+    """Capsules of URDF files, which look the same to PyBullet's client, need no boxes."""
+    pybullet.loadURDF(str(LIBRARY / "humanoid/humanoid.urdf"), physicsClientId=client)
+    world = ssduck.World.attach(client, names={0: "humanoid"})
+    types = [kind for kind, _ in shapes_of(asked(world, "shapes"), "humanoid")]
+    assert sorted(set(types)) == ["box", "capsule", "sphere"]
+
+
+def test_rigid_bodies_of_primitives_are_exact(client):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], physicsClientId=client
+    )
+    turn = Rotation.random(random_state=6)
+    handle = pybullet.createMultiBody(
+        2.0,
+        shape,
+        basePosition=[1, 2, 3],
+        baseOrientation=turn.as_quat(),
+        useMaximalCoordinates=True,
+        physicsClientId=client,
+    )
+    pybullet.resetBaseVelocity(handle, [1, 2, 3], [4, 5, 6], client)
+    world = asked(ssduck.World.attach(client, names={handle: "rigid"}), "shapes")
+    assert [kind for kind, _ in shapes_of(world, "rigid")] == ["box"]
+    half = np.abs(turn.as_matrix()) @ [0.1, 0.2, 0.3]
+    low, high = world["rigid"].aabb
+    assert low == pytest.approx(np.array([1, 2, 3]) - half)
+    assert high == pytest.approx(np.array([1, 2, 3]) + half)
+    assert world["rigid"].velocity == pytest.approx([1, 2, 3, 4, 5, 6])
+
+
+# -- contacts ---------------------------------------------------------------------------------
+
+CONTACT = ["ax", "ay", "az", "bx", "by", "bz", "nx", "ny", "nz", "depth", "force"]
+
+
+def floor_under(client):
+    """A floor whose top is at 0."""
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[50, 50, 0.5], physicsClientId=client
+    )
+    return pybullet.createMultiBody(0, shape, basePosition=[0, 0, -0.5], physicsClientId=client)
+
+
+def box_at(client, x, height):
+    """A box of 2 kg and 1 m, that high above 0."""
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
+    )
+    place = [x, 0, 0.5 + height]
+    return pybullet.createMultiBody(2.0, shape, basePosition=place, physicsClientId=client)
+
+
+def boxes_on_a_floor(client, heights):
+    """The floor, and boxes as high above it as given."""
+    floor_under(client)
+    for number, height in enumerate(heights):
+        box_at(client, 3 * number, height)
+
+
+@pytest.mark.parametrize("up", [1.0, -1.0], ids=["box first", "floor first"])
+def test_a_resting_box_presses_with_its_weight(client, up):
+    """Whichever of the two has the smaller id is a; the normal then points from b to a."""
+    if up > 0:
+        box_at(client, 0, 0.0)
+        floor_under(client)
+    else:
+        boxes_on_a_floor(client, [0.0])
+    world = ssduck.World.attach(client)
+    world.ask(["contacts"])
+    world.step(240)
+    found = rows(world, "contacts", ["a", "b", *CONTACT])
+    assert found[:, :2].tolist() == [[1, 2]] * 4
+    assert found[:, 8:11] == pytest.approx(np.tile([0, 0, up], (4, 1)), abs=1e-6)
+    assert found[:, 12].sum() == pytest.approx(2.0 * 10.0, rel=1e-3)
+    assert np.all(found[:, 11] >= 0)
+    assert np.all(found[:, 11] < 1e-3)
+    # The point on a is that on b, moved by the penetration against the normal.
+    assert found[:, 2:5] - found[:, 5:8] == pytest.approx(
+        -found[:, 11:12] * found[:, 8:11], abs=1e-9
+    )
+
+
+def test_contacts_are_pybullets_points(client):
+    boxes_on_a_floor(client, [0.0, 0.0])
+    world = ssduck.World.attach(client)
+    world.ask(["contacts"])
+    world.step(100)
+    ids = {member.body.handle: member.id for member in world.snapshot.members}
+    expected = set()
+    for entry in pybullet.getContactPoints(physicsClientId=client):
+        assert ids[entry[1]] != ids[entry[2]]
+        if ids[entry[1]] < ids[entry[2]]:
+            a, b, points, normal = entry[1], entry[2], (*entry[5], *entry[6]), entry[7]
+        else:
+            a, b, points = entry[2], entry[1], (*entry[6], *entry[5])
+            normal = tuple(-x for x in entry[7])
+        if entry[8] <= 0.0:
+            expected.add((ids[a], ids[b], *points, *normal, -entry[8], entry[9]))
+    found = rows(world, "contacts", ["a", "b", *CONTACT])
+    assert len(found) == len(expected) >= 8
+    assert set(map(tuple, found.tolist())) == expected
+    assert found.tolist() == sorted(found.tolist(), key=lambda row: row[:2])
+    assert rows(world, "contacts", ["link_a", "link_b"]).tolist() == [[0, 0]] * len(found)
+
+
+@pytest.mark.parametrize(
+    ("gap", "touches"), [(-1e-3, True), (-1e-5, True), (1e-5, False), (1e-3, False), (5e-3, False)]
+)
+def test_near_misses_are_no_contacts(client, gap, touches):
+    boxes_on_a_floor(client, [gap])
+    pybullet.performCollisionDetection(client)
+    world = asked(ssduck.World.attach(client), "contacts")
+    assert (world.snapshot.tables["contacts"].count > 0) == touches
+    if touches:
+        assert rows(world, "contacts", ["depth"]) == pytest.approx(-gap, abs=1e-6)
+
+
+def test_contacts_of_links(client, write):
+    """A robot's link on the floor: the number of the link is ssduck's, the base being 0."""
+    boxes_on_a_floor(client, [])
+    model = robot(
+        link("base", mass=0),
+        link("foot", shapes=collision('<box size="0.2 0.2 0.2"/>')),
+        joint("j", "fixed", "base", "foot", xyz=(0, 0, -1)),
+    )
+    path = str(write("leg.urdf", model))
+    pybullet.loadURDF(path, [0, 0, 1.099], physicsClientId=client)
+    pybullet.performCollisionDetection(client)
+    world = asked(ssduck.World.attach(client), "contacts")
+    links = set(map(tuple, rows(world, "contacts", ["a", "link_a", "b", "link_b"]).tolist()))
+    assert links == {(1, 0, 2, 1)}
+
+
+def test_a_removed_body_touches_nothing(client):
+    boxes_on_a_floor(client, [-1e-3, -1e-3])
+    pybullet.performCollisionDetection(client)
+    world = asked(ssduck.World.attach(client), "contacts")
+    assert set(rows(world, "contacts", ["b"])[:, 0].tolist()) == {2, 3}
+    pybullet.removeBody(1, client)
+    world.tick()
+    assert set(rows(world, "contacts", ["b"])[:, 0].tolist()) == {3}

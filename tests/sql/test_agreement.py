@@ -1,0 +1,43 @@
+"""SQL and row by row give the same: programs made at random, in both evaluators."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from tests.support.grammar import evaluators, program, programs, seeded, shrunk
+
+pytestmark = pytest.mark.slow
+
+SEEDS = range(2500)
+# So many of a hundred queries run as SQL alone.
+LEAST_SQL = 40
+
+
+@pytest.fixture(scope="module")
+def both():
+    with evaluators() as found:
+        yield found
+
+
+@pytest.mark.parametrize("first", range(0, len(SEEDS), 100))
+def test_they_agree(both, first):
+    for seed in range(first, first + 100):
+        choices = seeded(seed)
+        if both.disagreement(program(choices)) is not None:
+            small = shrunk(choices.taken, lambda text: both.disagreement(text) is not None)
+            pytest.fail(f"seed {seed}: {both.disagreement(small)}")
+
+
+@settings(
+    max_examples=500, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+)
+@given(text=programs())
+def test_they_agree_on_what_hypothesis_finds(both, text):
+    assert both.disagreement(text) is None
+
+
+def test_most_queries_are_sql_alone(both):
+    texts = [text for text in map(program, map(seeded, SEEDS[:200])) if "SELECT" in text]
+    share = sum(map(both.is_all_sql, texts)) / len(texts)
+    assert share * 100 >= LEAST_SQL

@@ -1,0 +1,42 @@
+"""A simulator that counts what is read of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from ssduck.errors import SimulatorError
+
+
+class Spy:
+    """A simulator that counts what is read of another, and of how many bodies."""
+
+    def __init__(self, simulator):
+        self._simulator = simulator
+        self.read = Counter()
+
+    def __getattr__(self, name):
+        return getattr(self._simulator, name)
+
+    broken = ()
+
+    def read_frames(self, bodies, *, links_move):
+        self._check("frames")
+        self.read["frames"] += 1
+        self.read["bodies"] += len(bodies)
+        if links_move and any(len(body.links) > 1 for body in bodies):
+            self.read["links"] += 1
+        return self._simulator.read_frames(bodies, links_move=links_move)
+
+    def _check(self, what):
+        if what in self.broken:
+            raise SimulatorError("broken")
+
+    def read_joints(self, bodies):
+        self._check("joints")
+        self.read["joints"] += 1
+        return self._simulator.read_joints(bodies)
+
+    def read_contacts(self):
+        self._check("contacts")
+        self.read["contacts"] += 1
+        return self._simulator.read_contacts()

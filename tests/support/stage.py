@@ -1,0 +1,64 @@
+"""A PyBullet client that tests fill with shapes, and how they ask about its world."""
+
+from __future__ import annotations
+
+import pybullet
+
+import ssduck
+
+BOX, SPHERE, PLANE = pybullet.GEOM_BOX, pybullet.GEOM_SPHERE, pybullet.GEOM_PLANE
+
+
+class Stage:
+    """A PyBullet client that tests fill with shapes; its world, and interpreters of both kinds."""
+
+    def __init__(self):
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self.names = {}
+        self.open_ones = []
+
+    def add(self, name, kind, position=(0, 0, 0), turn=(0, 0, 0, 1), mass=0.0, **size):
+        shape = pybullet.createCollisionShape(kind, physicsClientId=self.client, **size)
+        body = pybullet.createMultiBody(
+            mass, shape, basePosition=position, baseOrientation=turn, physicsClientId=self.client
+        )
+        self.names[body] = name
+        return body
+
+    def box(self, name, position=(0, 0, 0), half=0.5, **more):
+        halves = [half] * 3 if isinstance(half, float) else half
+        return self.add(name, BOX, position, halfExtents=halves, **more)
+
+    def sphere(self, name, position=(0, 0, 0), radius=0.5, **more):
+        return self.add(name, SPHERE, position, radius=radius, **more)
+
+    def urdf(self, name, path, position=(0, 0, 0)):
+        body = pybullet.loadURDF(str(path), position, physicsClientId=self.client)
+        self.names[body] = name
+        return body
+
+    def open(self):
+        return ssduck.World.attach(self.client, names=self.names)
+
+    def interpreters(self, **worlds):
+        """One that translates and one that runs row by row, with an entity of each name."""
+        for row_by_row in (False, True):
+            ss = ssduck.Interpreter(row_by_row=row_by_row)
+            self.open_ones.append(ss)
+            for name, world in worlds.items():
+                ss.add_variable(name, world)
+            for entity in next(iter(worlds.values())):
+                ss.add_variable(entity.name, entity)
+            yield ss
+
+    def close(self):
+        for ss in self.open_ones:
+            ss.close()
+        if pybullet.isConnected(self.client):
+            pybullet.disconnect(self.client)
+
+
+def pairs_of(ss, condition):
+    """The pairs of names of which a condition on rows p and q holds, in raw SQL."""
+    rows = ss.sql(f"SELECT p.name, q.name FROM entities p, entities q WHERE {condition}")
+    return sorted(rows.fetchall())

@@ -1,0 +1,120 @@
+"""How the package is laid out: no cycles of imports, small packages, short modules.
+
+Which package may import which is said in `pyproject.toml`, and kept by `lint-imports`.
+"""
+
+from collections import Counter
+from pathlib import Path
+
+import grimp
+import pytest
+
+import ssduck
+
+PACKAGE = Path(ssduck.__file__).parent
+FRONTS = {"openrave", "snapshot", "translate", "udfs"}
+# A handle knows its world, which makes handles, and OpenRAVE's spellings of both speak of both:
+# these import the others for annotations only.
+OF_HANDLES = [
+    ("ssduck.world.entities", "ssduck.world.world"),
+    ("ssduck.world.openrave_names", "ssduck.world.world"),
+    ("ssduck.world.openrave_names", "ssduck.world.entities"),
+]
+
+
+@pytest.fixture(scope="module")
+def imports():
+    return grimp.build_graph("ssduck", cache_dir=None)
+
+
+def cycles(graph, without=()):
+    """The sets of modules that import each other, by Tarjan's algorithm."""
+    edges = {
+        module: graph.find_modules_directly_imported_by(module) - {module}
+        for module in graph.modules
+    }
+    for importer, imported in without:
+        edges[importer] = edges[importer] - {imported}
+    numbers, lowest, stack, found = {}, {}, [], []
+
+    def visit(module):
+        numbers[module] = lowest[module] = len(numbers)
+        stack.append(module)
+        for other in edges[module]:
+            if other not in numbers:
+                visit(other)
+            if other in stack:
+                lowest[module] = min(lowest[module], lowest[other])
+        if lowest[module] == numbers[module]:
+            cut = stack.index(module)
+            if len(stack) - cut > 1:
+                found.append(frozenset(stack[cut:]))
+            del stack[cut:]
+
+    for module in edges:
+        if module not in numbers:
+            visit(module)
+    return found
+
+
+def test_cycles_are_found():
+    graph = grimp.ImportGraph()
+    for pair in ("ab", "bc", "ca", "cd", "de", "ed", "ef"):
+        graph.add_import(importer=pair[0], imported=pair[1])
+    assert set(cycles(graph)) == {frozenset("abc"), frozenset("de")}
+    assert cycles(graph, [("c", "a"), ("e", "d")]) == []
+
+
+def test_only_a_handle_and_its_world_import_each_other(imports):
+    (found,) = cycles(imports)
+    assert {module.rpartition(".")[0] for module in found} == {"ssduck.world"}
+    assert cycles(imports, OF_HANDLES) == []
+
+
+def test_nothing_imports_in_circles_when_it_runs():
+    graph = grimp.build_graph("ssduck", cache_dir=None, exclude_type_checking_imports=True)
+    assert len(graph.modules) > 100
+    assert cycles(graph) == []
+
+
+def test_few_modules_stand_at_the_top():
+    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "__main__"}
+    assert modules >= FRONTS
+    assert len(modules) <= 10
+
+
+def test_no_package_has_more_than_30_modules():
+    counts = Counter(path.parent for path in PACKAGE.rglob("*.py") if path.stem != "__init__")
+    assert len(counts) > 10
+    assert max(counts.values()) <= 30
+
+
+def test_no_module_has_more_than_600_lines():
+    lengths = {
+        path.name: len(path.read_text(encoding="utf-8").splitlines())
+        for path in PACKAGE.rglob("*.py")
+    }
+    assert len(lengths) > 100
+    assert [name for name, length in lengths.items() if length > 600] == []
+
+
+def test_each_package_says_what_it_is_for_and_has_what_it_offers():
+    packages = [path.parent for path in PACKAGE.rglob("__init__.py")]
+    assert len(packages) > 10
+    for folder in packages:
+        name = ".".join(("ssduck", *folder.relative_to(PACKAGE).parts))
+        package = __import__(name, fromlist=["__doc__"])
+        assert package.__doc__
+        for offered in getattr(package, "__all__", ()):
+            assert getattr(package, offered) is not None
+            assert offered in dir(package)
+        with pytest.raises(AttributeError, match="nothing_like_that"):
+            package.nothing_like_that  # noqa: B018
+
+
+@pytest.mark.parametrize("front", sorted(FRONTS))
+def test_fronts_have_what_they_offer(front):
+    module = __import__(f"ssduck.{front}", fromlist=["__all__"])
+    assert module.__doc__
+    assert all(hasattr(module, name) for name in module.__all__)
+    assert len(module.__all__) > 0

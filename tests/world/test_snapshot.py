@@ -1,0 +1,403 @@
+"""The contract of a tick: immutable, of one moment, read no more than is asked for."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+
+import numpy as np
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import SimulatorError
+from ssduck.schema import TABLES
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.world.live_tables import LiveTable
+from ssduck.world.snapshot import FORGOTTEN_AFTER
+from tests.support.spy import Spy
+from tests.support.urdf import joint, link, robot
+
+
+def scene(client):
+    """Two boxes that fall and a floor."""
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    for mass, height in ((1, 1), (1, 2), (0, 0)):
+        pybullet.createMultiBody(mass, shape, basePosition=[0, 0, height], physicsClientId=client)
+
+
+@pytest.fixture
+def spied(client):
+    """A world that ssduck steps itself, and the spy on its simulator."""
+    scene(client)
+    spy = Spy(PyBulletSimulator(client, owned=True))
+    return ssduck.World(spy), spy
+
+
+@pytest.fixture
+def attached(client):
+    scene(client)
+    return ssduck.World.attach(client)
+
+
+def columns(world, *names):
+    """A copy of the tables as they are now."""
+    return [world.snapshot.tables[name].arrow.to_pylist() for name in names]
+
+
+def test_a_tick_does_not_change_when_the_simulator_moves_on(attached, client):
+    attached.ask(["links", "shapes", "joints", "contacts"])
+    before = columns(attached, *TABLES)
+    for _ in range(20):
+        pybullet.stepSimulation(client)
+    pybullet.resetBasePositionAndOrientation(0, [9, 9, 9], [0, 0, 0, 1], client)
+    assert columns(attached, *TABLES) == before
+    assert next(iter(attached)).position == pytest.approx([0, 0, 1])
+    attached.tick()
+    after = columns(attached, *TABLES)
+    assert all(one != other for one, other in zip(after[:2], before[:2], strict=True))
+
+
+def test_tables_that_nobody_asks_for_are_not_read(spied):
+    world, spy = spied
+    spy.read.clear()
+    world.step()
+    assert set(spy.read) == {"frames", "bodies"}
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        ss.eval("SELECT id, z FROM sim WHERE above(this, this);")
+        ss.sql("SELECT * FROM entities, ticks, geometries")
+        assert spy.read["joints"] == spy.read["contacts"] == 0
+        ss.sql("FROM contacts")
+        assert (spy.read["joints"], spy.read["contacts"]) == (0, 1)
+        ss.sql("FROM contacts")
+        assert spy.read["contacts"] == 1
+
+
+def test_asking_takes_one_fresh_tick_if_the_table_is_not_there(spied):
+    world, _ = spied
+    number = world.snapshot.number
+    world.ask(["links"])
+    assert world.snapshot.number == number + 1
+    world.ask(["links"])
+    world.ask(["entities", "ticks", "geometries"])
+    assert world.snapshot.number == number + 1
+    world.ask(["links", "joints", "contacts"])
+    assert world.snapshot.number == number + 2
+    world.step()
+    world.ask(["links", "joints", "contacts"])
+    assert world.snapshot.number == number + 3
+
+
+def test_tables_are_forgotten_after_a_while(spied):
+    world, spy = spied
+    world.ask(["contacts"])
+    spy.read.clear()
+    for _ in range(FORGOTTEN_AFTER + 10):
+        world.tick()
+    # The first of them is the tick that asking took.
+    assert spy.read["contacts"] == FORGOTTEN_AFTER - 1
+    assert set(world.snapshot.tables["contacts"]["tick"].tolist()) <= {FORGOTTEN_AFTER + 1}
+    read = spy.read["contacts"]
+    world.ask(["contacts"])
+    assert spy.read["contacts"] == read + 1
+
+
+def test_all_tables_of_a_query_are_of_one_moment(attached, client):
+    """Even if the simulator moved on between the tick and the first question for a table."""
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", attached)
+        for _ in range(20):
+            pybullet.stepSimulation(client)
+        rows = ss.sql(
+            "SELECT e.z, l.z, s.z, e.tick, l.tick, s.tick FROM entities e "
+            "JOIN links l ON l.entity = e.id JOIN shapes s ON s.entity = e.id"
+        ).fetchall()
+        assert len(rows) == 3
+        for entity, link, shape, *ticks in rows:
+            assert entity == link == pytest.approx(shape)
+            assert len(set(ticks)) == 1
+
+
+def test_a_body_that_cannot_move_is_read_once(spied):
+    world, spy = spied
+    spy.read.clear()
+    for _ in range(5):
+        world.step()
+    assert spy.read["bodies"] == 5 * 2
+
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+
+
+def test_velocities_of_links_are_read_if_they_are_asked_for(client, write):
+    model = robot(link("a"), link("b"), joint("j", "revolute", "a", "b", limit=LIMIT))
+    pybullet.loadURDF(str(write("two.urdf", model)), physicsClientId=client)
+    pybullet.resetBaseVelocity(0, [1, 2, 3], [0, 0, 0], client)
+    spy = Spy(PyBulletSimulator(client, owned=True))
+    world = ssduck.World(spy)
+    assert spy.read["links"] == 0
+    assert world["model"].velocity == pytest.approx([1, 2, 3, 0, 0, 0])
+    world.ask(["links"])
+    assert spy.read["links"] == 1
+    rows = columns(world, "links")[0]
+    assert [[row[axis] for axis in ("vx", "vy", "vz")] for row in rows] == pytest.approx(
+        np.array([[1, 2, 3]] * 2)
+    )
+
+
+def test_buffers_stay_where_they_are(attached, client):
+    """DuckDB is shown them once: the same Arrow table, the same memory."""
+    table = attached.snapshot.tables["entities"]
+    arrow, version, address = table.arrow, table.version, table["z"].ctypes.data
+    heights = arrow["z"].to_pylist()
+    attached.step(50)
+    assert table.arrow is arrow
+    assert (table.version, table["z"].ctypes.data) == (version, address)
+    assert arrow["z"].to_pylist() != heights
+    pybullet.removeBody(0, client)
+    attached.tick()
+    assert table.version > version
+    assert table.arrow.num_rows == 2
+
+
+def test_only_tables_whose_rows_change_are_made_anew(attached):
+    """Contacts come and go; the number of links does not."""
+    attached.ask(["links", "contacts", "shapes"])
+    attached.tick()
+    arrows = {name: table.arrow for name, table in attached.snapshot.tables.items()}
+    attached.step(100)  # the boxes fall onto the floor
+    changed = {n for n, table in attached.snapshot.tables.items() if table.arrow is not arrows[n]}
+    assert changed == {"contacts"}
+    resting = attached.snapshot.tables["contacts"]
+    arrow, count = resting.arrow, resting.count
+    attached.step()
+    assert count > 0
+    assert (resting.arrow is arrow) == (resting.count == count)
+
+
+def test_queries_see_whole_ticks_while_another_thread_steps(spied):
+    """All rows of an answer are of one tick, and say what its time makes them."""
+    world, _ = spied
+    done = threading.Event()
+
+    def run():
+        while not done.is_set():
+            world.step()
+
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            seen = set()
+            for _ in range(60):
+                rows = ss.sql(
+                    "SELECT e.tick, l.tick, e.time, e.vz, l.vz FROM entities e "
+                    "JOIN links l ON l.entity = e.id"
+                ).fetchall()
+                assert len(rows) == 3
+                assert len({tick for row in rows for tick in row[:2]}) == 1
+                assert len({row[2] for row in rows}) == 1
+                assert all(row[3] == row[4] for row in rows)
+                seen.add(rows[0][0])
+        finally:
+            done.set()
+            thread.join()
+    assert len(seen) > 1
+
+
+def test_ticks_are_numbered_and_timed(attached):
+    first = attached.snapshot.number
+    attached.step(24)
+    assert attached.snapshot.number == first + 1
+    (row,) = columns(attached, "ticks")[0]
+    assert row["tick"] == first + 1
+    assert row["time"] == pytest.approx(0.1)
+    assert row["wall_time"] > 1.7e9
+    assert set(attached.snapshot.tables["entities"]["tick"].tolist()) == {first + 1}
+
+
+def test_poses_that_are_no_numbers_become_null_and_are_told_once(attached, client):
+    pybullet.resetBasePositionAndOrientation(0, [float("nan")] * 3, [0, 0, 0, 1], client)
+    with pytest.warns(UserWarning, match="body_0.*NULL") as caught:
+        attached.tick()
+    assert [w.filename for w in caught] == [__file__]
+    attached.tick()  # a second warning would be an error here
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", attached)
+        assert ss.sql("SELECT name FROM entities WHERE x IS NULL AND xmax IS NULL").fetchall() == [
+            ("body_0",)
+        ]
+        assert ss.sql("SELECT count(*) FROM entities WHERE isnan(z)").fetchone() == (0,)
+        assert ss.eval("SELECT id FROM sim WHERE x(this) > -1 AS list;") == ["body_1", "body_2"]
+        lost = attached["body_0"]
+        ss.add_variable("lost", lost)
+        assert ss.eval("SELECT id FROM sim WHERE above(lost, this) AS list;") == []
+        assert ss.eval("SELECT id FROM sim WHERE distance(lost, this) >= 0 AS list;") == []
+    pybullet.resetBasePositionAndOrientation(0, [1, 2, 3], [0, 0, 0, 1], client)
+    attached.tick()
+    assert attached["body_0"].position == pytest.approx([1, 2, 3])
+
+
+@pytest.mark.parametrize("what", ["position", "orientation", "velocity"])
+def test_nothing_that_follows_from_an_unknown_number_is_known(attached, client, what):
+    nan = float("nan")
+    if what == "velocity":
+        pybullet.resetBaseVelocity(1, [nan, 0, 0], [0, 0, 0], client)
+    else:
+        place, turn = [0, 0, 2], [0, 0, 0, 1]
+        (place if what == "position" else turn)[0] = nan
+        pybullet.resetBasePositionAndOrientation(1, place, turn, client)
+    with pytest.warns(UserWarning, match=r"^body_1: .* is NULL") as caught:
+        attached.ask(["links", "shapes"])
+    assert [w.filename for w in caught] == [__file__]
+    entities, links, shapes = columns(attached, "entities", "links", "shapes")
+    boxed = "xmin" if what != "velocity" else "vx"
+    for table in (entities, links):
+        assert [row[boxed] is None for row in table] == [False, True, False]
+    assert [row["xmin"] is None for row in shapes] == [False, what != "velocity", False]
+    assert not any(v is not None and v != v for row in entities for v in row.values())  # noqa: PLR0124
+    assert [name for name, v in entities[0].items() if v is None] == ["parent"]
+
+
+INF = float("inf")
+EXPLODED = [
+    ([0, 0, 0], [0, 0, 0, 1], [INF, 0, 0], [0, 0, 1]),
+    ([0, 0, 0], [0, 0, 0, 1], [0, 0, 0], [0, -INF, 1]),
+    ([INF, 0, 0], [0, 0, 0, 1], [0, 0, 0], [0, 0, 0]),
+    ([0, 0, 0], [INF, 0, 0, 1], [0, 0, 0], [0, 0, 0]),
+]
+
+
+@pytest.mark.parametrize(("place", "turn", "linear", "angular"), EXPLODED)
+@pytest.mark.parametrize("com", [0.0, 0.1])
+def test_a_simulation_that_exploded_is_told_of_and_nothing_else_is(
+    client, place, turn, linear, angular, com
+):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_CYLINDER, radius=0.1, height=1, physicsClientId=client
+    )
+    for height in (0, 5):
+        pybullet.createMultiBody(
+            1.0,
+            shape,
+            basePosition=[0, 0, height],
+            baseInertialFramePosition=[com, 0, 0],
+            physicsClientId=client,
+        )
+    world = ssduck.World.attach(client)
+    sane = columns(world, "entities")[0][1]
+    pybullet.resetBasePositionAndOrientation(0, place, turn, client)
+    pybullet.resetBaseVelocity(0, linear, angular, client)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        world.tick(steps=0)
+    assert all("body_0: the simulator gives" in str(warning.message) for warning in told)
+    lost, other = columns(world, "entities")[0]
+    unusual = [v for v in lost.values() if v is None or v in (INF, -INF)]
+    assert len(unusual) > 1  # parent is unknown anyway
+    assert {**other, "tick": 0} == {**sane, "tick": 0}
+
+
+def test_a_failed_read_leaves_the_last_tick_whole(client):
+    own = pybullet.connect(pybullet.DIRECT)
+    scene(own)
+    world = ssduck.World.attach(own)
+    world.ask(["links", "contacts"])
+    before = columns(world, *TABLES)
+    pybullet.disconnect(own)
+    for act in (world.tick, world.step):
+        with pytest.raises(SimulatorError, match="disconnected"):
+            act()
+    assert columns(world, *TABLES) == before
+
+
+@pytest.mark.parametrize("broken", ["frames", "joints", "contacts"])
+def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
+    """Even if bodies came and went before it."""
+    scene(client)
+    spy = Spy(PyBulletSimulator(client, owned=False))
+    world = ssduck.World(spy)
+    world.ask(["links", "joints", "shapes", "contacts"])
+    before, names = columns(world, *TABLES), [e.name for e in world]
+    pybullet.removeBody(0, client)
+    pybullet.createMultiBody(1, basePosition=[5, 5, 5], physicsClientId=client)
+    pybullet.createMultiBody(1, basePosition=[6, 6, 6], physicsClientId=client)
+    spy.broken = (broken,)
+    for _ in range(2):
+        with pytest.raises(SimulatorError, match="broken"):
+            world.tick()
+        assert columns(world, *TABLES) == before
+        assert [e.name for e in world] == names
+    spy.broken = ()
+    world.tick()
+    assert [e.position[0] for e in world] == pytest.approx([0, 0, 5, 6])
+    assert [row["x"] for row in columns(world, "links")[0]] == pytest.approx([0, 0, 5, 6])
+
+
+def test_a_table_that_could_not_be_read_is_still_lacking(spied):
+    world, spy = spied
+    spy.broken = ("contacts",)
+    with pytest.raises(SimulatorError, match="broken"):
+        world.ask(["contacts"])
+    spy.broken = ()
+    number = world.snapshot.number
+    world.ask(["contacts"])
+    assert (world.snapshot.number, spy.read["contacts"]) == (number + 1, 1)
+
+
+def test_a_table_that_is_asked_for_while_a_query_runs_is_still_lacking(attached):
+    with (
+        attached.held(),
+        pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"),
+    ):
+        attached["body_0"].links  # noqa: B018
+    attached.step(20)
+    (link,) = attached["body_0"].links
+    assert link.position == attached["body_0"].position
+
+
+def test_a_query_holds_the_tick(attached):
+    with attached.held():
+        for act in (attached.step, attached.tick, lambda: attached["body_0"].move([1, 1, 1])):
+            with pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"):
+                act()
+    attached.step()
+
+
+def test_equal_shapes_are_one_geometry(attached):
+    (shapes, geometries) = columns(attached, "shapes", "geometries")
+    assert len(shapes) == 3
+    assert len(geometries) == 1
+    assert geometries[0]["type"] == "box"
+    assert geometries[0]["size_x"] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_may_be_empty(name):
+    table = LiveTable(TABLES[name])
+    assert table.arrow.num_rows == 0
+    assert table.arrow.column_names == [column.name for column in TABLES[name]]
+    table.fill(2, {})
+    table.written()
+    assert table.arrow.num_rows == 2
+
+
+def test_unknown_numbers_come_and_go_in_a_table():
+    table = LiveTable(TABLES["ticks"])
+    table.fill(1, {"tick": [1]})
+    table["time"][:] = np.nan
+    table.written()
+    assert table.arrow["time"].to_pylist() == [None]
+    table["time"][:] = 2.5
+    table.written()
+    assert table.arrow["time"].to_pylist() == [2.5]
+    whole = table.arrow
+    table["time"][:] = 3.5
+    table.written()
+    assert table.arrow is whole
+    assert whole["time"].to_pylist() == [3.5]
