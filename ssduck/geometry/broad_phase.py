@@ -9,9 +9,9 @@ all others.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import pairwise
-from math import prod
 from typing import TypeAlias
 
 import numpy as np
@@ -20,6 +20,7 @@ import numpy.typing as npt
 from ssduck.geometry.arrays import Array, Flags, Indices
 
 Pairs: TypeAlias = tuple[Indices, Indices]
+Corners: TypeAlias = tuple[Array, Array]
 Cells: TypeAlias = npt.NDArray[np.int64]
 
 # The ratio of the largest to the smallest extent of a class.
@@ -36,6 +37,8 @@ _MAX_CELL_NUMBER = 2**62
 _MAX_DENSE_CELLS = 2.0**20
 # The number of candidates that are compared at a time.
 _CANDIDATES_AT_ONCE = 250_000
+# The number of pairs of boxes of two sets that are compared at a time; up to twice as many result.
+PAIRS_AT_ONCE = 20_000
 # Rows of cells along z, by their steps along x and y: the rows ahead, and the rows behind.
 _AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 _BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
@@ -136,7 +139,7 @@ def _numbered(low: Array, cell: float) -> tuple[Cells, list[int]]:
     x, y, z = cells = [_along(axis, cell) for axis in low]
     # A cell around the grid keeps rows from running into each other.
     widths = [int(axis.max()) + 3 for axis in cells]
-    if prod(widths) > _MAX_CELL_NUMBER:
+    if math.prod(widths) > _MAX_CELL_NUMBER:
         return _numbered(low, 8.0 * cell)  # boxes that overlap are neighbours in a coarser grid too
     return ((x + 1) * widths[1] + y + 1) * widths[2] + z + 1, widths
 
@@ -183,3 +186,64 @@ def _met(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
         hits = np.flatnonzero(overlaps)
         i, j = i.take(hits), j.take(hits)
     return i, j
+
+
+# -- boxes of two sets ---------------------------------------------------------------------------
+
+
+def overlapping_pairs_across(first: Corners, second: Corners, *, touching: bool) -> Iterator[Pairs]:
+    """The pairs of a box of one set and a box of another that overlap, in parts.
+
+    The larger of the two sets is halved until few pairs are left.
+
+    Args:
+        first: the lower and the upper corners, (3, n) each; they may be infinite along z.
+        second: the same, (3, m).
+        touching: whether boxes count that only touch.
+    """
+    (low, high), (lows, highs) = first, second
+    less = np.less_equal if touching else np.less
+    pending = [(np.arange(low.shape[1]), np.arange(lows.shape[1]))]
+    parts: list[Pairs] = []
+    count = 0
+    while pending:
+        i, j = pending.pop()
+        i = i[_overlap(less, low[:, i], high[:, i], _lowest(lows[:, j]), _highest(highs[:, j]))]
+        j = j[_overlap(less, lows[:, j], highs[:, j], _lowest(low[:, i]), _highest(high[:, i]))]
+        if len(i) * len(j) > PAIRS_AT_ONCE:
+            if len(i) > len(j):
+                pending += [(half, j) for half in _halves(i, low[:2, i] + high[:2, i])]
+            else:
+                pending += [(i, half) for half in _halves(j, lows[:2, j] + highs[:2, j])]
+            continue
+        a, b = i[:, None], j[None]
+        pairs = np.nonzero(_overlap(less, low[:, a], high[:, a], lows[:, b], highs[:, b]))
+        parts.append((i[pairs[0]], j[pairs[1]]))
+        count += len(pairs[0])
+        if count > PAIRS_AT_ONCE or not pending:
+            of_first, of_second = zip(*parts, strict=True)
+            yield np.concatenate(of_first), np.concatenate(of_second)
+            parts, count = [], 0
+
+
+def _overlap(less: np.ufunc, low: Array, high: Array, lows: Array, highs: Array) -> Flags:
+    """Whether boxes overlap, by their lower and upper corners (3, …)."""
+    overlap: Flags = np.asarray((less(low, highs) & less(lows, high)).all(axis=0))
+    return overlap
+
+
+def _lowest(low: Array) -> Array:
+    least: Array = low.min(axis=1, keepdims=True, initial=math.inf)
+    return least
+
+
+def _highest(high: Array) -> Array:
+    most: Array = high.max(axis=1, keepdims=True, initial=-math.inf)
+    return most
+
+
+def _halves(indices: Indices, positions: Array) -> Pairs:
+    """The two halves of a set, split at the median along the axis of the largest range."""
+    middle = len(indices) // 2
+    order = positions[np.ptp(positions, axis=1).argmax()].argpartition(middle)
+    return indices[order[:middle]], indices[order[middle:]]

@@ -11,12 +11,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.broad_phase import Pairs, overlapping_pairs_across
 
 # Triangles with a smaller projection, relative to their longest edge squared, are left out.
 MIN_PROJECTION = 1e-13
-# The number of pairs of triangles that are compared at a time, up to twice as many: 10 MB an array.
-PAIRS_AT_ONCE = 20_000
 
 
 def common_volume(surface: Array, weights: Array, other: Array) -> float:
@@ -48,7 +47,7 @@ def common_volume(surface: Array, weights: Array, other: Array) -> float:
 
 
 def _projected_areas(triangles: Array) -> Array:
-    """Twice the areas of the triangles' projections, (n,); negative for triangles that face down."""
+    """Twice the areas of triangles' projections, (n,); negative for those that face down."""
     one, two = (triangles[:, k, :2] - triangles[:, 0, :2] for k in (1, 2))
     areas: Array = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
     edges = triangles - np.roll(triangles, 1, axis=1)
@@ -56,64 +55,13 @@ def _projected_areas(triangles: Array) -> Array:
     return np.where(np.abs(areas) > MIN_PROJECTION * longest, areas, 0.0)
 
 
-def _overlapping_pairs(surface: Array, other: Array) -> Iterator[tuple[Indices, Indices]]:
-    """Pairs of triangles with overlapping projections, unless the first is above the second.
-
-    The larger of two sets of triangles is halved until few pairs are left.
-    """
+def _overlapping_pairs(surface: Array, other: Array) -> Iterator[Pairs]:
+    """Pairs of triangles with overlapping projections, unless the first is above the second."""
     low, high, lows, highs = (
         corner.T.copy() for one in (surface, other) for corner in (one.min(axis=1), one.max(axis=1))
     )
     high[2], lows[2] = math.inf, -math.inf
-    pending = [(np.arange(len(surface)), np.arange(len(other)))]
-    found, count = [], 0
-    while pending:
-        i, j = pending.pop()
-        i = i[_overlap(low[:, i], high[:, i], _lowest(lows[:, j]), _highest(highs[:, j]))]
-        j = j[_overlap(lows[:, j], highs[:, j], _lowest(low[:, i]), _highest(high[:, i]))]
-        if len(i) * len(j) > PAIRS_AT_ONCE:
-            if len(i) > len(j):
-                pending += [(half, j) for half in _halves(i, low[:2, i] + high[:2, i])]
-            else:
-                pending += [(i, half) for half in _halves(j, lows[:2, j] + highs[:2, j])]
-            continue
-        first, second = i[:, None], j[None]
-        pairs = np.nonzero(
-            _overlap(low[:, first], high[:, first], lows[:, second], highs[:, second])
-        )
-        found.append((i[pairs[0]], j[pairs[1]]))
-        count += len(pairs[0])
-        if count > PAIRS_AT_ONCE or not pending:
-            yield _concatenated(found)
-            found, count = [], 0
-
-
-def _concatenated(parts: list[tuple[Indices, Indices]]) -> tuple[Indices, Indices]:
-    first, second = zip(*parts, strict=True)
-    return np.concatenate(first), np.concatenate(second)
-
-
-def _overlap(low: Array, high: Array, lows: Array, highs: Array) -> Flags:
-    """Whether the interiors of boxes overlap, by their lower and upper corners (3, …)."""
-    overlap: Flags = np.asarray(((low < highs) & (lows < high)).all(axis=0))
-    return overlap
-
-
-def _lowest(low: Array) -> Array:
-    least: Array = low.min(axis=1, keepdims=True, initial=math.inf)
-    return least
-
-
-def _highest(high: Array) -> Array:
-    most: Array = high.max(axis=1, keepdims=True, initial=-math.inf)
-    return most
-
-
-def _halves(indices: Indices, positions: Array) -> tuple[Indices, Indices]:
-    """The two halves of a set, split at the median along the axis of the largest range."""
-    middle = len(indices) // 2
-    order = positions[np.ptp(positions, axis=1).argmax()].argpartition(middle)
-    return indices[order[:middle]], indices[order[middle:]]
+    return overlapping_pairs_across((low, high), (lows, highs), touching=False)
 
 
 def _heights_below(first: Array, second: Array, areas: Array) -> Array:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter as Multiset
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
+from ssduck.geometry.arrays import Array, Indices, Triangles
+from ssduck.geometry.broad_phase import overlapping_pairs_across
 from ssduck.geometry.poses import cross
 
-# The number of pairs of a point and a triangle that are compared at a time.
-PAIRS_AT_ONCE = 20_000
 # The slant of rays, along x and y per z.
 SLANT = np.array([0.2719, 0.1373])
 
@@ -132,7 +131,10 @@ def _winding_numbers(points: Array, triangles: Array) -> Indices:
     """
     points, triangles = _sheared(points), _sheared(triangles)
     found = np.zeros(len(points), np.intp)
-    for i, j in _on_rays(points, triangles.min(axis=1), triangles.max(axis=1)):
+    start, end = points.T.copy(), points.T.copy()
+    end[2] = math.inf
+    boxes = triangles.min(axis=1).T.copy(), triangles.max(axis=1).T.copy()
+    for j, i in overlapping_pairs_across(boxes, (start, end), touching=True):
         to = triangles[j] - points[i][:, None]
         signs = _winding_signs(to)
         volumes = np.einsum("ni,ni->n", to[:, 0], cross(to[:, 1], to[:, 2]))
@@ -146,44 +148,6 @@ def _sheared(points: Array) -> Array:
     sheared = points.copy()
     sheared[..., :2] -= SLANT * points[..., 2:]
     return sheared
-
-
-def _on_rays(points: Array, low: Array, high: Array) -> Iterator[tuple[Indices, Indices]]:
-    """Pairs of a point and a box that the ray along +z from the point may hit.
-
-    The larger of two sets, of points and of boxes, is halved until few pairs are left.
-    """
-    pending = [(np.arange(len(points)), np.arange(len(low)))]
-    while pending:
-        i, j = pending.pop()
-        if not (len(i) and len(j)):
-            continue
-        j = j[_may_hit(points[i].min(axis=0), points[i].max(axis=0), low[j], high[j])]
-        if not len(j):
-            continue
-        i = i[_may_hit(points[i], points[i], low[j].min(axis=0), high[j].max(axis=0))]
-        if len(i) * len(j) > PAIRS_AT_ONCE:
-            if len(i) > len(j):
-                pending += [(half, j) for half in _halves(i, points[i])]
-            else:
-                pending += [(i, half) for half in _halves(j, low[j] + high[j])]
-            continue
-        first, second = np.nonzero(_may_hit(points[i, None], points[i, None], low[j], high[j]))
-        yield i[first], j[second]
-
-
-def _may_hit(least: Array, most: Array, low: Array, high: Array) -> Flags:
-    """Whether rays from points between two corners may hit boxes, including the boundary."""
-    beside = (low[..., :2] <= most[..., :2]) & (least[..., :2] <= high[..., :2])
-    hit: Flags = beside[..., 0] & beside[..., 1] & (least[..., 2] <= high[..., 2])
-    return hit
-
-
-def _halves(indices: Indices, positions: Array) -> tuple[Indices, Indices]:
-    """The two halves of a set, split at the median along x or y, whichever has the larger range."""
-    middle = len(indices) // 2
-    order = positions[:, np.ptp(positions[:, :2], axis=0).argmax()].argpartition(middle)
-    return indices[order[:middle]], indices[order[middle:]]
 
 
 def _winding_signs(triangles: Array) -> Indices:
