@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
-from ssduck.geometry.narrow_phase import TOUCHES
+from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE
 from ssduck.schema import MARGINS
 from ssduck.simulators.interface import Body
 from ssduck.simulators.kinematics import (
@@ -61,14 +61,16 @@ class ManipulableSimulation(SteppedSimulation):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
             with self.held(("shapes", MARGINS)):
-                shapes = self.snapshot.shapes().shapes_touching(entity.id, other.id, TOUCHES)
+                shapes = self.snapshot.shapes().shapes_touching(
+                    entity.id, other.id, TOUCHING_DISTANCE
+                )
             touch = {body.shapes[shape].frame for shape in shapes}
             count = len(touch & descendant_links(body, number))
             if count < touching:
                 raise StateError(
                     f"{entity.name} cannot hold {other.name}: {count} links of "
-                    f"{body.links[number].name!r} and beyond are within {TOUCHES:g} m of it, not "
-                    f"{touching}; move them there first"
+                    f"{body.links[number].name!r} and beyond are within {TOUCHING_DISTANCE:g} m of "
+                    f"it, not {touching}; move them there first"
                 )
             self._simulator.add_constraint(body, number, held)
 
