@@ -253,14 +253,14 @@ class Execution(Namespace, ABC):
             return None
         given = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].reads, worlds):
+        with self._database.held(RELATIONS[node.name].inputs, worlds):
             for argument, value in zip(node.arguments, together, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()
                     error.span = argument.span
                     raise error
                 moment = value.moment if isinstance(value, Entity) else None
-                if moment is not None and MASSES in RELATIONS[node.name].reads:
+                if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
             return self._planner.relation(query, Frame(self, given=given))
 
@@ -281,7 +281,7 @@ class Execution(Namespace, ABC):
 
     @contextmanager
     def _worlds_held(self, *nodes: Node) -> Iterator[None]:
-        """Holds all worlds at their tick, with the tables read that relations in the nodes look up."""
+        """Holds all worlds at their tick, with the tables read that relations look up."""
         tables = frozenset().union(*map(self.tables_read, nodes))
         with self._database.held(tables, self.worlds_of(nodes) if tables else ()):
             yield

@@ -230,7 +230,7 @@ class Planner:
             return self._cache_plan(query, plan), values
 
     def _values(self, query: Query, frame: Frame) -> list[Any]:
-        """Returns the sources' values; `INLINE` for a nested query that becomes a part of the SQL."""
+        """Returns the sources' values; `INLINE` for a nested query that is a part of the SQL."""
         evaluated = self._evaluated_aliases.get(query, set())
         return [
             INLINE
@@ -394,7 +394,7 @@ class InterpreterTypes:
         return self._database.schema_of(value) if isinstance(value, World) else None
 
     def deferred(self, name: str) -> Node | None:
-        """Returns the list in a variable that the query itself evaluates; None for another value."""
+        """Returns the list in a variable that the query evaluates; None for other values."""
         if name in self._frame.local or not self._scope.has_variable(name):
             return None
         value = self._scope.variable(name)

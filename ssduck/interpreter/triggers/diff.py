@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,9 +19,6 @@ from ssduck.interpreter.sources import elements_of
 from ssduck.language.value_keys import ATOMS
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
-
-# The number of occurrences of each row, by the row's key.
-Multiset: TypeAlias = Mapping[Any, int]
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ class Trigger:
 
     @contextmanager
     def exclusive(self) -> Iterator[bool]:
-        """Tells whether it is not already being evaluated, in another thread or around this call."""
+        """Tells whether no evaluation is going on, in another thread or around this call."""
         is_exclusive = self._busy.acquire(blocking=False)
         try:
             yield is_exclusive
