@@ -1028,7 +1028,7 @@ def test_programs_whose_results_are_known_to_stay(ss, sim, program, is_known):
     ss.add_variable("least", 5)
     ss.add_variable("v", 5)
     ss.add_trigger("t", program, 1, lambda _: None)
-    assert (ss._triggers._by_name["t"].basis is not None) == is_known
+    assert (ss._triggers._by_name["t"].dependencies is not None) == is_known
 
 
 def test_two_worlds_that_step_together(ss, sim, other, told):
