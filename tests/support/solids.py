@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 
 from ssduck.geometry.batch import Sorts
+from ssduck.geometry.distance import Counter
 from ssduck.geometry.narrow_phase import Narrow
 from ssduck.geometry.shapes import Boxer, Geometry, PlacedGeometry, rotation_matrices
 from ssduck.geometry.solids import solid_of
