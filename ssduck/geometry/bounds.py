@@ -52,6 +52,8 @@ class BoundingBoxes:
 
     The constructor computes all that does not depend on the poses.
 
+    >>> from ssduck.geometry.poses import IDENTITY
+    >>> from ssduck.geometry.shapes import Geometry
     >>> ball = PlacedGeometry(0, Geometry.primitive("sphere", (0.5, 0, 0)), np.zeros(3), IDENTITY)
     >>> BoundingBoxes([ball], [0], 1).boxes(np.ones((1, 3)), np.eye(3)[None])[:, 0].tolist()
     [0.5, 0.5, 0.5, 1.5, 1.5, 1.5]
