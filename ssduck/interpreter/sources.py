@@ -146,7 +146,7 @@ INLINE = _Inline()
 
 def _shape(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if value is INLINE:
-        return SourceType(alias, given=False)
+        return SourceType(alias, has_values=False)
     if isinstance(value, World):
         return SourceType(alias, schema_of(value))
     if isinstance(value, PastTicks):

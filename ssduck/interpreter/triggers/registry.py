@@ -49,7 +49,7 @@ class Evaluator(Protocol):
     def has_variable(self, name: str) -> bool:
         """Whether there is a variable of that name."""
 
-    def meant(self, name: str) -> str:
+    def resolved_name(self, name: str) -> str:
         """What calls the function of that name: the user's, where it replaces another."""
 
     def is_users(self, name: str) -> bool:
@@ -287,7 +287,7 @@ class TriggerRegistry:
     def _basis(self, trigger: Trigger) -> Any:
         """What the result of a program depends on, if that is known: a query's worlds' ticks."""
         names, room = trigger.reads, self._interpreter
-        if names is None or any(room.is_users(room.meant(name)) for name in names):
+        if names is None or any(room.is_users(room.resolved_name(name)) for name in names):
             return None
         known = [(name, room.variable(name)) for name in names if room.has_variable(name)]
         if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in known):
