@@ -74,7 +74,7 @@ class _Resolver:
         self._names = names
         self._states = states(query).union(around)
         self._bare: dict[str, bool] = {}
-        self._called_name = dict(_called_name(query))
+        self._named_columns = dict(_named_columns(query))
 
     def resolved(self) -> ResolvedQuery:
         query = self._query
@@ -120,7 +120,7 @@ class _Resolver:
         return node.replaced(lambda part: self._column_named(part) or self._looked_up(part))
 
     def _column_named(self, part: Node) -> Node | None:
-        if not isinstance(part, Name) or part.name not in self._called_name:
+        if not isinstance(part, Name) or part.name not in self._named_columns:
             return None
         if part.name in self._states or self._names.has_variable(part.name):
             return None
@@ -136,7 +136,7 @@ class _Resolver:
             self._names.check_call(call)
         except SelectScriptError:
             self._bare[part.name] = False
-            return self._resolved(self._called_name[part.name])
+            return self._resolved(self._named_columns[part.name])
         return None
 
     def _in_where(self, part: Node) -> Node | None:
@@ -179,7 +179,7 @@ class _Resolver:
         return call
 
 
-def _called_name(query: Query) -> Iterator[tuple[str, Node]]:
+def _named_columns(query: Query) -> Iterator[tuple[str, Node]]:
     """The columns that have names of their own: what `to` and AS name."""
     for node in query.items:
         match node:
