@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ssduck.adapters.display import DisplayTable, lines_of
+from ssduck.adapters.display import DisplayTable, text_lines
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
             if second in energies
         ]
         told = DisplayTable(["second", "body and body", "body and side", "energy, J"], rows)
-        say("\n".join(lines_of(told)))
+        say("\n".join(text_lines(told)))
         say(
             f"What the camera in the western side sees changed {len(seen) - 1} times: "
             f"{min(seen)} to {max(seen)} bodies at once"

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssduck.adapters.display import answer_of, console_of_answers, fitted, readable
+from ssduck.adapters.display import display_table, fitted_table, plain_console, readable
 from ssduck.demos.drawing import save
 from ssduck.demos.results import keep_picture
 from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
@@ -179,7 +179,7 @@ def ask(
     """
     from ssduck.interpreter.opening import load
 
-    console = console_of_answers()
+    console = plain_console()
     asked = questions(scene)
     with load(scene.path) as ss:
         taken = 0.0
@@ -211,7 +211,7 @@ def _demonstrate(
     start = time.perf_counter()
     value = ss.sql(question.program) if question.sql else ss.eval(question.program)
     taken = time.perf_counter() - start
-    answer = replace(answer_of(value), types=())
+    answer = replace(display_table(value), types=())
 
     grid = Table.grid(padding=(0, 2, 1, 0))
     grid.add_column(style="dim", min_width=9)
@@ -221,7 +221,7 @@ def _demonstrate(
     grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
     if with_sql and not question.sql and (sql := ss.explain(question.program)):
         grid.add_row("  as SQL", _compact(sql), style="dim")
-    grid.add_row("  answer", fitted(answer) if answer.named else readable(value))
+    grid.add_row("  answer", fitted_table(answer) if answer.named else readable(value))
     console.print(grid)
     return taken
 

@@ -23,7 +23,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ssduck.adapters.display import DisplayTable, lines_of
+from ssduck.adapters.display import DisplayTable, text_lines
 from ssduck.demos.drawing import Colour, TopView
 from ssduck.demos.grid import Cell, Place, SearchGrid, free_cells, shortest_way
 from ssduck.demos.results import keep_picture
@@ -106,7 +106,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
         kitchen.run(0.5)
         say(f"{kitchen.time:.1f} s; the trigger fired {len(watch.told)} times:")
         rows = [[f"{a:.1f}", f"{b:.1f}", *sight] for a, b, *sight in watch.spans()]
-        say("\n".join(lines_of(DisplayTable(["from", "until", "sensor", "sees robot"], rows))))
+        say("\n".join(text_lines(DisplayTable(["from", "until", "sensor", "sees robot"], rows))))
         hits = checked(ss, say)
         agrees = told_by_record(ss, watch)
         word = "the same at each of these ticks" if agrees else "something else"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeAlias
 
-from ssduck.adapters.registry import Adapter, Selection, find, forms
+from ssduck.adapters.registry import Adapter, Selection, all_adapters, find
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError, SourceSpan
 from ssduck.formatting import error_text
 from ssduck.language.clauses import (
@@ -76,7 +76,7 @@ class AsClause:
             try:
                 return made(selection)
             finally:
-                selection.end()
+                selection.close()
         selected = run(query, frame, check)
         return formed(selected, lambda rows: made(Selection(lambda _: rows, query, worlds)))
 
@@ -129,7 +129,7 @@ def form_of(query: Query, frame: Frame) -> AsClause:
 
 def help_of_forms() -> str:
     """What `help('AS')` tells: all forms with their arguments."""
-    told = [f"{form.usage}\n    {form.help}" for form in forms()]
+    told = [f"{form.usage}\n    {form.help}" for form in all_adapters()]
     return "\n".join(["AS", "What a query's rows become.", *told])
 
 
