@@ -192,9 +192,10 @@ def relation_lines(relation: Relation) -> Iterator[str]:
     """The entry of a relation."""
     yield f"\n### `{relation.usage}`\n"
     unit = f" Unit: {relation.unit}." if relation.unit else ""
-    symmetric = " The order of the two does not matter." if relation.symmetric else ""
-    asked = f" Asks the narrow phase {relation.asked}." if relation.asked else ""
-    others = f" {relation.others}" if relation.others else ""
+    symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
+    pairs = relation.geometry.pairs if relation.geometry is not None else ""
+    asked = f" Asks the narrow phase {pairs}." if pairs else ""
+    others = f" {relation.alias_note}" if relation.alias_note else ""
     yield f"{relation.about}{unit}{symmetric}{asked}{others}\n"
     for parameter in relation.parameters:
         yield f"- `{parameter.name}`: {parameter.meaning}"
@@ -204,7 +205,7 @@ def relations_page() -> str:
     """The page of the relations, the plain functions and the result forms."""
     lines = [RELATIONS_HEAD.rstrip()]
     for relation in RELATIONS.values():
-        if not relation.second_of:
+        if not relation.alias_of:
             lines += relation_lines(relation)
     lines += ["\n## Functions of plain values\n", "| function | what it does |", "|---|---|"]
     for function in BUILTINS.values():

@@ -11,12 +11,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.broad_phase import Pairs, meeting_across
 
 # A triangle whose shadow is smaller, as a share of its longest edge squared, casts none.
 UPRIGHT = 1e-13
-# Pairs of triangles that are looked at together, and up to twice as many: 10 MB an array.
-TOGETHER = 20_000
 
 
 def common_volume(surface: Array, weights: Array, other: Array) -> float:
@@ -55,62 +54,13 @@ def _shadows(triangles: Array) -> Array:
     return np.where(np.abs(areas) > UPRIGHT * longest, areas, 0.0)
 
 
-def _over_each_other(surface: Array, other: Array) -> Iterator[tuple[Indices, Indices]]:
-    """Pairs of triangles: shadows whose boxes meet, and not all of the first above the second.
-
-    The larger of two sets of triangles that may meet is halved until there are few pairs.
-    """
+def _over_each_other(surface: Array, other: Array) -> Iterator[Pairs]:
+    """Pairs of triangles: shadows whose boxes meet, and not all of the first above the second."""
     low, high, lows, highs = (
         corner.T.copy() for one in (surface, other) for corner in (one.min(axis=1), one.max(axis=1))
     )
     high[2], lows[2] = math.inf, -math.inf
-    todo = [(np.arange(len(surface)), np.arange(len(other)))]
-    found, count = [], 0
-    while todo:
-        i, j = todo.pop()
-        i = i[_meet(low[:, i], high[:, i], _least(lows[:, j]), _most(highs[:, j]))]
-        j = j[_meet(lows[:, j], highs[:, j], _least(low[:, i]), _most(high[:, i]))]
-        if len(i) * len(j) > TOGETHER:
-            if len(i) > len(j):
-                todo += [(half, j) for half in _halves(i, low[:2, i] + high[:2, i])]
-            else:
-                todo += [(i, half) for half in _halves(j, lows[:2, j] + highs[:2, j])]
-            continue
-        first, second = i[:, None], j[None]
-        pairs = np.nonzero(_meet(low[:, first], high[:, first], lows[:, second], highs[:, second]))
-        found.append((i[pairs[0]], j[pairs[1]]))
-        count += len(pairs[0])
-        if count > TOGETHER or not todo:
-            yield _joined(found)
-            found, count = [], 0
-
-
-def _joined(parts: list[tuple[Indices, Indices]]) -> tuple[Indices, Indices]:
-    first, second = zip(*parts, strict=True)
-    return np.concatenate(first), np.concatenate(second)
-
-
-def _meet(low: Array, high: Array, lows: Array, highs: Array) -> Flags:
-    """Whether boxes have an inside in common: (3, …) lower and upper corners of either."""
-    meet: Flags = np.asarray(((low < highs) & (lows < high)).all(axis=0))
-    return meet
-
-
-def _least(low: Array) -> Array:
-    least: Array = low.min(axis=1, keepdims=True, initial=math.inf)
-    return least
-
-
-def _most(high: Array) -> Array:
-    most: Array = high.max(axis=1, keepdims=True, initial=-math.inf)
-    return most
-
-
-def _halves(some: Indices, places: Array) -> tuple[Indices, Indices]:
-    """Those on either side of the middle one, along the axis along which places (2, n) differ."""
-    middle = len(some) // 2
-    order = places[np.ptp(places, axis=1).argmax()].argpartition(middle)
-    return some[order[:middle]], some[order[middle:]]
+    return meeting_across((low, high), (lows, highs), rims=False)
 
 
 def _lowered(first: Array, second: Array, areas: Array) -> Array:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -294,31 +294,3 @@ def _both_ways(a: Ids, b: Ids) -> list[int]:
     numbers = np.concatenate((a * MOST_IDS + b, b * MOST_IDS + a))
     found: list[int] = np.sort(numbers).tolist()
     return found
-
-
-Answer: TypeAlias = Callable[..., Any]
-ANSWERS: dict[str, Answer] = {
-    f"narrow {answer.__name__}": answer
-    for answer in (
-        ShapeQueries.all_colliding,
-        ShapeQueries.all_within,
-        ShapeQueries.all_touching,
-        ShapeQueries.all_meeting,
-        ShapeQueries.all_reaching,
-        ShapeQueries.all_resting,
-        ShapeQueries.collides,
-        ShapeQueries.penetration,
-        ShapeQueries.clearance,
-        ShapeQueries.near,
-        ShapeQueries.touching,
-        ShapeQueries.points,
-        ShapeQueries.on,
-        ShapeQueries.supports,
-        ShapeQueries.rests_on,
-        ShapeQueries.encloses,
-        ShapeQueries.beside,
-        ShapeQueries.inside,
-        ShapeQueries.contains,
-        ShapeQueries.volume,
-    )
-}

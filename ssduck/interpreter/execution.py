@@ -247,14 +247,14 @@ class Execution(Namespace, ABC):
             return None
         given = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].reads, worlds):
+        with self._database.held(RELATIONS[node.name].inputs, worlds):
             for argument, value in zip(node.arguments, together, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()
                     error.span = argument.span
                     raise error
                 moment = value.moment if isinstance(value, Entity) else None
-                if moment is not None and MASSES in RELATIONS[node.name].reads:
+                if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
             return self._planner.relation(query, Frame(self, given=given))
 

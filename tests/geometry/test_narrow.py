@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 
+from ssduck.geometry import broad_phase, surfaces
 from ssduck.geometry import common_volume as volumes
 from ssduck.geometry import containment as overlap
-from ssduck.geometry import surfaces
 from ssduck.geometry.containment import fraction_inside, world_hull
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.mesh_distance import triangle_depths
@@ -541,7 +541,7 @@ def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
         assert tick.penetration(0, 1) == pytest.approx(0.29, abs=0.02)
         assert tick.calls.calls < 300
         assert sum(looked) < 30 * corners
-        assert max(looked) <= surfaces.TOGETHER
+        assert max(looked) <= 2 * broad_phase.TOGETHER
 
 
 def test_an_answer_does_not_depend_on_the_one_before():
@@ -637,7 +637,6 @@ def test_threads_get_the_same():
 # -- on, inside ----------------------------------------------------------------------------
 
 TABLE = [(box(2, 1, 0.1), (0, 0, 0.95)), (box(0.1, 0.1, 0.9), (0.9, 0.4, 0.45))]
-SLOPE = 1 / math.cos(math.radians(15)) / 2
 
 # (what, where, turn, whether it is on the table)
 ON = [
@@ -861,6 +860,15 @@ def test_the_share_of_a_ball_in_a_ball(radius, overlap):
     assert found == pytest.approx(lens / (4 / 3 * math.pi * radius**3), abs=3e-4)
 
 
+def test_parts_of_a_mesh_that_overlap_count_each():
+    middles = np.array([[0.0, 0.0, 0.0], [0.5, 0.3, 0.2], [0.3, 0.5, 0.4]])
+    cubes = [trimesh.creation.box((1, 1, 1)).apply_translation(at) for at in middles]
+    at = np.array([0.31, 0.22, 0.13])
+    found = two(box(), of_trimesh(trimesh.util.concatenate(cubes)), tuple(-at)).inside(0, 1)
+    expected = np.prod(1.0 - np.abs(middles - at), axis=1).sum() / 3
+    assert found == pytest.approx(expected, abs=1e-12)
+
+
 def share(a, b):
     return fraction_inside(world_hull([a.placed()]), [b.placed()])
 
@@ -1081,7 +1089,7 @@ def test_large_meshes_are_compared_where_they_meet(monkeypatch):
         assert two(a, b, (0.9, 0.1, 0.05)).inside(0, 1) == pytest.approx(expected, abs=3e-3)
         count = sum(len(solid_of(one).closed_surface.faces) for one in (a, b))
         assert sum(kept) <= 12 * count
-        assert max(kept) <= 2 * volumes.TOGETHER
+        assert max(kept) <= 2 * broad_phase.TOGETHER
 
 
 def test_hulls_of_half_spaces():
