@@ -64,7 +64,7 @@ def adapter(
     ...     "The number of rows, or `least` if there are fewer."
     ...     return max(len(selection.rows), least)
     >>> with ssduck.Interpreter() as ss:
-    ...     ss.eval("SELECT n FROM n=[1, 2, 3] AS rowcount; SELECT n FROM n=[1] AS rowcount(2);")
+    ...     ss.eval("SELECT n.this FROM n=[1] AS rowcount(2);")
     2
     """
     for name in names:

@@ -309,7 +309,7 @@ def test_an_environment(tmp_path, monkeypatch):
     with Image.open(tmp_path / "environment.png") as picture:
         assert picture.size == (640, 480)
     assert (tmp_path / "near_roomba" / "scene.toml").is_file()
-    monkeypatch.setattr(environment, "ALIKE", 0.0)
+    monkeypatch.setattr(environment, "TOLERANCE", 0.0)
     (tmp_path / "again").mkdir()
     assert not environment.run(tmp_path / "again", told.append, seed=0)
 
