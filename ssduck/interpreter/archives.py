@@ -72,13 +72,13 @@ def episodes(path: str | Path) -> list[Episode]:
     """
     database = Database(":memory:", None)
     try:
-        return [run.episode for run in runs(given_path(path), database)]
+        return [run.episode for run in recorded_runs(given_path(path), database)]
     finally:
         database.close()
 
 
-def runs(path: Path, database: Database) -> Sequence[RecordedRun]:
-    """The runs that are recorded at a place, by world and number.
+def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
+    """The recorded_runs that are recorded at a place, by world and number.
 
     Args:
         path: a folder, or a DuckDB file, which is attached to be read.
@@ -91,10 +91,10 @@ def runs(path: Path, database: Database) -> Sequence[RecordedRun]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _stored_runs(path, database.connection.attach(path), database.connection.writer())
+    return _runs_in_file(path, database.connection.attach(path), database.connection.writer())
 
 
-def chosen_runs(
+def select_runs(
     found: Sequence[RecordedRun], world: str | None, number: int | None
 ) -> list[RecordedRun]:
     """One run of each world, or of one: that of a number, or the last that holds any tick.
@@ -120,7 +120,7 @@ def chosen_runs(
     return list({run.world: run for run in fitting}.values())
 
 
-def world_of(run: RecordedRun, database: Database) -> ReplayedWorld:
+def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     """The world of a run, as far as it was recorded.
 
     Raises:
@@ -135,12 +135,14 @@ def world_of(run: RecordedRun, database: Database) -> ReplayedWorld:
         archive = run.history(database.connection.writer())
         ticks, models = archive.ticks(), archive.all_models()
     try:
-        told = run_of(models)
+        description = run_of(models)
     except RecordError as error:
         raise RecordError(f"episode {run.number} of {run.world!r}: {error.message}") from error
-    if told is None and models["entities"].num_rows:  # it was recorded before rows told
+    if (
+        description is None and models["entities"].num_rows
+    ):  # it was recorded before rows description
         archive.untold_run = new_run()
-    number = told or archive.untold_run or new_run()
+    number = description or archive.untold_run or new_run()
     record = Record(
         None,
         ticks,
@@ -188,20 +190,20 @@ class OpenedFolder:
         if table not in self._files:
             return None
         columns = {column.name: column.sql for column in TABLES[table]}
-        return self._whole(self._files[table], columns)
+        return self._select_all(self._files[table], columns)
 
     def models(self) -> dict[str, str]:
         """What the views select that tell what entities are, by their names."""
         return {
-            model_name(table): self._whole(self._run.files(f"models/{table}"), MODELS[table])
+            model_name(table): self._select_all(self._run.files(f"models/{table}"), MODELS[table])
             for table in MODELS
         }
 
-    def _whole(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
+    def _select_all(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
         """A SELECT of all columns of a table from its files."""
-        geometries = _scan(self._run.files("models/geometries"))
+        geometries = _parquet_scan(self._run.files("models/geometries"))
         missing = defaults(self.untold_run, geometries)
-        return whole_rows(_scan(files), columns, _columns_in(files), missing)
+        return whole_rows(_parquet_scan(files), columns, _columns_in(files), missing)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """The rows of a table at ticks from first to last."""
@@ -213,10 +215,10 @@ class OpenedFolder:
             files, first, last = self._files[table][:1], 0, -1
         chosen = "tick BETWEEN ? AND ?"
         if table == "links":  # those of bodies of one link are as the body
-            entities = _scan(self._run.files("models/entities"))
+            entities = _parquet_scan(self._run.files("models/entities"))
             chosen += f" AND entity IN (SELECT id FROM {entities} WHERE links > 1)"  # noqa: S608
         return self._writer.rows(
-            f"SELECT {columns} FROM {_scan(files)} WHERE {chosen}",  # noqa: S608
+            f"SELECT {columns} FROM {_parquet_scan(files)} WHERE {chosen}",  # noqa: S608
             (first, last),
         )
 
@@ -237,12 +239,12 @@ def _columns_in(files: Sequence[Path]) -> list[str]:
     return names
 
 
-def _scan(files: Sequence[Path]) -> str:
-    names = ", ".join(exp.Literal.string(_exactly(file)).sql("duckdb") for file in files)
+def _parquet_scan(files: Sequence[Path]) -> str:
+    names = ", ".join(exp.Literal.string(_literal_path(file)).sql("duckdb") for file in files)
     return f"read_parquet([{names}], hive_partitioning = false)"
 
 
-def _exactly(file: Path) -> str:
+def _literal_path(file: Path) -> str:
     """The path of one file as DuckDB takes it, which reads `*`, `?` and `[` as patterns.
 
     Raises:
@@ -275,7 +277,7 @@ class StoredRun:
         schema: what holds the run.
         world: the name of the world.
         number: of the episode, from 0.
-        told: what the record tells of itself.
+        description: what the record tells of itself.
         reader: a connection that can read it.
     """
 
@@ -284,12 +286,12 @@ class StoredRun:
     schema: str
     world: str
     number: int
-    told: dict[str, Any]
+    description: dict[str, Any]
     reader: StoreConnection
 
     def history(self, reader: StoreConnection) -> DuckDBStore:
         """What is stored of it."""
-        recording = _recording(self.told["recording"], self.path)
+        recording = _recording(self.description["recording"], self.path)
         return DuckDBStore(self.schema, reader, recording, catalog=self.catalog)
 
     @property
@@ -305,7 +307,7 @@ class StoredRun:
             self.path,
             self.world,
             self.number,
-            started=self.told["started"],
+            started=self.description["started"],
             tables=history.recording.tables,
             every=history.recording.every,
             entities=history.recording.entities,
@@ -313,7 +315,7 @@ class StoredRun:
         )
 
 
-def _stored_runs(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:
+def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:
     file, about = (exp.Literal.string(text).sql("duckdb") for text in (catalog, ABOUT))
     schemas = reader.fetchall(
         f"SELECT schema_name FROM duckdb_tables() WHERE database_name = {file} "  # noqa: S608
@@ -323,20 +325,27 @@ def _stored_runs(path: Path, catalog: str, reader: StoreConnection) -> list[Stor
     for (schema,) in schemas:
         place = ".".join(map(quoted, (catalog, schema, ABOUT)))
         rows = reader.fetchall(f"SELECT about FROM {place}")  # noqa: S608
-        told = _told(path, schema, rows)
+        description = _description(path, schema, rows)
         number = int(schema.rpartition("_")[2])
-        found.append(StoredRun(path, catalog, schema, told["world"], number, told, reader))
+        found.append(
+            StoredRun(path, catalog, schema, description["world"], number, description, reader)
+        )
     if not found:
         raise RecordError(f"nothing is recorded in the DuckDB file {path}")
     return sorted(found, key=lambda run: (run.world, run.number))
 
 
-def _told(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
+def _description(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
     """What a record tells of itself."""
     try:
-        told: dict[str, Any] = json.loads(rows[0][0])
-        version = told["version"]
-        named = told["world"], told["recording"], told["started"], int(schema.rpartition("_")[2])
+        description: dict[str, Any] = json.loads(rows[0][0])
+        version = description["version"]
+        named = (
+            description["world"],
+            description["recording"],
+            description["started"],
+            int(schema.rpartition("_")[2]),
+        )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise RecordError(f"{path} is damaged: {schema} does not tell what it holds") from error
     assert named
@@ -345,11 +354,11 @@ def _told(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any
             f"{schema} in {path} is a record of version {version}; this ssduck reads those up to "
             f"{VERSION}: install a newer one"
         )
-    return told
+    return description
 
 
-def _recording(told: dict[str, Any], path: Path) -> Recording:
+def _recording(description: dict[str, Any], path: Path) -> Recording:
     try:
-        return Recording(**told)
+        return Recording(**description)
     except TypeError as error:  # ArgumentError is one
         raise RecordError(f"{path} is damaged: what was kept is none that there is") from error
