@@ -10,7 +10,7 @@ from inspect import unwrap
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.registry import tables_of_forms
+from ssduck.adapters.registry import tables_read_by
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
@@ -299,7 +299,7 @@ class Namespace:
 
     def tables_read(self, node: Node) -> frozenset[str]:
         """The tables that relations in a part look things up in."""
-        found = tables_of(node) | tables_of_forms(forms_of(node))
+        found = tables_of(node) | tables_read_by(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
             if isinstance(value, LazyList):
