@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from ssduck.adapters.registry import forms
+from ssduck.adapters.registry import all_adapters
 from ssduck.language.builtins import BUILTINS
 from ssduck.schema import ROWS, TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
@@ -218,7 +218,7 @@ def relations_page() -> str:
         about, usage = function.help.split("\nUsage: ")
         lines.append(f"| `{usage}` | {about} |")
     lines += ["\n## Result forms\n", "| AS | what it gives |", "|---|---|"]
-    for adapter in forms():
+    for adapter in all_adapters():
         usage = adapter.usage.replace("|", "\\|")
         lines.append(f"| `{usage}` | {adapter.help} |")
     return "\n".join(lines) + "\n"
