@@ -1,7 +1,6 @@
-"""Names of packages that are imported when they are used.
+"""Exports the names of a package without importing their modules before they are used.
 
-Importing a module imports the packages that it is in. With these a package names what it offers,
-and costs nothing until somebody asks for it.
+Importing a module imports the packages that contain it. This keeps that cheap.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from typing import Any
 def exports(
     package: str, names: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """The functions `__getattr__` and `__dir__` of a package.
+    """Returns the functions `__getattr__` and `__dir__` of a package.
 
     Args:
-        package: its name.
-        names: what it offers, by the module below it that has it.
+        package: the name of the package.
+        names: its public names, by the module of the package that defines them.
     """
     homes = {name: module for module, own in names.items() for name in own}
 
