@@ -19,11 +19,11 @@ def exports(
         package: the name of the package.
         names: its public names, by the module of the package that defines them.
     """
-    homes = {name: module for module, own in names.items() for name in own}
+    modules = {name: module for module, exported in names.items() for name in exported}
 
     def get(name: str) -> Any:
-        if name not in homes:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{homes[name]}"), name)
+        return getattr(import_module(f"{package}.{modules[name]}"), name)
 
-    return get, lambda: sorted(homes)
+    return get, lambda: sorted(modules)

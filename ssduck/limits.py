@@ -59,7 +59,7 @@ class Limits:
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
-        """Returns limits for programs from elsewhere: 10 s, 1,000,000 rows, 1 GB, no `eval`, no files.
+        """Returns limits for foreign programs: 10 s, a million rows, 1 GB, no `eval`, no files.
 
         Args:
             changes: limits that differ from these.

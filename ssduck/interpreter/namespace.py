@@ -10,7 +10,7 @@ from inspect import unwrap
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.registry import tables_of_forms
+from ssduck.adapters.registry import tables_read_by
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
@@ -21,11 +21,11 @@ from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked, plain
+from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked_name, written_name
 from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import instead_of_name
 from ssduck.language.tree import Call, Node
-from ssduck.language.value_history import ValueHistory, aged, history_of, kept
+from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
 from ssduck.recording.replay.past import past_of
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
@@ -103,16 +103,16 @@ class Namespace:
             raise ArgumentError(
                 "a world is no value to be kept in a history; assign it without {…}"
             )
-        self._variables[name] = kept(before, value, horizon, now)
+        self._variables[name] = with_assignment(before, value, horizon, now)
 
-    def aged(self, name: str, *age: Any) -> Any:
+    def past_value(self, name: str, *age: Any) -> Any:
         """Returns the past value of a variable; all values that it keeps if no age is given."""
         self.variable(name)
         held = self._variables[name]
         if isinstance(held, World):
             seconds = validation.seconds(age[0], "what is in {…}") if age else None
             return past_of(self._database.record_of(held), seconds)
-        return aged(name, held, age, self._now)
+        return past_value(name, held, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
         """Returns the values of a variable with a history, and their times.
@@ -152,11 +152,11 @@ class Namespace:
         """Returns a function that is no relation; the language's own if the name is not marked."""
         if name in self._overrides:
             return self._overrides[name]
-        return self._functions.get(plain(name))
+        return self._functions.get(written_name(name))
 
-    def meant(self, name: str) -> str:
+    def resolved_name(self, name: str) -> str:
         """Returns the name that calls a function: the user's function, if it overrides another."""
-        return marked(name) if name in self._overrides else name
+        return marked_name(name) if name in self._overrides else name
 
     def _add_function(self, function: Function) -> None:
         """Adds a user's function; warns if it overrides a part of the language.
@@ -178,9 +178,9 @@ class Namespace:
         self._functions[name] = function
         sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
         what = f"the operator {sign}" if sign else f"the language's own {name}"
-        kept = "; raw SQL keeps its own" if name in RELATIONS else ""
+        note = "; raw SQL keeps its own" if name in RELATIONS else ""
         warn(
-            f"your function {name!r} replaces {what} in programs{kept}; "
+            f"your function {name!r} replaces {what} in programs{note}; "
             f"del_function({name!r}) brings that back"
         )
 
@@ -190,8 +190,8 @@ class Namespace:
         Raises:
             UnknownNameError: there is none; the error suggests the nearest names.
         """
-        is_name = isinstance(name, str) and name == plain(name)
-        if not is_name or not self.is_users(self.meant(name)):
+        is_name = isinstance(name, str) and name == written_name(name)
+        if not is_name or not self.is_users(self.resolved_name(name)):
             own = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
                 f"there is no function {short_repr(name)} of yours", suggestions=nearest(name, own)
@@ -218,7 +218,7 @@ class Namespace:
             UnknownNameError: there is no such function; the error suggests the nearest names.
             ArgumentError: the number of arguments is wrong.
         """
-        given, name = len(node.arguments), plain(node.name)
+        given, name = len(node.arguments), written_name(node.name)
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
             least, most = min(relation.expressions), max(relation.expressions)
@@ -262,11 +262,11 @@ class Namespace:
 
         def clear(name: str | None = None) -> bool:
             if name is None:
-                kept = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+                others = {n: v for n, v in self._variables.items() if isinstance(v, World)}
             else:
                 self.variable(name)
-                kept = {n: v for n, v in self._variables.items() if n != name}
-            self._variables = kept
+                others = {n: v for n, v in self._variables.items() if n != name}
+            self._variables = others
             return True
 
         def show(*values: Any) -> Any:
@@ -310,7 +310,7 @@ class Namespace:
 
     def tables_read(self, node: Node) -> frozenset[str]:
         """Returns the tables that the relations in a node look up."""
-        found = tables_of(node) | tables_of_forms(forms_of(node))
+        found = tables_of(node) | tables_read_by(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
             if isinstance(value, LazyList):
