@@ -15,7 +15,7 @@ from ssduck.language.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_I
 from ssduck.recording.static_tables import MODEL_COMMENTS, MODELS
 from ssduck.recording.stores.duckdb import history_name, model_name
 from ssduck.schema import ROWS, TABLES
-from ssduck.sql.from_clause import pairs_of
+from ssduck.sql.from_clause import pair_table
 from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
@@ -41,7 +41,7 @@ class PairTableMacro:
 
     def macro(self, place: Sequence[str], schema: str) -> str:
         """The statement that makes it."""
-        pairs = pairs_of(self.search, exp.column(self.distance), schema, "pairs").table
+        pairs = pair_table(self.search, exp.column(self.distance), schema, "pairs").table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
         temporary = "TEMP " if place[0] == "temp" else ""
         name = _dotted(place[1:] if temporary else place, self.name)
