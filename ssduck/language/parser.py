@@ -74,7 +74,20 @@ def is_reserved(name: str) -> bool:
 
 @lru_cache(maxsize=512)
 def parse(text: str) -> Program:
-    """Parse a program.
+    """Parses a program.
+
+    >>> parse("1 + 2 * 3;").statements[0].outline()
+    "Binary('+', Literal(1), Binary('*', Literal(2), Literal(3)))"
+    >>> parse("v{5.0} = z(cup);").statements[0].outline()
+    "Assignment('v', Literal(5.0), Call('z', [Name('cup')]))"
+    >>> (query,) = parse("SELECT id FROM kitchen WHERE above(table, this) AS list;").statements
+    >>> print(query.outline())
+    Query([Name('id')], [Source('kitchen', Name('kitchen'))],
+          Call('above', [Name('table'), This(None)]), AdapterClause('list'))
+    >>> parse("SELECT id FORM kitchen;")
+    Traceback (most recent call last):
+        ...
+    ssduck.errors.ParseError: ...
 
     Args:
         text: statements, each ended by `;` (the last may go without).

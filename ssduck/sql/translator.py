@@ -58,7 +58,14 @@ class NotInlineError(Exception):
 def translate(
     query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, *, cautious: bool = False
 ) -> Plan:
-    """Plan a query.
+    """Plans a query.
+
+    >>> from ssduck.sql.examples import sql_of
+    >>> print(sql_of("SELECT id, z FROM kitchen WHERE z > 1;"))
+    SELECT kitchen.name, kitchen.z FROM kitchen.entities AS kitchen WHERE kitchen.z > 1
+    >>> print(sql_of("SELECT distance(this, [0, 0, 0]) FROM kitchen LIMIT 2;"))
+    SELECT SQRT(POWER((kitchen.x - 0), 2) + POWER((kitchen.y - 0), 2) + POWER((kitchen.z - 0), 2))
+    FROM kitchen.entities AS kitchen LIMIT 2
 
     Args:
         query: the query.
