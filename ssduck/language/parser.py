@@ -1,4 +1,4 @@
-"""SelectScript text to a tree.
+"""Parses SelectScript text into a tree.
 
 The tokenizer is sqlglot's with SelectScript's quotes and comments; the parser is a recursive
 descent over its tokens, one method a precedence level. docs/reference/language.md has the grammar.
@@ -236,11 +236,11 @@ class _Parser(SqlForms):
         return node
 
     def selected(self) -> Node:
-        """What stands in SELECT: a value, perhaps with a name, or an assignment to a variable."""
+        """An item of SELECT: a value, perhaps with a name, or an assignment to a variable."""
         return self.assigned() if self.at_assignment() else self.item()
 
     def filtered(self) -> Node:
-        """What stands in WHERE: a condition, or an assignment to a variable."""
+        """A part of WHERE: a condition, or an assignment to a variable."""
         return self.assigned() if self.at_assignment() else self.condition()
 
     def source(self) -> Source:
@@ -501,7 +501,7 @@ class _Parser(SqlForms):
 
     @cached_property
     def closings(self) -> dict[int, int]:
-        """Where the token is that closes a parenthesis, by where that is."""
+        """The place of each closing parenthesis, by the place of the opening one."""
         result: dict[int, int] = {}
         open_ones: list[int] = []
         for index, token in enumerate(self.tokens):

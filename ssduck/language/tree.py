@@ -13,7 +13,6 @@ from typing import Any
 
 from ssduck.errors import SourceSpan
 
-
 # The fields that are places in the text.
 _PLACES = frozenset(("span", "name_span"))
 
@@ -335,7 +334,7 @@ class Query(Node):
 
 @dataclass(frozen=True)
 class Suspicion:
-    """What is probably a mistake, though it has a meaning.
+    """A probable mistake: a construct that is valid, but rarely intended.
 
     Attributes:
         span: where it is.

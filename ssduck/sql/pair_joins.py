@@ -1,4 +1,4 @@
-"""Conditions on two entities that hold of near ones only: SQL that looks at no others.
+"""Joins for conditions on two entities that hold only for near ones.
 
 The narrow phase takes its time with each pair. So the pairs of a tick of which a relation may hold
 are found at once, where two sources are one world; and what is compared with a number is asked
@@ -91,8 +91,8 @@ def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
     """The condition on boxes that `clearance(a, b) < 0.1` implies; None if there is none.
 
     >>> from ssduck.sql.examples import sql_of
-    >>> query = "SELECT id(a.this) FROM a = kitchen, b = kitchen WHERE clearance(a.this, b.this) < 1;"
-    >>> print(sql_of(query))
+    >>> near = "clearance(a.this, b.this) < 1"
+    >>> print(sql_of(f"SELECT id(a.this) FROM a = kitchen, b = kitchen WHERE {near};"))
     SELECT ... WHERE (a.xmin <= b.xmax + (1) + 1e-9 AND ...) AND CASE WHEN (...) THEN ...
     """
     match node:

@@ -1,4 +1,4 @@
-"""A relation's formula with its arguments put in."""
+"""Replaces the parameters of a relation's formula by its arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A query's tree to DuckDB SQL, through sqlglot.
+"""Translates a query's tree to DuckDB SQL, through sqlglot.
 
 `translate` takes a query and the shapes of its sources, and gives a `Plan`: one SELECT whose
 columns are what SQL can do of the query, and what is left to Python. A part goes to SQL when
@@ -475,7 +475,7 @@ class _Translator:
 
 
 def _parts(node: Node) -> Iterator[Node]:
-    """What is fetched of a part that SQL cannot do; of so many comparisons, what they compare."""
+    """The columns to fetch for a part left to Python; of a long comparison, its operands."""
     for child in node.children():
         if isinstance(node, tree.OperatorChain) and isinstance(child, Binary):
             yield from child.children()
