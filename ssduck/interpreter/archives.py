@@ -1,4 +1,4 @@
-"""Opening what was recorded: a folder of Parquet files, or a DuckDB file."""
+"""Opens records: folders of Parquet files, and DuckDB files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from ssduck.world.run_numbers import new_run
 
 
 class RecordedRun(Protocol):
-    """A run of a world that was recorded."""
+    """A recorded run of a world."""
 
     @property
     def world(self) -> str:
@@ -56,18 +56,21 @@ class RecordedRun(Protocol):
 
     @property
     def has_ticks(self) -> bool:
-        """Whether anything was stored."""
+        """Whether ticks were stored."""
 
     @property
     def episode(self) -> Episode:
-        """What it holds."""
+        """The contents of the run."""
 
 
 def episodes(path: str | Path) -> list[Episode]:
-    """The episodes in a folder or in a DuckDB file, by world and number.
+    """Returns the episodes in a folder or in a DuckDB file, by world and number.
+
+    Args:
+        path: the path of the folder or the file.
 
     Raises:
-        RecordError: there is no such record, it is damaged, of a newer version, or in use by
+        RecordError: there is no such record, or it is damaged, of a newer version, or in use by
             another process.
     """
     database = Database(":memory:", None)
@@ -78,14 +81,14 @@ def episodes(path: str | Path) -> list[Episode]:
 
 
 def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
-    """The recorded_runs that are recorded at a place, by world and number.
+    """Returns the runs in a folder or in a DuckDB file, by world and number.
 
     Args:
-        path: a folder, or a DuckDB file, which is attached to be read.
-        database: where to.
+        path: the path of a folder, or of a DuckDB file, which is attached to be read.
+        database: the database to which the file is attached.
 
     Raises:
-        RecordError: there is no record, it is damaged, of a newer version, or in use.
+        RecordError: there is no record, or it is damaged, of a newer version, or in use.
     """
     if path.is_dir():
         return runs_in(path)
@@ -97,10 +100,10 @@ def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
 def select_runs(
     found: Sequence[RecordedRun], world: str | None, number: int | None
 ) -> list[RecordedRun]:
-    """One run of each world, or of one: that of a number, or the last that holds any tick.
+    """Returns one run of each world, or of one: the run of a number, or the last one with ticks.
 
     Raises:
-        RecordError: there is none such.
+        RecordError: there is no such run.
     """
     if not found:
         raise RecordError("nothing is recorded there")
@@ -121,7 +124,7 @@ def select_runs(
 
 
 def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
-    """The world of a run, as far as it was recorded.
+    """Returns the world of a recorded run.
 
     Raises:
         RecordError: a file is missing or damaged.
@@ -160,17 +163,17 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
 
 
 class OpenedFolder:
-    """A run in a folder, to be read (`ssduck.recording.stores.duckdb.TickArchive`).
+    """A run in a folder, opened to be read (`ssduck.recording.stores.duckdb.TickArchive`).
 
     Args:
-        run: which.
-        writer: a connection of its own, that reads the files.
+        run: the run.
+        writer: a connection of its own, which reads the files.
 
     Attributes:
-        ticks: those that are stored.
-        tables: those that have rows of them.
-        recording: what was kept of each.
-        untold_run: the number of the run, where its rows do not tell it.
+        ticks: the stored ticks.
+        tables: the tables with rows.
+        recording: the recording that stored them.
+        untold_run: the number of the run, if its rows do not have it.
     """
 
     untold_run: int | None = None
@@ -186,27 +189,27 @@ class OpenedFolder:
         self._files = {table: run.files(table) for table in run.tables}
 
     def select(self, table: str, rings: Waiting | None) -> str | None:  # noqa: ARG002
-        """What the view of a table's history selects; None for what is not recorded."""
+        """Returns the SELECT of a history's view; None for a table that is not recorded."""
         if table not in self._files:
             return None
         columns = {column.name: column.sql for column in TABLES[table]}
         return self._select_all(self._files[table], columns)
 
     def models(self) -> dict[str, str]:
-        """What the views select that tell what entities are, by their names."""
+        """Returns the SELECT of each model's view, by its name."""
         return {
             model_name(table): self._select_all(self._run.files(f"models/{table}"), MODELS[table])
             for table in MODELS
         }
 
     def _select_all(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
-        """A SELECT of all columns of a table from its files."""
+        """Returns the SELECT of all columns of a table from its files."""
         geometries = _parquet_scan(self._run.files("models/geometries"))
         missing = defaults(self.untold_run, geometries)
         return whole_rows(_parquet_scan(files), columns, _columns_in(files), missing)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """The rows of a table at ticks from first to last."""
+        """Returns the rows of a table from the first to the last tick."""
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
         files = self._files[table][begin:end]
@@ -223,18 +226,18 @@ class OpenedFolder:
         )
 
     def near(self, asked: PairRequest, waiting: pa.Table | None) -> pa.Table:
-        """The pairs of entities whose boxes are near at some ticks."""
+        """Returns the pairs of entities whose boxes are near each other at some ticks."""
         rows = self.select("entities", None)
         assert rows is not None
         return near_rows(self._writer, rows, asked, waiting)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
-        """Read no more."""
+        """Closes the connection."""
         self._writer.close()
 
 
 def _columns_in(files: Sequence[Path]) -> list[str]:
-    """The columns of a table's parts: one ssduck wrote all of them."""
+    """Returns the columns of a table's files, which are the same in all of them."""
     names: list[str] = pq.read_schema(files[0].absolute()).names
     return names
 
@@ -245,10 +248,10 @@ def _parquet_scan(files: Sequence[Path]) -> str:
 
 
 def _literal_path(file: Path) -> str:
-    """The path of one file as DuckDB takes it, which reads `*`, `?` and `[` as patterns.
+    """Returns the path of one file for DuckDB, which reads `*`, `?` and `[` as patterns.
 
     Raises:
-        RecordError: the path has a backslash beside one of them: DuckDB takes it for a slash.
+        RecordError: the path has a backslash beside one of them, which DuckDB takes for a slash.
     """
     path = str(file.resolve())
     if not _PATTERN.search(path):
@@ -269,15 +272,15 @@ _PATTERN = re.compile(r"[*?[]")
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
-    """A run that is recorded in a DuckDB file.
+    """A recorded run in a DuckDB file.
 
     Attributes:
         path: the file.
-        catalog: what it is attached as.
-        schema: what holds the run.
+        catalog: the name under which it is attached.
+        schema: the schema of the run.
         world: the name of the world.
-        number: of the episode, from 0.
-        description: what the record tells of itself.
+        number: the number of the episode, from 0.
+        description: the description of the run in the file.
         reader: a connection that can read it.
     """
 
@@ -290,18 +293,18 @@ class StoredRun:
     reader: StoreConnection
 
     def history(self, reader: StoreConnection) -> DuckDBStore:
-        """What is stored of it."""
+        """Returns the store of the run."""
         recording = _recording(self.description["recording"], self.path)
         return DuckDBStore(self.schema, reader, recording, catalog=self.catalog)
 
     @property
     def has_ticks(self) -> bool:
-        """Whether anything was stored."""
+        """Whether ticks were stored."""
         return self.episode.ticks > 0
 
     @cached_property
     def episode(self) -> Episode:
-        """What it holds."""
+        """The contents of the run."""
         history = self.history(self.reader)
         return Episode.of(
             self.path,
@@ -336,7 +339,7 @@ def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[Sto
 
 
 def _description(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
-    """What a record tells of itself."""
+    """Returns the description of a run, checked."""
     try:
         description: dict[str, Any] = json.loads(rows[0][0])
         version = description["version"]
