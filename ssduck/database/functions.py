@@ -23,7 +23,7 @@ from ssduck.geometry.queries import ANSWERS, depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
 from ssduck.recording.replay.record import PAIR, Record
-from ssduck.recording.stores.duckdb import PairRequest
+from ssduck.recording.stores.base import PairRequest
 from ssduck.simulators.joints import EntityJoints, JointError
 from ssduck.sql.relations.registry import (
     BY_MARGINS,

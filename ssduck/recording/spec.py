@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from ssduck import validation
 from ssduck.errors import ArgumentError, NumberError, nearest
 from ssduck.formatting import shown
+from ssduck.schema import RECORDABLE
 from ssduck.world.layout import EntityInfo
 
-# What may be chosen; `ticks` are kept always, and geometries once.
-RECORDABLE = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 # Of what is kept, a quarter at a time is stored together, and dropped together.
 QUARTERS = 4
 
@@ -103,3 +102,11 @@ def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
             raise ArgumentError(
                 f"there is no entity {shown(name)} to be recorded", suggestions=nearest(name, known)
             )
+
+
+def not_recorded(table: str, world: str) -> str:
+    """The message that a table of a world has no history."""
+    return (
+        f"the table of {table} of {world!r} is not recorded: record it with "
+        f"tables=('entities', '{table}')"
+    )

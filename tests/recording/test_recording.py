@@ -127,4 +127,4 @@ def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World)
         for rows in kept:
             ticks = rows["tick"].to_pylist()
             assert ticks == [tick for tick in range(ticks[0], ticks[-1] + 1) for _ in range(3)]
-        assert len(ss._database._recorders.running[0].rings["entities"]._lent) < 30
+        assert len(ss._database._recorders.running[0].buffers["entities"]._lent) < 30

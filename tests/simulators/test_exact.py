@@ -17,7 +17,8 @@ import trimesh
 import ssduck
 from ssduck.geometry.height_fields import height_field
 from ssduck.geometry.shapes import Geometry, rotation_matrices
-from ssduck.recording.spec import RECORDABLE, Recording
+from ssduck.recording.spec import Recording
+from ssduck.schema import RECORDABLE
 
 LIBRARY = Path(pybullet_data.getDataPath())
 TETRA = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.123456789012345, 0.2, 1.0]]

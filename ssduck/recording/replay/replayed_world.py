@@ -10,7 +10,7 @@ import numpy as np
 from ssduck.errors import EvaluationError
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, place_at
-from ssduck.recording.stores.duckdb import TickArchive
+from ssduck.recording.stores.base import TickArchive
 from ssduck.simulators.scenes import Camera
 from ssduck.validation import seconds_argument
 from ssduck.world.entities import Entity, RecordedTick
