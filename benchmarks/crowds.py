@@ -15,8 +15,8 @@ import numpy as np
 import pybullet
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry.broad_phase import meeting
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.broad_phase import overlapping_pairs
 
 NEIGHBOURS = 7.0
 # So many different shapes of each kind are shared by the bodies.
@@ -207,7 +207,7 @@ def crowd(form: str, kind: str, count: int, seed: int = 0) -> Crowd:
     else:
         places, offsets = _stacked(boxes, places, rng)
         positions = _spread(boxes, places, offsets)
-    met = np.sort(np.column_stack(meeting(boxes + np.tile(positions.T, (2, 1)))), axis=1)
+    met = np.sort(np.column_stack(overlapping_pairs(boxes + np.tile(positions.T, (2, 1)))), axis=1)
     return Crowd(pieces, of, positions, turns.as_quat(), met)
 
 
@@ -257,7 +257,7 @@ def _spread(boxes: Array, places: Array, offsets: Array) -> Array:
     low, high = 0.0, 2.0 * float((boxes[3:] - boxes[:3]).max()) * len(places)
     for _ in range(40):
         side = (low + high) / 2
-        found = meeting(boxes + np.tile((places * side + offsets).T, (2, 1)))[0]
+        found = overlapping_pairs(boxes + np.tile((places * side + offsets).T, (2, 1)))[0]
         if 2 * len(found) > NEIGHBOURS * len(places):
             low = side
         else:

@@ -17,7 +17,7 @@ import pybullet
 from scipy.spatial import ConvexHull
 
 from benchmarks.crowds import Crowd, Piece
-from ssduck.geometry.shapes import Array, Triangles
+from ssduck.geometry.arrays import Array, Triangles
 
 Pairs: TypeAlias = list[tuple[int, int]]
 # What is deeper, metres, collides, as ssduck has it.
@@ -94,16 +94,14 @@ def _collide(one: Any, other: Any, data: Any) -> bool:
     return False
 
 
+def _primitive(library: ModuleType, piece: Piece) -> Any:
+    sizes = [2.0 * half for half in piece.size] if piece.kind == "box" else piece.size
+    return getattr(library, piece.kind.capitalize())(*sizes)
+
+
 def _of_fcl(piece: Piece) -> Any:
-    match piece.kind:
-        case "box":
-            return fcl.Box(*(2.0 * half for half in piece.size))
-        case "sphere":
-            return fcl.Sphere(*piece.size)
-        case "capsule":
-            return fcl.Capsule(*piece.size)
-        case "cylinder":
-            return fcl.Cylinder(*piece.size)
+    if piece.kind != "hull":
+        return _primitive(fcl, piece)
     corners, faces = _surface(piece.points)
     threes = np.full((len(faces), 1), 3)
     return fcl.Convex(corners, len(faces), np.hstack((threes, faces)).flatten())
@@ -141,15 +139,8 @@ class Coal:
 
 
 def _of_coal(coal: ModuleType, piece: Piece) -> Any:
-    match piece.kind:
-        case "box":
-            return coal.Box(*(2.0 * half for half in piece.size))
-        case "sphere":
-            return coal.Sphere(*piece.size)
-        case "capsule":
-            return coal.Capsule(*piece.size)
-        case "cylinder":
-            return coal.Cylinder(*piece.size)
+    if piece.kind != "hull":
+        return _primitive(coal, piece)
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     corners, faces = _surface(piece.points)
     for corner in corners:

@@ -29,7 +29,7 @@ import ssduck
 from benchmarks.ticks import kitchen
 from benchmarks.timing import Way, minima, printed, shown, shown_finely
 from ssduck import Recording
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.recording.background_writer import BackgroundWriter
 from ssduck.recording.recorder import RING_TICKS, Recorder
 from ssduck.recording.stores.memory import MemoryStore

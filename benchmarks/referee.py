@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from benchmarks.crowds import Crowd
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 
 ROUNDS = 30
 # So many of the thinnest faces are tried at once: of round shapes all are as thin.

@@ -23,38 +23,38 @@ _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MOST_KEYS
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MOST_LETTERS
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """A value as it is written, if that is not too long."""
     try:
-        return bounded(_SHORT.repr(value))
+        return first_line(_SHORT.repr(value))
     except ValueError:  # Python writes no number of thousands of digits
         if not isinstance(value, int):
-            return kind_of(value)
+            return type_in_words(value)
         sign = "negative " if value < 0 else ""
         return f"a {sign}number of some {int(value.bit_length() * math.log10(2))} digits"
 
 
-def listed(names: Sequence[str], most: int = MOST_NAMED) -> str:
+def joined_names(names: Sequence[str], most: int = MOST_NAMED) -> str:
     """Names, and how many more there are."""
     left = len(names) - most
     return ", ".join(names[:most]) + (f" and {left} more" if left > 0 else "")
 
 
-def reason(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """What an error of whatever kind says, if that is not too long."""
     try:
-        return bounded(str(error))
+        return first_line(str(error))
     except Exception:  # noqa: BLE001  # a user's class may do anything
         return "it does not tell why"
 
 
-def bounded(text: str) -> str:
+def first_line(text: str) -> str:
     """The first line of a text, if that is not too long."""
     line = text.strip().partition("\n")[0]
     return line if len(line) <= MOST_LETTERS else f"{line[:MOST_LETTERS]}…"
 
 
-def kind_of(value: Any) -> str:
+def type_in_words(value: Any) -> str:
     """What a value is, in words: those of its class, `IN_WORDS`, if it has any."""
     if value is None:
         return "nothing"
@@ -70,22 +70,22 @@ def kind_of(value: Any) -> str:
     return words.get(kind, own)
 
 
-def described(value: Any) -> str:
+def argument_in_words(value: Any) -> str:
     """A value as an argument that is refused: what it is, and of a list what is in it."""
     if isinstance(value, bool | int | float | str):
-        return shown(value)
+        return short_repr(value)
     if not isinstance(value, list | tuple):
-        return kind_of(value)
+        return type_in_words(value)
     if not value:
         return "an empty list"
-    kinds = list(dict.fromkeys(map(kind_of, islice(value, MOST_LETTERS))))
+    kinds = list(dict.fromkeys(map(type_in_words, islice(value, MOST_LETTERS))))
     more = ", …" if len(kinds) > _MOST_KINDS else ""
     return f"a list with {', '.join(kinds[:_MOST_KINDS])}{more}"
 
 
-def unusable(error: Exception, span: SourceSpan | None) -> EvaluationError:
+def as_evaluation_error(error: Exception, span: SourceSpan | None) -> EvaluationError:
     """Of values that Python brought in: an array that is neither true nor false, say.
 
     Their libraries have errors of their own, of whatever kind and length.
     """
-    return EvaluationError(f"{type(error).__name__}: {reason(error)}", span=span)
+    return EvaluationError(f"{type(error).__name__}: {error_text(error)}", span=span)

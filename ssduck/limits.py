@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ssduck import validation
-from ssduck.errors import LimitError, NumberError
-from ssduck.formatting import shown
+from ssduck.errors import LimitError
 
 # So many rows, calls or paths are counted before the clock is looked at.
 _STRIDE = 8
@@ -41,14 +40,16 @@ class Limits:
             value = getattr(self, name)
             if value is None and name != "depth":
                 continue
-            is_one = validation.is_real(value) if name == "seconds" else validation.is_whole(value)
-            if not is_one or not value > 0:
-                kind = "" if name == "seconds" else ", and a whole number"
-                raise NumberError(f"limits: {name} is to be more than 0{kind}, not {shown(value)}")
-        if self.seconds is not None:
-            object.__setattr__(self, "seconds", validation.as_float(self.seconds))
+            rule = f"limits: {name} is to be more than 0"
+            if name == "seconds":
+                value = validation.number_above_0(value, rule, may_be_infinite=True)
+            else:
+                value = validation.integer_above_0(value, f"{rule}, and a whole number")
+            object.__setattr__(self, name, value)
         for name in ("eval", "files"):
-            object.__setattr__(self, name, validation.flag(getattr(self, name), f"limits: {name}"))
+            object.__setattr__(
+                self, name, validation.boolean(getattr(self, name), f"limits: {name}")
+            )
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
@@ -65,7 +66,7 @@ class Limits:
         )
 
 
-class Usage:
+class UsageMeter:
     """How much of its limits a running program has used.
 
     Args:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from ssduck.adapters.grid_values import MOST_CELLS
 from ssduck.adapters.shapes import placed_shapes
 from ssduck.errors import ArgumentError, nearest
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.geometry.raster import Raster
 from ssduck.geometry.rasterize import Rasterizer
 from ssduck.world.entities import KinBody, Robot, Sensor
@@ -67,13 +67,13 @@ class OccupancyGridMap:
         }
         if name not in commands:
             raise ArgumentError(
-                f"occupancygridmap has no command {shown(name)}",
+                f"occupancygridmap has no command {short_repr(name)}",
                 suggestions=nearest(name, commands),
             )
         try:
             return commands[name](*map(float, given))
         except (TypeError, ValueError) as error:
-            raise ArgumentError(f"occupancygridmap: {shown(command)}: {error}") from error
+            raise ArgumentError(f"occupancygridmap: {short_repr(command)}: {error}") from error
 
     def _set_translation(self, x: float, y: float, z: float) -> str:
         if not all(map(math.isfinite, (x, y, z))):

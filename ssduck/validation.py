@@ -1,250 +1,449 @@
-"""Arguments, checked before anything happens: of public functions, and those in programs.
+"""Checks arguments of public functions before anything happens.
 
-Numbers of numpy count as Python's. True and False are no numbers, and a text that looks like
-a number is none.
+NumPy's numbers count as Python's. True and False are no numbers, nor is a text that looks like one.
+Each function takes the value and names the argument as its error message does: "run: seconds".
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
+from os import PathLike
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError, NumberError, StateError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 
-# More steps than that take years: the number is a mistake.
+# More steps than this take years: the number is a mistake.
 MOST_STEPS = 10**12
-# Pictures are at most that wide and high, pixels.
+# The largest width and height of a picture, pixels.
 MOST_PIXELS = 8192
 
 
-def whole(
-    value: Any, what: str, *, least: int, most: int | None = None, kind: str | None = None
+# -- numbers ----------------------------------------------------------------------------------
+
+
+def integer(
+    value: Any,
+    argument: str,
+    *,
+    minimum: int,
+    maximum: int | None = None,
+    expected: str | None = None,
 ) -> int:
-    """A whole number within bounds, both included.
+    """Returns an integer within bounds, which are included.
 
     Args:
-        value: what was given.
-        what: which argument of which function it is; the message begins with it.
-        least: the lower bound.
-        most: the upper bound; None for none.
-        kind: what the message says that it is not, in place of a number within these bounds.
+        value: the value to check.
+        argument: the name of the argument, which begins the message.
+        minimum: the lower bound.
+        maximum: the upper bound; None for no bound.
+        expected: the description of a right value in the message; by default the bounds.
 
     Raises:
-        NumberError: it is no whole number, or not within the bounds.
+        NumberError: the value is no integer, or out of bounds.
+
+    >>> integer(3, "show: rows", minimum=0)
+    3
+    >>> integer(-1, "show: rows", minimum=0)
+    Traceback (most recent call last):
+    ssduck.errors.NumberError: show: rows: -1 is no whole number, 0 or more
     """
-    if is_whole(value) and least <= value and (most is None or value <= most):
+    if is_integer(value) and minimum <= value and (maximum is None or value <= maximum):
         return int(value)
-    bounds = f"{least} or more" if most is None else f"from {least} to {most:,}"
-    raise NumberError(f"{what}: {shown(value)} is no {kind or f'whole number, {bounds}'}")
+    if expected is None:
+        bounds = f"{minimum} or more" if maximum is None else f"from {minimum} to {maximum:,}"
+        expected = f"whole number, {bounds}"
+    raise NumberError(f"{argument}: {short_repr(value)} is no {expected}")
 
 
-def steps(value: Any, what: str, of_seconds: str) -> int:
-    """A number of steps of a simulation, 0 or more.
+def step_count(value: Any, argument: str, call_with_seconds: str) -> int:
+    """Returns a number of simulation steps, 0 or more.
 
     Args:
-        value: what was given.
-        what: which argument of which function it is; the message begins with it.
-        of_seconds: the call that takes seconds, {} for them; named where they may be meant.
+        value: the value to check.
+        argument: the name of the argument, which begins the message.
+        call_with_seconds: the call that takes seconds, with {} in their place; the message
+            suggests it for a number that is no integer.
 
     Raises:
-        NumberError: it is none.
+        NumberError: the value is no integer, negative, or more than `MOST_STEPS`.
+
+    >>> step_count(0.5, "step", "run({})")
+    Traceback (most recent call last):
+    ssduck.errors.NumberError: step: 0.5 is no whole number of steps; for seconds there is run(0.5)
     """
-    if not is_whole(value):
-        hint = f"; for seconds there is {of_seconds.format(value)}" if _is_time(value) else ""
-        raise NumberError(f"{what}: {shown(value)} is no whole number of steps{hint}")
+    if not is_integer(value):
+        hint = f"; for seconds there is {call_with_seconds.format(value)}"
+        hint = hint if _is_duration(value) else ""
+        raise NumberError(f"{argument}: {short_repr(value)} is no whole number of steps{hint}")
     if value < 0:
-        raise NumberError(f"{what}: a simulation cannot run {shown(int(value))} steps")
+        raise NumberError(f"{argument}: a simulation cannot run {short_repr(int(value))} steps")
     if value > MOST_STEPS:
-        raise NumberError(f"{what}: {shown(int(value))} steps are more than {MOST_STEPS:,}")
+        raise NumberError(
+            f"{argument}: {short_repr(int(value))} steps are more than {MOST_STEPS:,}"
+        )
     return int(value)
 
 
-def steps_in(seconds: float, timestep: float, what: str) -> int:
-    """How many steps of a length, s, a time is, rounded to the nearest number.
+def steps_in(seconds: float, timestep: float, argument: str) -> int:
+    """Returns the number of time steps in a duration, rounded to the nearest.
+
+    Args:
+        seconds: the duration, s.
+        timestep: the length of a step, s.
+        argument: the name of the argument, which begins the message.
 
     Raises:
-        NumberError: more than a simulation can run.
+        NumberError: the steps are more than `MOST_STEPS`.
     """
     count = seconds / timestep + 0.5
     if not count < MOST_STEPS:
-        raise NumberError(f"{what}: {seconds:g} s are more than {MOST_STEPS:,} steps")
+        raise NumberError(f"{argument}: {seconds:g} s are more than {MOST_STEPS:,} steps")
     return math.floor(count)
 
 
-def finite(value: Any, what: str, unit: str) -> float:
-    """A finite number; the message calls it by its unit, "seconds" say.
+def finite_number(value: Any, argument: str, unit: str) -> float:
+    """Returns a finite number; the message names its unit, "seconds" say.
 
     Raises:
-        NumberError: it is none.
+        NumberError: the value is no finite number.
     """
     number = as_float(value)
     if number is None or not math.isfinite(number):
-        raise NumberError(f"{what}: {shown(value)} is no finite number of {unit}")
+        raise NumberError(f"{argument}: {short_repr(value)} is no finite number of {unit}")
     return number
 
 
-def seconds(value: Any, what: str) -> float:
-    """A finite duration, s, that is not negative.
+def duration(value: Any, argument: str) -> float:
+    """Returns a finite duration of 0 s or more.
 
     Raises:
-        NumberError: it is none.
+        NumberError: the value is none.
     """
-    number = as_float(value)
-    if number is None or not 0.0 <= number < math.inf:
-        raise NumberError(f"{what}: {shown(value)} is no time; seconds, 0 or more")
-    return number
+    if not _is_duration(value):
+        raise NumberError(f"{argument}: {short_repr(value)} is no time; seconds, 0 or more")
+    return float(value)
 
 
-def positive(value: Any, what: str, kind: str) -> float:
-    """A finite number above 0; the message says which kind of value was expected.
+def positive_number(value: Any, argument: str, expected: str) -> float:
+    """Returns a finite number above 0; the message names the expected kind of value.
 
     Raises:
-        NumberError: it is none.
+        NumberError: the value is none.
     """
     number = as_float(value)
     if number is None or not 0.0 < number < math.inf:
-        raise NumberError(f"{what}: {shown(value)} is no {kind}")
+        raise NumberError(f"{argument}: {short_repr(value)} is no {expected}")
     return number
 
 
-def picture_size(width: Any, height: Any, what: str) -> tuple[int, int]:
-    """The width and height of a picture, pixels.
+def picture_size(width: Any, height: Any, argument: str) -> tuple[int, int]:
+    """Returns the width and height of a picture, pixels.
 
     Raises:
-        NumberError: one is no whole number, less than 1 or more than `MOST_PIXELS`.
+        NumberError: one is no integer from 1 to `MOST_PIXELS`.
     """
-    sizes = (("width", width), ("height", height))
-    wide, high = (
-        whole(value, f"{what}: {name}", least=1, most=MOST_PIXELS) for name, value in sizes
+    return (
+        integer(width, f"{argument}: width", minimum=1, maximum=MOST_PIXELS),
+        integer(height, f"{argument}: height", minimum=1, maximum=MOST_PIXELS),
     )
-    return wide, high
 
 
-def flag(value: Any, what: str) -> bool:
-    """True or False; 1 and 0 stand for them.
+# -- numbers, by messages that state a rule: "spacing is above 0 m, not -1" ---------------------
+
+
+def number(value: Any, subject: str, unit: str = "") -> float:
+    """Returns a finite number.
+
+    Args:
+        value: the value to check.
+        subject: the argument as the subject of the message: "an age".
+        unit: the unit of the number in the message; none by default.
 
     Raises:
-        ArgumentError: it is none of these.
+        ArgumentError: the value is no finite number.
+
+    >>> number("2", "an age", "seconds")
+    Traceback (most recent call last):
+    ssduck.errors.ArgumentError: an age is a number of seconds, not '2'
     """
-    if not isinstance(value, bool | np.bool_) and not (is_whole(value) and value in (0, 1)):
-        raise ArgumentError(f"{what}: {shown(value)} is not True or False")
-    return bool(value)
+    kind = f"number of {unit}" if unit else "number"
+    result = as_float(value)
+    if result is None:
+        raise ArgumentError(f"{subject} is a {kind}, not {short_repr(value)}")
+    if not math.isfinite(result):
+        raise ArgumentError(f"{subject} is a finite {kind}, not {short_repr(value)}")
+    return result
 
 
-def numbers(values: Any) -> bool:
-    """Whether these are real numbers in a list, a tuple or an array of one dimension."""
-    if isinstance(values, np.ndarray):
-        return values.ndim == 1 and values.dtype.kind in "iuf"
-    return isinstance(values, Sequence) and all(map(is_real, values))
-
-
-def finite_array(values: Any, count: int, what: str) -> npt.NDArray[np.float64]:
-    """So many finite numbers as an array.
+def seconds(value: Any, subject: str = "an age") -> float:
+    """Returns a finite number of seconds, which may be negative.
 
     Raises:
-        StateError: they are not; it begins with `what`.
+        ArgumentError: the value is none.
     """
-    try:
-        array = np.asarray(values if numbers(values) else (), dtype=np.float64)
-    except OverflowError:  # a whole number beyond all floats
-        array = np.zeros(0)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        found = list(values) if isinstance(values, np.ndarray) else values
-        raise StateError(f"{what}: expected {count} finite numbers, found {shown(found)}")
-    return array
+    return number(value, subject, "seconds")
 
 
-# -- arguments in programs: behind AS, in {…} -----------------------------------------------
+def number_list(values: Any, count: int, subject: str, expected: str) -> list[float]:
+    """Returns finite numbers from a list, a tuple or an array.
 
-
-def number_argument(value: Any, what: str, unit: str = "") -> float:
-    """A finite number; `unit` tells of what it is one, " of seconds" say.
+    Args:
+        values: the values to check.
+        count: the right number of them.
+        subject: the argument as the subject of the message.
+        expected: the description of a right list in the message.
 
     Raises:
-        ArgumentError: it is none.
-    """
-    found = as_float(value)
-    if found is None:
-        raise ArgumentError(f"{what} is a number{unit}, not {shown(value)}")
-    if not math.isfinite(found):
-        raise ArgumentError(f"{what} is a finite number{unit}, not {shown(value)}")
-    return found
+        ArgumentError: the values are no such list.
 
-
-def seconds_argument(value: Any, what: str = "an age") -> float:
-    """A finite number of seconds, which may be negative.
-
-    Raises:
-        ArgumentError: it is none.
-    """
-    return number_argument(value, what, " of seconds")
-
-
-def numbers_argument(values: Any, count: int, what: str, form: str) -> list[float]:
-    """So many finite numbers in a list; `form` tells what they are.
-
-    Raises:
-        ArgumentError: they are others.
+    >>> number_list([1, 2], 3, "size", "[x, y, z]")
+    Traceback (most recent call last):
+    ssduck.errors.ArgumentError: size is [x, y, z], not [1, 2]
     """
     if isinstance(values, np.ndarray):
         values = values.tolist()
-    if not isinstance(values, list | tuple) or len(values) != count:
-        raise ArgumentError(f"{what} is {form}, not {shown(values)}")
-    return [number_argument(value, what) for value in values]
+    return [number(value, subject) for value in sequence(values, count, f"{subject} is {expected}")]
 
 
-def length_argument(value: Any, what: str) -> float:
-    """A length above 0, m.
+def length(value: Any, subject: str) -> float:
+    """Returns a finite length above 0 m.
 
     Raises:
-        ArgumentError: it is none.
+        ArgumentError: the value is none.
     """
-    length = number_argument(value, what)
-    if length <= 0.0:
-        raise ArgumentError(f"{what} is above 0 m, not {shown(value)}")
-    return length
+    result = number(value, subject)
+    if result <= 0.0:
+        raise ArgumentError(f"{subject} is above 0 m, not {short_repr(value)}")
+    return result
 
 
-def whole_argument(value: Any, what: str, least: int, most: int) -> int:
-    """A whole number between two, both included.
+def integer_between(value: Any, subject: str, minimum: int, maximum: int) -> int:
+    """Returns an integer within bounds, which are included.
 
     Raises:
-        ArgumentError: it is none.
+        ArgumentError: the value is no integer, or out of bounds.
     """
-    if not is_whole(value) or not least <= value <= most:
-        raise ArgumentError(f"{what} is a whole number from {least} to {most}, not {shown(value)}")
+    if not is_integer(value) or not minimum <= value <= maximum:
+        raise ArgumentError(
+            f"{subject} is a whole number from {minimum} to {maximum}, not {short_repr(value)}"
+        )
     return int(value)
 
 
-# -- kinds of values ------------------------------------------------------------------------
+def integer_above_0(value: Any, rule: str) -> int:
+    """Returns an integer above 0; the message is the rule and the value.
+
+    Raises:
+        NumberError: the value is none.
+    """
+    if not is_integer(value) or value < 1:
+        raise NumberError(f"{rule}, not {short_repr(value)}")
+    return int(value)
 
 
-def _is_time(value: Any) -> bool:
-    number = as_float(value)
-    return number is not None and 0.0 <= number < math.inf
+def number_above_0(value: Any, rule: str, *, may_be_infinite: bool = False) -> float:
+    """Returns a number above 0; the message is the rule and the value.
+
+    Raises:
+        NumberError: the value is none, or infinite.
+    """
+    result = as_float(value)
+    if result is None or not result > 0.0 or not (may_be_infinite or math.isfinite(result)):
+        raise NumberError(f"{rule}, not {short_repr(value)}")
+    return result
 
 
-def is_whole(value: Any) -> bool:
-    """Whether it is a whole number by its type."""
+def finite_array(values: Any, count: int, argument: str) -> npt.NDArray[np.float64]:
+    """Returns finite numbers as an array of shape (count,).
+
+    Raises:
+        StateError: the values are no such numbers; the message begins with `argument`.
+
+    >>> finite_array([0, 0, 1], 3, "cup: position")
+    array([0., 0., 1.])
+    """
+    try:
+        array = np.asarray(values if are_numbers(values) else (), dtype=np.float64)
+    except OverflowError:  # an integer beyond all floats
+        array = np.zeros(0)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        given = list(values) if isinstance(values, np.ndarray) else values
+        raise StateError(f"{argument}: expected {count} finite numbers, found {short_repr(given)}")
+    return array
+
+
+# -- other values -----------------------------------------------------------------------------
+
+
+def boolean(value: Any, argument: str) -> bool:
+    """Returns True or False; 1 and 0 stand for them.
+
+    Raises:
+        ArgumentError: the value is none of these.
+
+    >>> boolean(1, "Interpreter: strict")
+    True
+    """
+    if is_boolean(value):
+        return bool(value)
+    raise ArgumentError(f"{argument}: {short_repr(value)} is not True or False")
+
+
+def path(value: Any, argument: str) -> str:
+    """Returns a path as text.
+
+    Raises:
+        ArgumentError: the value is neither a text nor a path.
+    """
+    if not isinstance(value, str | PathLike):
+        raise ArgumentError(f"{argument}: {short_repr(value)} is no path")
+    return str(value)
+
+
+def instance(value: Any, kind: type, argument: str) -> None:
+    """Checks that a value is None or of a class.
+
+    Raises:
+        ArgumentError: the value is neither.
+    """
+    if value is not None and not isinstance(value, kind):
+        raise ArgumentError(f"{argument}: {short_repr(value)} is no {kind.__name__}")
+
+
+def function(value: Any, argument: str) -> Callable[..., Any]:
+    """Returns a callable.
+
+    Raises:
+        ArgumentError: the value cannot be called.
+
+    >>> function(3, "add_trigger: callback")
+    Traceback (most recent call last):
+    ssduck.errors.ArgumentError: add_trigger: callback: 3 is no function
+    """
+    if not callable(value):
+        raise ArgumentError(f"{argument}: {short_repr(value)} is no function")
+    result: Callable[..., Any] = value
+    return result
+
+
+def identifier(value: Any, owner: str) -> str:
+    """Returns a name of letters, digits and `_`.
+
+    Args:
+        value: the value to check.
+        owner: the owner of the name in the message, "a variable" say.
+
+    Raises:
+        ArgumentError: the value is no such name.
+
+    >>> identifier("2nd", "a variable")
+    Traceback (most recent call last):
+    ssduck.errors.ArgumentError: '2nd' cannot be a variable's name: letters, digits and _ only
+    """
+    if not isinstance(value, str) or not value.isidentifier():
+        raise ArgumentError(
+            f"{short_repr(value)} cannot be {owner}'s name: letters, digits and _ only"
+        )
+    return value
+
+
+def text(value: Any, rule: str) -> str:
+    """Returns a text.
+
+    Args:
+        value: the value to check.
+        rule: the beginning of the message: "eval takes a text".
+
+    Raises:
+        ArgumentError: the value is no text.
+
+    >>> text(3, "eval takes a text")
+    Traceback (most recent call last):
+    ssduck.errors.ArgumentError: eval takes a text, not 3
+    """
+    if not isinstance(value, str):
+        raise ArgumentError(f"{rule}, not {short_repr(value)}")
+    return value
+
+
+def sequence(value: Any, length: int, rule: str) -> list[Any] | tuple[Any, ...]:
+    """Returns a list or a tuple of a length.
+
+    Args:
+        value: the value to check.
+        length: the number of elements.
+        rule: the beginning of the message: "bounds are [low, high]".
+
+    Raises:
+        ArgumentError: the value is no such list.
+    """
+    if not isinstance(value, list | tuple) or len(value) != length:
+        raise ArgumentError(f"{rule}, not {short_repr(value)}")
+    return value
+
+
+def mapping(value: Any, rule: str) -> Mapping[Any, Any]:
+    """Returns a dict; an empty one for None.
+
+    Args:
+        value: the value to check.
+        rule: the beginning of the message: "velocities are given in a dict".
+
+    Raises:
+        ArgumentError: the value is no dict.
+    """
+    if not isinstance(value, Mapping | None):
+        raise ArgumentError(f"{rule}, not as {short_repr(value)}")
+    return value or {}
+
+
+# -- kinds of values --------------------------------------------------------------------------
+
+
+def are_numbers(values: Any) -> bool:
+    """Tells whether these are real numbers in a list, a tuple or an array of one dimension."""
+    if isinstance(values, np.ndarray):
+        return values.ndim == 1 and values.dtype.kind in "iuf"
+    return isinstance(values, Sequence) and all(map(is_number, values))
+
+
+def is_integer(value: Any) -> bool:
+    """Tells whether a value is an integer by its type."""
     return isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
 
 
-def is_real(value: Any) -> bool:
-    """Whether it is a real number by its type; infinities and NaN are."""
+def is_number(value: Any) -> bool:
+    """Tells whether a value is a real number by its type; infinities and NaN are."""
     return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
 
 
 def as_float(value: Any) -> float | None:
-    """A real number as a float, one that is too large as infinity; None for anything else."""
-    if not is_real(value):
+    """Returns a real number as a float, infinity for one too large; None for any other value."""
+    if not is_number(value):
         return None
     try:
         return float(value)
     except OverflowError:
         return math.inf if value > 0 else -math.inf
+
+
+def _is_duration(value: Any) -> bool:
+    number = as_float(value)
+    return number is not None and 0.0 <= number < math.inf
+
+
+def is_boolean(value: Any) -> bool:
+    """Tells whether a value is True or False, or 1 or 0 in their place."""
+    return isinstance(value, bool | np.bool_) or (is_integer(value) and value in (0, 1))
+
+
+def is_finite(value: Any) -> bool:
+    """Tells whether a value is a finite number by its type and size."""
+    number = as_float(value)
+    return number is not None and math.isfinite(number)

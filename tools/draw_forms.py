@@ -1,4 +1,6 @@
-"""Draw the pictures of docs/adapters.md: `python tools/draw_forms.py [FOLDER]`, docs by default.
+"""Draw the pictures of docs/reference/result-forms.md: `python tools/draw_forms.py [FOLDER]`.
+
+The folder is docs/images by default.
 
 All are of the shipped kitchen. Those of grids are their own, `grid.image()`, the pixels enlarged.
 """
@@ -17,7 +19,7 @@ from PIL import Image
 import ssduck
 from ssduck.simulators.scenes import Camera
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 BOUNDS = "bounds=[[-1.75, -2.5], [2.45, 2.7]]"
 
 
@@ -147,7 +149,7 @@ VIEWS: dict[str, Callable[[ssduck.Interpreter], Image.Image]] = {
 
 
 def main() -> None:
-    folder = Path(sys.argv[1]) if sys.argv[1:] else DOCS
+    folder = Path(sys.argv[1]) if sys.argv[1:] else IMAGES
     with ssduck.load("kitchen") as ss:
         for name, picture in PICTURES.items():
             drawn(ss, picture).save(folder / f"{name}.png", optimize=True)

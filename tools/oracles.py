@@ -3,7 +3,7 @@
 Random pairs of all combinations of shapes, half of them with parallel edges and faces that meet.
 What is decided of many convex pairs at once is compared with the gaps. Prints the worst error of
 each combination; the exit status is 1 if one is beyond its bound.
-`--write` writes docs/shapes.md, the table of what is supported how well.
+`--write` writes docs/reference/shapes.md, the table of what is supported how well.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 
 from tests.support import hollows, pairs
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "shapes.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "shapes.md"
 # What a gap may be off, metres; with a cylinder against something that is not a sphere or plane.
 BOUND, ROUND_BOUND = 1e-9, 1e-6
 # Gaps that all pairs of convex shapes are compared with at once.
@@ -108,12 +108,12 @@ def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], W
         started = time.perf_counter()
         found = pairs.gap(a, b)
         two.append((a, b))
-        gaps.append(found.gap)
+        gaps.append(found.distance)
         worst.micros += 1e6 * (time.perf_counter() - started)
         error, _ = pairs.error_of(a, b)
         if seed % MOVED == 0:
-            error = max(error, *differences(a, b, found.gap, seed))
-        if found.gap > 0:
+            error = max(error, *differences(a, b, found.distance, seed))
+        if found.distance > 0:
             worst.clearance = max(worst.clearance, error)
         else:
             worst.depth = max(worst.depth, error)
@@ -142,8 +142,8 @@ def in_holes(task: tuple[int, int]) -> Worst:
         hollow, *things = shapes_of(seed)
         for number, thing in enumerate(things):
             error, found = pairs.error_of(hollow, thing)
-            error = max(error, *differences(hollow, thing, found.gap, seed))
-            apart = found.gap > 0
+            error = max(error, *differences(hollow, thing, found.distance, seed))
+            apart = found.distance > 0
             worst.add(Worst(error if apart else 0.0, 0.0 if apart else error, 1))
             if not error <= BOUND:
                 worst.found.append(f"in holes, seed {seed}, thing {number}: off by {error}")
@@ -152,12 +152,12 @@ def in_holes(task: tuple[int, int]) -> Worst:
 
 def differences(a: Any, b: Any, gap: float, seed: int) -> Iterator[float]:
     """How much the gap is another if the shapes are swapped, or moved together."""
-    swapped = pairs.gap(b, a).gap
+    swapped = pairs.gap(b, a).distance
     yield 0.0 if swapped == gap else abs(swapped - gap)
     random = np.random.default_rng(seed + 1)
     shift, turn = random.uniform(-2, 2, 3), random.normal(size=4)
     moved = (pairs.moved(one, shift, turn / np.linalg.norm(turn)) for one in (a, b))
-    gap_moved = pairs.gap(*moved).gap
+    gap_moved = pairs.gap(*moved).distance
     # Far from the origin the last digit is a larger one.
     yield 0.0 if gap_moved == gap else abs(gap_moved - gap)
 
@@ -181,7 +181,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Compare the narrow phase with oracles.")
     parser.add_argument("count", nargs="?", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0, help="the first pair's of a combination")
-    parser.add_argument("--write", action="store_true", help="write docs/shapes.md")
+    parser.add_argument("--write", action="store_true", help="write docs/reference/shapes.md")
     given = parser.parse_args()
     started = time.monotonic()
     each = max(1, -(-given.count // len(pairs.COMBINATIONS)))

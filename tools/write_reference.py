@@ -1,7 +1,8 @@
 """Write the manual's pages that come from the code: `python tools/write_reference.py [--check]`.
 
-`docs/relations.md` comes from the registry of relations and functions, `docs/tables.md` from the
-tables' columns. With `--check` nothing is written, and the exit status is 1 if a page differs.
+`docs/reference/relations.md` comes from the registry of relations and functions,
+`docs/reference/tables.md` from the declarations of the tables. With `--check` nothing is written,
+and the exit status is 1 if a page differs.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ssduck.schema import TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = Path(__file__).resolve().parent.parent / "docs" / "reference"
 
 RELATIONS_HEAD = '''# Relations and functions
 
@@ -192,9 +193,10 @@ def relation_lines(relation: Relation) -> Iterator[str]:
     """The entry of a relation."""
     yield f"\n### `{relation.usage}`\n"
     unit = f" Unit: {relation.unit}." if relation.unit else ""
-    symmetric = " The order of the two does not matter." if relation.symmetric else ""
-    asked = f" Asks the narrow phase {relation.asked}." if relation.asked else ""
-    others = f" {relation.others}" if relation.others else ""
+    symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
+    pairs = relation.geometry.pairs if relation.geometry is not None else ""
+    asked = f" Asks the narrow phase {pairs}." if pairs else ""
+    others = f" {relation.alias_note}" if relation.alias_note else ""
     yield f"{relation.about}{unit}{symmetric}{asked}{others}\n"
     for parameter in relation.parameters:
         yield f"- `{parameter.name}`: {parameter.meaning}"
@@ -204,7 +206,7 @@ def relations_page() -> str:
     """The page of the relations, the plain functions and the result forms."""
     lines = [RELATIONS_HEAD.rstrip()]
     for relation in RELATIONS.values():
-        if not relation.second_of:
+        if not relation.alias_of:
             lines += relation_lines(relation)
     lines += ["\n## Functions of plain values\n", "| function | what it does |", "|---|---|"]
     for function in BUILTINS.values():

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ssduck import validation
 from ssduck.adapters.base import Selection
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of, free_aliases
@@ -54,8 +55,7 @@ def clauses(selection: Selection) -> Iterator[Clause]:
     names = rows.names if isinstance(rows.names, list) else [rows.names] * len(rows.values)
     for row_names, row in zip(names, rows.values, strict=True):
         for name, (*arguments, result) in zip(row_names, row, strict=True):
-            if not isinstance(name, str):
-                raise ArgumentError(f"a relation is to be called by a text, not {name!r}")
+            validation.text(name, "a relation is to be called by a text")
             yield Clause(name, arguments, result)
 
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from ssduck import validation
 from ssduck.adapters.base import Selection
 from ssduck.errors import ArgumentError
-from ssduck.formatting import kind_of, reason, shown
+from ssduck.formatting import error_text, short_repr, type_in_words
 from ssduck.sql.types import EXACT
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
@@ -40,8 +41,7 @@ def distinct(names: Sequence[Any]) -> Sequence[str]:
         ArgumentError: one is no text, or two are the same.
     """
     for index, name in enumerate(names):
-        if not isinstance(name, str):
-            raise ArgumentError(f"a column is to be called by a text, not {shown(name)}")
+        validation.text(name, "a column is to be called by a text")
         if name in names[:index]:
             raise ArgumentError(f"two columns are called {name!r}; name them with to(…, 'name')")
     return names
@@ -87,7 +87,8 @@ def _type_of(values: list[Any], name: str) -> pa.DataType:
     if len(kinds) > 1:
         a, b = (next(v for v in present if type(v) is kind) for kind in _told(present))
         raise ArgumentError(
-            f"the column {name!r} holds {kind_of(a)} ({shown(a)}) and {kind_of(b)} ({shown(b)}); "
+            f"the column {name!r} holds {type_in_words(a)} ({short_repr(a)}) and "
+            f"{type_in_words(b)} ({short_repr(b)}); "
             "a column is of one type, such as str(…) gives"
         )
     (kind,) = kinds
@@ -101,7 +102,8 @@ def _type_of(values: list[Any], name: str) -> pa.DataType:
         return pa.infer_type(present)
     except pa.ArrowException as error:
         raise ArgumentError(
-            f"the column {name!r} holds what no table does: {kind_of(present[0])} ({reason(error)})"
+            f"the column {name!r} holds what no table does: {type_in_words(present[0])} "
+            f"({error_text(error)})"
         ) from error
 
 
@@ -127,7 +129,8 @@ def _reals(values: list[float], name: str) -> pa.DataType:
     for value in values:
         if type(value) is int and abs(value) > EXACT:
             raise ArgumentError(
-                f"the column {name!r} holds fractions and {shown(value)}, which is none exactly; "
+                f"the column {name!r} holds fractions and {short_repr(value)}, which is none "
+                "exactly; "
                 "float(…) rounds it"
             )
     return pa.float64()

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 from ssduck.adapters.base import Selection
 from ssduck.errors import ArgumentError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 
 
 def check_file(selection: Selection, file: Any) -> Path:
@@ -27,7 +27,7 @@ def check_file(selection: Selection, file: Any) -> Path:
             "GROUP BY or CONNECT BY"
         )
     if not isinstance(file, str) or not _is_path(file):
-        raise ArgumentError(f"the file is to be a path in quotes, not {shown(file)}")
+        raise ArgumentError(f"the file is to be a path in quotes, not {short_repr(file)}")
     return Path(file)
 
 

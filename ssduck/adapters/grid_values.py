@@ -75,7 +75,7 @@ class Grid:
         Raises:
             NumberError: the grid has no such axis.
         """
-        axis = validation.whole(axis, "centres: axis", least=0, most=len(self.shape) - 1)
+        axis = validation.integer(axis, "centres: axis", minimum=0, maximum=len(self.shape) - 1)
         steps: npt.NDArray[np.float64] = np.arange(self.shape[axis], dtype=np.float64) + 0.5
         return self.origin[axis] + steps * self.resolution
 
@@ -90,7 +90,7 @@ class Grid:
         """
         if len(point) != len(self.origin):
             raise ArgumentError(f"a point of this grid has {len(self.origin)} coordinates")
-        given = [validation.finite(part, "at: a coordinate", "metres") for part in point]
+        given = [validation.finite_number(part, "at: a coordinate", "metres") for part in point]
         steps = (np.array(given) - self.origin) / self.resolution
         if not ((steps >= 0.0) & (steps < self.shape)).all():
             raise ArgumentError(f"{list(point)} is not in the grid, which spans {self.bounds}")
@@ -229,7 +229,7 @@ class OccupancyGrid(Grid):
             ArgumentError: it is no such map, or is turned, or has cells that are unknown.
         """
         if unknown is not None:
-            unknown = validation.flag(unknown, "load: unknown")
+            unknown = validation.boolean(unknown, "load: unknown")
         return cls(*ros_maps.load(Path(path), unknown=unknown))
 
 

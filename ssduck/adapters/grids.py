@@ -9,19 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.grid_values import MOST_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.errors import ArgumentError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.line_of_sight import are_blocked
-from ssduck.geometry.raster import ROUNDED, Raster
+from ssduck.geometry.poses import rotation_matrices
+from ssduck.geometry.raster import CELL_TOLERANCE, Raster
 from ssduck.geometry.rasterize import Rasterizer
-from ssduck.geometry.shapes import Array, rotation_matrices
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
 from ssduck.simulators.sensor_types import SENSOR_TYPES
-from ssduck.validation import length_argument, number_argument, numbers_argument, whole_argument
 from ssduck.world.entities import Entity, Sensor
 
 # Cells that sensors look at together.
@@ -41,11 +42,11 @@ def _occupancy(
 ) -> OccupancyGrid:
     heights = z_pos if isinstance(z_pos, list | tuple) else [z_pos, z_pos]
     if len(heights) != 2:
-        raise ArgumentError(f"z_pos is a height or [lowest, highest], not {shown(z_pos)}")
-    low, high = (number_argument(height, "z_pos") for height in heights)
+        raise ArgumentError(f"z_pos is a height or [lowest, highest], not {short_repr(z_pos)}")
+    low, high = (validation.number(height, "z_pos") for height in heights)
     if low > high:
         raise ArgumentError(f"z_pos: the lowest height {low:g} is above the highest, {high:g}")
-    size = length_argument(grid_size, "the size of a cell")
+    size = validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 2)
     counts = _counts(lower, upper, size)
@@ -53,7 +54,7 @@ def _occupancy(
 
 
 def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025) -> OccupancyGrid:
-    z, size = number_argument(z_pos, "z_pos"), length_argument(grid_size, "the size of a cell")
+    z, size = validation.number(z_pos, "z_pos"), validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(None, placed, 2)
     # The tutorial's module is asked for one cell more than the bounds have.
@@ -75,7 +76,7 @@ def _sliced(
 
 
 def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGrid:
-    size = length_argument(grid_size, "the size of a cell")
+    size = validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 3)
     nx, ny, nz = _counts(lower, upper, size)
@@ -83,7 +84,7 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
         ground = lower[2] + layer * size
-        cells[:, :, layer] = slicer.cells(raster, ground, ground + size, reach=ROUNDED)
+        cells[:, :, layer] = slicer.cells(raster, ground, ground + size, reach=CELL_TOLERANCE)
     return VoxelGrid(cells, lower, size)
 
 
@@ -93,7 +94,7 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
 def _sensor_grid(
     selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
 ) -> SensorGrid:
-    z, size = number_argument(z_pos, "z_pos"), length_argument(grid_size, "the size of a cell")
+    z, size = validation.number(z_pos, "z_pos"), validation.length(grid_size, "the size of a cell")
     sensors = [entity for entity in selection.entities if isinstance(entity, Sensor)]
     if not sensors and selection.entities:
         raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
@@ -135,14 +136,16 @@ def _seen(sensor: Sensor, placed: PlacedSolids, points: Array, off: float) -> An
 def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 1) -> PlaneGrid:
     plane = axes.upper() if isinstance(axes, str) else ""
     if plane not in _PLANES:
-        raise ArgumentError(f"axes are 'XY', 'XZ' or 'YZ', not {shown(axes)}")
-    lower = np.array(numbers_argument(origin, 2, "origin", "[first, second]"))
-    *counts, side = numbers_argument(size, 3, "size", "[cells along first, along second, m a cell]")
-    side = length_argument(side, "the size of a cell")
+        raise ArgumentError(f"axes are 'XY', 'XZ' or 'YZ', not {short_repr(axes)}")
+    lower = np.array(validation.number_list(origin, 2, "origin", "[first, second]"))
+    *counts, side = validation.number_list(
+        size, 3, "size", "[cells along first, along second, m a cell]"
+    )
+    side = validation.length(side, "the size of a cell")
     if any(count < 1 or count != int(count) for count in counts):
-        raise ArgumentError(f"size: there are whole numbers of cells, not {shown(size)}")
+        raise ArgumentError(f"size: there are whole numbers of cells, not {short_repr(size)}")
     nx, ny = map(int, counts)
-    whole_argument(blur, "blur", 1, max(nx, ny))
+    validation.integer_between(blur, "blur", 1, max(nx, ny))
     _check_count((nx + 2 * blur, ny + 2 * blur))
     weights = _pyramid(blur)
     cells = np.zeros((nx + 2 * blur, ny + 2 * blur))
@@ -188,7 +191,7 @@ def _summed(value: Any, name: str) -> float:
         return math.fsum(_summed(part, name) for part in value)
     if isinstance(value, int | float | np.number):
         return float(value)
-    raise ArgumentError(f"column {name!r} is to be summed, but {shown(value)} is no number")
+    raise ArgumentError(f"column {name!r} is to be summed, but {short_repr(value)} is no number")
 
 
 def _with_entity(query: Query) -> Query:
@@ -233,13 +236,14 @@ def _given_bounds(given: Any, count: int) -> tuple[tuple[float, ...], tuple[floa
     form = f"two corners {corner}, or the aabb of an entity"
     if isinstance(given, list | tuple) and len(given) == 6:
         given = [given[0::2], given[1::2]]
-    if not isinstance(given, list | tuple) or len(given) != 2:
-        raise ArgumentError(f"bounds are {form}, not {shown(given)}")
+    corners = validation.sequence(given, 2, f"bounds are {form}")
     lower, upper = (
         tuple(
-            numbers_argument(c[:count] if isinstance(c, list | tuple) else c, count, "bounds", form)
+            validation.number_list(
+                c[:count] if isinstance(c, list | tuple) else c, count, "bounds", form
+            )
         )
-        for c in given
+        for c in corners
     )
     return lower, upper
 

@@ -11,7 +11,7 @@ from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.clauses import Clause, clauses, with_arguments
 from ssduck.adapters.columns import plain_value
 from ssduck.errors import ArgumentError
-from ssduck.formatting import kind_of, shown
+from ssduck.formatting import short_repr, type_in_words
 
 Term: TypeAlias = Callable[[Any], str]
 
@@ -36,7 +36,7 @@ _WORDS = {True: "true", False: "false", None: "null"}
 
 
 def _unknown(value: Any) -> ArgumentError:
-    return ArgumentError(f"{kind_of(value)} is no term: {shown(value)}")
+    return ArgumentError(f"{type_in_words(value)} is no term: {short_repr(value)}")
 
 
 # -- Prolog -----------------------------------------------------------------------------------
@@ -86,7 +86,7 @@ def _in_quotes(letter: str) -> str:
     if letter.isprintable():
         return letter
     if "\ud800" <= letter <= "\udfff":
-        raise ArgumentError(f"{shown(letter)} is no letter that Prolog knows")
+        raise ArgumentError(f"{short_repr(letter)} is no letter that Prolog knows")
     return f"\\x{ord(letter):x}\\"
 
 
@@ -98,7 +98,7 @@ _INTEGERS = range(-(2**31), 2**31)
 
 def _asp(selection: Selection, scale: float | None = None) -> list[str]:
     if scale is not None and (type(scale) not in (int, float) or not 0 < scale < math.inf):
-        raise ArgumentError(f"scale is to be a number above 0, not {shown(scale)}")
+        raise ArgumentError(f"scale is to be a number above 0, not {short_repr(scale)}")
 
     def term(value: Any) -> str:
         return _asp_term(value, scale)
@@ -139,7 +139,8 @@ def _predicate(name: str) -> str:
     if _CONSTANT.fullmatch(name) and name != "not":
         return name
     raise ArgumentError(
-        f"{shown(name)} cannot be a predicate's name: a small letter first, then letters, digits "
+        f"{short_repr(name)} cannot be a predicate's name: a small letter first, then letters, "
+        "digits "
         "and _; name it with to(…, 'name')"
     )
 
@@ -147,7 +148,7 @@ def _predicate(name: str) -> str:
 def _string(text: str) -> str:
     r"""A text in quotes; clingo knows the escapes \\, \" and \n only."""
     if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
-        raise ArgumentError(f"{shown(text)} has letters that clingo does not know")
+        raise ArgumentError(f"{short_repr(text)} has letters that clingo does not know")
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 

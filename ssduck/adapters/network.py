@@ -12,7 +12,7 @@ from ssduck.adapters.columns import distinct, plain_value
 from ssduck.adapters.display import readable
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language.tree import Call, ListLiteral, Name, Node, Query, This
 from ssduck.world.entities import Entity
 
@@ -61,8 +61,8 @@ def _put(attributes: dict[str, Any], told: Mapping[str, Any], what: str, remedy:
     for key, value in told.items():
         if attributes.setdefault(key, value) != value:
             raise ArgumentError(
-                f"{what} would be given two values of {key!r}: {shown(attributes[key])} and "
-                f"{shown(value)}; {remedy}"
+                f"{what} would be given two values of {key!r}: {short_repr(attributes[key])} and "
+                f"{short_repr(value)}; {remedy}"
             )
 
 
@@ -143,7 +143,7 @@ def _add_row(network: _Network, names: tuple[str, ...], row: tuple[Any, ...], ke
         case (only,):
             network.tell(only, told)
         case _ if None not in row:  # which stands for an entity that there is not
-            raise ArgumentError(f"a row has no entity: {shown(row)}")
+            raise ArgumentError(f"a row has no entity: {short_repr(row)}")
 
 
 # -- forms ------------------------------------------------------------------------------------

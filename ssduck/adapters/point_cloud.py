@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.shapes import Array, Indices, cross
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 MOST_POINTS = 20_000_000
@@ -112,9 +113,9 @@ def area_of(solid: Solid) -> float:
         case "sphere":
             return 4.0 * math.pi * solid.radius**2
         case "capsule":
-            return 4.0 * math.pi * solid.radius * (solid.radius + solid.half)
+            return 4.0 * math.pi * solid.radius * (solid.radius + solid.half_length)
         case "cylinder":
-            return 2.0 * math.pi * solid.disc * (solid.disc + 2.0 * solid.half)
+            return 2.0 * math.pi * solid.disc_radius * (solid.disc_radius + 2.0 * solid.half_length)
     return float(_areas(solid.surface.triangles).sum())
 
 
@@ -126,13 +127,13 @@ def _on(solid: Solid, count: int, random: np.random.Generator) -> tuple[Array, A
         case "sphere" | "capsule":
             return _on_round(solid, count, random)
         case "cylinder":
-            return _on_cylinder(solid.disc, solid.half, count, random)
+            return _on_cylinder(solid.disc_radius, solid.half_length, count, random)
     return _on_triangles(solid.surface.triangles, count, random)
 
 
 def _on_round(solid: Solid, count: int, random: np.random.Generator) -> tuple[Array, Array]:
     """On a sphere, or a sphere's halves with a cylinder's side between them."""
-    half = solid.half if solid.type == "capsule" else 0.0
+    half = solid.half_length if solid.type == "capsule" else 0.0
     out = random.normal(size=(count, 3))
     is_side = random.random(count) < half / (half + solid.radius)
     out[is_side, 2] = 0.0

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterable
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
+from ssduck import validation
 from ssduck.adapters.base import Adapter, Need, Selection
 from ssduck.adapters.environment import WORLDS
 from ssduck.adapters.grids import GRIDS
@@ -20,7 +21,7 @@ from ssduck.adapters.spatial import SPATIAL
 from ssduck.adapters.tabular import TABULAR
 from ssduck.adapters.values import VALUES
 from ssduck.errors import ArgumentError, UnknownNameError, nearest
-from ssduck.formatting import reason, shown
+from ssduck.formatting import error_text, short_repr
 
 Maker = TypeVar("Maker", bound=Callable[..., Any])
 
@@ -79,8 +80,7 @@ def adapter(
 def _check_name(name: Any) -> None:
     if callable(name):
         raise ArgumentError("adapter is called before it decorates: @ssduck.adapter()")
-    if not isinstance(name, str) or not name.isidentifier():
-        raise ArgumentError(f"{shown(name)} cannot be a form's name: letters, digits and _ only")
+    validation.identifier(name, "a form")
     if name in _BUILT_IN or name.lower() in _WORDS:
         raise ArgumentError(f"AS {name} is one of ssduck's own forms; choose another name")
 
@@ -117,7 +117,7 @@ def _spelled(name: str, known: Collection[str]) -> str:
         raise ArgumentError(f"AS {name} is ambiguous; write AS {told}")
     if not alike:
         raise UnknownNameError(
-            f"there is no result form {shown(name)}", suggestions=nearest(name, known)
+            f"there is no result form {short_repr(name)}", suggestions=nearest(name, known)
         )
     return alike[0]
 
@@ -155,7 +155,7 @@ def _loaded(name: str, point: Any) -> Adapter:
         found = point.load()
     except Exception as error:
         raise ArgumentError(
-            f"AS {name}: {point.value} cannot be loaded: {reason(error)}"
+            f"AS {name}: {point.value} cannot be loaded: {error_text(error)}"
         ) from error
     if isinstance(found, Adapter):
         return found

@@ -83,7 +83,7 @@ class Result(RowsOfColumns):
         Raises:
             NumberError: that is no whole number, 0 or more.
         """
-        size = validation.whole(size, "fetchmany: size", least=0)
+        size = validation.integer(size, "fetchmany: size", minimum=0)
         part = self._table.slice(self._fetched, size)
         self._fetched += part.num_rows
         columns = [values_of(column) for column in part.columns]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.formatting import reason
+from ssduck.formatting import error_text
 
 FREE, OCCUPIED = 254, 0
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
@@ -53,7 +53,7 @@ def save(
         with path.open("w", encoding="utf-8", newline="\n") as file:
             yaml.safe_dump(values, file, sort_keys=False, default_flow_style=None, width=math.inf)
     except (OSError, ValueError) as error:  # a null character is a ValueError
-        raise ArgumentError(f"{path} cannot be written: {reason(error)}") from error
+        raise ArgumentError(f"{path} cannot be written: {error_text(error)}") from error
     return path
 
 
@@ -77,7 +77,7 @@ def load(
         height = values.get("z", 0.0)
         z = tuple(map(float, height)) if isinstance(height, list) else float(height)
     except (OSError, TypeError, ValueError) as error:
-        raise ArgumentError(f"{path} cannot be read as a map: {reason(error)}") from error
+        raise ArgumentError(f"{path} cannot be read as a map: {error_text(error)}") from error
     if not (math.isfinite(resolution) and resolution > 0.0 and math.isfinite(x + y)):
         raise ArgumentError(
             f"{path} cannot be read as a map: resolution {resolution:g}, origin {x:g}, {y:g}"
@@ -108,7 +108,7 @@ def _values(path: Path) -> dict[str, Any]:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise ArgumentError(f"{path} cannot be read: {line}{error.problem}") from error
     except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ArgumentError(f"{path} cannot be read: {reason(error)}") from error
+        raise ArgumentError(f"{path} cannot be read: {error_text(error)}") from error
     found: dict[str, Any] = values if isinstance(values, dict) else {}
     missing = [key for key in _NEEDED if key not in found]
     if missing:

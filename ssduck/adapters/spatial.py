@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.highlight import highlighted
@@ -15,7 +16,6 @@ from ssduck.adapters.point_cloud import PointCloud, sampled
 from ssduck.adapters.shapes import SHAPES, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.geometry.solids import Solid
-from ssduck.validation import MOST_PIXELS, length_argument, whole_argument
 
 if TYPE_CHECKING:
     import trimesh
@@ -29,8 +29,8 @@ _COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
     placed = shapes_of(selection)
     ids = {entity.id: entity.name for entity in selection.entities}
-    spread = length_argument(spacing, "spacing")
-    return sampled(placed, ids, spread, whole_argument(seed, "seed", 0, sys.maxsize))
+    spread = validation.length(spacing, "spacing")
+    return sampled(placed, ids, spread, validation.integer_between(seed, "seed", 0, sys.maxsize))
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
@@ -68,12 +68,14 @@ def _triangles(solid: Solid) -> Any:
             ball.apply_translation(solid.core[0])
             return ball
         case "capsule":
-            tube = creation.capsule(height=2.0 * solid.half, radius=solid.radius)
+            tube = creation.capsule(height=2.0 * solid.half_length, radius=solid.radius)
             # trimesh has had its middle at the one end and in between.
             tube.apply_translation((0.0, 0.0, -tube.bounds[:, 2].mean()))
             return tube
         case "cylinder":
-            return creation.cylinder(radius=solid.disc, height=2.0 * solid.half, sections=64)
+            return creation.cylinder(
+                radius=solid.disc_radius, height=2.0 * solid.half_length, sections=64
+            )
     return trimesh.Trimesh(solid.core, solid.faces, process=False)
 
 
@@ -90,8 +92,8 @@ def _glb(selection: Selection, path: Any) -> str:
 
 def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.Image:
     size = (
-        whole_argument(width, "width", 1, MOST_PIXELS),
-        whole_argument(height, "height", 1, MOST_PIXELS),
+        validation.integer_between(width, "width", 1, validation.MOST_PIXELS),
+        validation.integer_between(height, "height", 1, validation.MOST_PIXELS),
     )
     return highlighted(selection.world, selection.entities, *size)
 

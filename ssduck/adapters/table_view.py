@@ -36,7 +36,7 @@ class TableView:
     """
 
     def __init__(self, value: Any, rows: int = MOST_ROWS) -> None:
-        rows = validation.whole(rows, "show: rows", least=0)
+        rows = validation.integer(rows, "show: rows", minimum=0)
         answer = answer_of(value)
         self._count = len(answer.rows)
         self._answer: DisplayTable = replace(answer, rows=list(answer.rows)[:rows])

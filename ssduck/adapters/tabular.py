@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.columns import distinct, plain_value, table_of
 from ssduck.adapters.display import as_json
@@ -18,7 +19,6 @@ from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.optional import library
 from ssduck.adapters.result import Result, values_of
 from ssduck.sql.types import EXACT
-from ssduck.validation import whole_argument
 
 # What numpy's integers of 64 bits hold.
 _MOST = 2**63
@@ -58,7 +58,7 @@ def _polars(selection: Selection) -> Any:
 
 def _json(selection: Selection, indent: int | None = None) -> str:
     if indent is not None:
-        whole_argument(indent, "indent", 0, _MOST_INDENT)
+        validation.integer_between(indent, "indent", 0, _MOST_INDENT)
     names = distinct(selection.columns)
     rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
     return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)

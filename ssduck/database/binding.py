@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck.errors import EvaluationError, UnsupportedError, warn
-from ssduck.formatting import listed
+from ssduck.formatting import joined_names
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.lookups import TOLD
@@ -199,7 +199,7 @@ class BoundWorld:
         if new:
             self._repadded.update(new)
             warn(
-                f"{self.world.name!r}: the collision margins of {listed(new)} were changed; "
+                f"{self.world.name!r}: the collision margins of {joined_names(new)} were changed; "
                 "recorded ticks go by those that a body came with, so that on, touching and "
                 "their like may differ there from what the simulator did",
             )

@@ -28,8 +28,8 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.formatting import shown
-from ssduck.limits import Limits, Usage
+from ssduck.formatting import short_repr
+from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.paths import given_path
 from ssduck.recording.recorder import Recorder
 from ssduck.sql.relations.relation import TOLD_BY
@@ -79,7 +79,7 @@ class Connection:
         # Left open until Python ends, it would print complaints there.
         self._finalizer = weakref.finalize(self, _finish, self._connection, recorders, os.getpid())
         self._tracer = tracer
-        self.meter = Usage(limits)
+        self.meter = UsageMeter(limits)
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
         # What a function raised while SQL called it: DuckDB keeps but its words.
@@ -363,15 +363,17 @@ def _place_of(path: str, *, is_written: bool = False) -> str:
         place = str(given_path(path).absolute())
         place.encode()
     except (OSError, RuntimeError, ValueError) as error:
-        raise SqlError(f"{shown(path)} is no path of a file: {error}") from error
+        raise SqlError(f"{short_repr(path)} is no path of a file: {error}") from error
     if "\0" in place or ("\\" in place and os.sep != "\\"):
         raise SqlError(
-            f"{shown(path)} cannot be the path of a DuckDB file: DuckDB takes a backslash for a "
+            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB takes a backslash "
+            "for a "
             "slash, and knows no null character"
         )
     if is_written and "?" in str(Path(place).parent):  # its log would be in a folder without it
         raise SqlError(
-            f"{shown(path)} cannot be the path of a DuckDB file: DuckDB takes what is behind a "
+            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB takes what is "
+            "behind a "
             "question mark in the name of a folder for no part of it; rename the folder"
         )
     return place

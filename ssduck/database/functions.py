@@ -18,22 +18,17 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
-from ssduck.geometry.batch import Asked, PairPredicate
-from ssduck.geometry.queries import ANSWERS, depth
+from ssduck.geometry.batch import PairPredicate, PredicateKind
+from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
 from ssduck.recording.replay.record import PAIR, Record
 from ssduck.recording.stores.base import PairRequest
-from ssduck.simulators.joints import EntityJoints, JointError
-from ssduck.sql.relations.registry import (
-    BY_MARGINS,
-    JOINTS,
-    MARGINS,
-    NARROW,
-    OF_WHOLE_TICK,
-    THEN,
-    THEN_TOLD,
-)
+from ssduck.simulators.joints import JointError
+from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
+from ssduck.sql.relations.geometry_query import MARGINS_UDF, PAIR_SEARCHES, GeometryUdf
+from ssduck.sql.relations.joints import JOINT_UDFS
+from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.relations.relation import ANY, CHECKED_TICK
 from ssduck.sql.types import Signature, SqlType
 
@@ -119,16 +114,16 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
         connection: where.
         worlds: by their names, as they come and go.
     """
-    for name, (taken, result) in NARROW.items():
+    for udf in GEOMETRY_UDFS.values():
         connection.add_function(
-            name,
-            _narrow(name, worlds),
-            ("VARCHAR", *taken),
-            result,
+            udf.name,
+            _geometry(udf, worlds),
+            udf.parameters,
+            udf.result,
             null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
-            side_effects=result == "BIGINT[]",  # all pairs of a tick: not to be found for good
+            side_effects=udf.entities == 0,  # all pairs of a tick: not to be found for good
         )
-    connection.add_function(MARGINS, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
+    connection.add_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
     connection.add_function(
         CHECKED_TICK,
         partial(_checked_tick, worlds),
@@ -136,8 +131,8 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
         "BIGINT",
         null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
     )
-    for (name, more), prefix in product(JOINTS.items(), ("", ANY)):
-        call = partial(_of_joints, worlds, getattr(EntityJoints, name.removeprefix("joints ")))
+    for (name, (function, more)), prefix in product(JOINT_UDFS.items(), ("", ANY)):
+        call = partial(_of_joints, worlds, function)
         connection.add_function(
             prefix + name,
             partial(_if_any, worlds, call) if prefix else call,
@@ -146,18 +141,20 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
             null_handling=FunctionNullHandling.SPECIAL,
         )
     pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
-    for name, of in THEN.items():
+    for search in PAIR_SEARCHES:
+        if search.predicate is None:
+            continue
         # In columns: as lists, some thousand pairs took as long as comparing them.
         connection.add_function(
-            name,
-            partial(_then, worlds, of),
+            search.name_over_ticks,
+            partial(_then, worlds, search.predicate),
             ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
             pairs,
             type=PythonUDFType.ARROW,
             side_effects=True,
         )
     connection.add_function(
-        THEN_TOLD,
+        RECORDED_NUMBERS_UDF,
         partial(_told, worlds),
         ("VARCHAR", "VARCHAR", "BIGINT", "BIGINT", "BIGINT"),
         "DOUBLE[]",
@@ -165,28 +162,27 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
     )
 
 
-def _narrow(name: str, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
-    """A function of the narrow phase, of a world's name and of entities."""
-    entities = NARROW[name][0].count("BIGINT")  # twice as many: of each its tick and its id
-    answer = ANSWERS[name]
+def _geometry(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
+    """A function of shapes, of a world's name and of entities: of each its tick and its id."""
+    after = 2 * udf.entities
 
     def call(world: str, *arguments: Any) -> Any:
         if None in arguments:
             return None
         if world not in worlds:
             raise UnknownNameError(f"there is no world {world!r} here any more")
-        ticks = set(arguments[:entities:2])
+        ticks = set(arguments[:after:2])
         if len(ticks) > 1:
             raise UnsupportedError(
                 "shapes are compared at one tick: these rows are of the ticks "
                 f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
             )
-        ids = arguments[1:entities:2]
+        ids = arguments[1:after:2]
         tick = ticks.pop() if ticks else None
-        shapes = worlds[world].shapes(tick, None if name in OF_WHOLE_TICK else ids)
-        if name in BY_MARGINS:
+        shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else ids)
+        if udf.uses_margins:
             worlds[world].note_margins(tick)
-        return answer(shapes, *ids, *arguments[entities:])
+        return udf.function(shapes, *ids, *arguments[after:])
 
     return call
 
@@ -251,7 +247,9 @@ def _if_any(
         return None
 
 
-def _then(worlds: Mapping[str, BoundWorld], of: Asked, *arguments: pa.ChunkedArray) -> pa.ListArray:
+def _then(
+    worlds: Mapping[str, BoundWorld], of: PredicateKind, *arguments: pa.ChunkedArray
+) -> pa.ListArray:
     """The narrow phase over many ticks, of columns of what is asked for."""
 
     def found(world: str, first: int, last: int, a: int, b: int, distance: float) -> pa.StructArray:

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import sqlglot
 from sqlglot import exp
 
 from ssduck.language.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_INTERVALS
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.from_clause import pairs_of
+from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.relations.relation import CandidatePairs, Relation
+from ssduck.sql.relations.relation import Relation
 
 
 @dataclass(frozen=True)
@@ -26,19 +26,20 @@ class PairTableMacro:
     Attributes:
         name: in a world's schema; that of the only world goes without it.
         parameters: what it takes.
-        candidates: which pairs; `apart` is one of the parameters.
+        search: finds the pairs.
+        distance: the parameter that is its distance.
         about: what a row is.
     """
 
     name: str
     parameters: tuple[str, ...]
-    candidates: CandidatePairs
+    search: PairSearch
+    distance: str
     about: str
 
     def macro(self, place: Sequence[str], schema: str) -> str:
         """The statement that makes it."""
-        apart = sqlglot.parse_one(self.candidates.apart, dialect="duckdb")
-        pairs = pairs_of(self.candidates, apart, schema, "pairs").table
+        pairs = pairs_of(self.search, exp.column(self.distance), schema, "pairs").table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
         temporary = "TEMP " if place[0] == "temp" else ""
         name = _dotted(place[1:] if temporary else place, self.name)
@@ -56,14 +57,16 @@ TABLE_MACROS = (
     PairTableMacro(
         "colliding_pairs",
         ("depth := 1e-6",),
-        CandidatePairs("colliding", "depth"),
+        COLLIDING,
+        "depth",
         "A row is the ids a, b of two entities that are deeper in each other than depth, 1e-6 m "
         "if it is not given; each pair both ways.",
     ),
     PairTableMacro(
         "pairs_within",
         ("d",),
-        CandidatePairs("within", "d"),
+        WITHIN,
+        "d",
         "A row is the ids a, b of two entities whose clearance is at most d metres; each pair "
         "both ways.",
     ),

@@ -27,7 +27,7 @@ def _asked_with(table: str) -> frozenset[str]:
 # looks things up in some.
 _TABLES_OF = {
     **{name.lower(): _asked_with(name) for name in TABLES},
-    **{relation.name.lower(): relation.reads for relation in looking_up()},
+    **{relation.name.lower(): relation.inputs for relation in looking_up()},
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)

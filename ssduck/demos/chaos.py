@@ -24,7 +24,7 @@ from ssduck.adapters.display import DisplayTable, lines_of
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
-    from ssduck.geometry.shapes import Array
+    from ssduck.geometry.arrays import Array
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.simulators.scenes import Scene
 

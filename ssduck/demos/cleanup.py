@@ -18,7 +18,7 @@ import numpy as np
 from ssduck.demos.kitchen import on
 from ssduck.demos.motion import Cleaner, Failed
 from ssduck.demos.results import keep_picture
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import load
 from ssduck.recording.spec import Recording

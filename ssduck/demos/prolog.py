@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from ssduck.demos.results import keep
 from ssduck.errors import SelectScriptError
-from ssduck.formatting import reason
+from ssduck.formatting import error_text
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
@@ -109,7 +109,7 @@ def _prolog(_: Interpreter, target: Path, question: Question) -> Sequence[str]:
         )
     except (OSError, subprocess.SubprocessError) as error:
         told = getattr(error, "stderr", None) or error
-        raise SelectScriptError(f"swipl failed: {reason(Exception(told))}") from error
+        raise SelectScriptError(f"swipl failed: {error_text(Exception(told))}") from error
     return done.stdout.split()
 
 

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 from ssduck.lazy import exports
 
 if TYPE_CHECKING:
+    from ssduck.geometry.bounds import BoundingBoxes
     from ssduck.geometry.line_of_sight import are_blocked
     from ssduck.geometry.queries import ShapeQueries
     from ssduck.geometry.rasterize import Rasterizer
-    from ssduck.geometry.shapes import Boxer, Geometry, PlacedGeometry
+    from ssduck.geometry.shapes import Geometry, PlacedGeometry
 
 __all__ = [
-    "Boxer",
+    "BoundingBoxes",
     "Geometry",
     "PlacedGeometry",
     "Rasterizer",
@@ -31,6 +32,7 @@ __getattr__, __dir__ = exports(
         "line_of_sight": ("are_blocked",),
         "queries": ("ShapeQueries",),
         "rasterize": ("Rasterizer",),
-        "shapes": ("Boxer", "Geometry", "PlacedGeometry"),
+        "bounds": ("BoundingBoxes",),
+        "shapes": ("Geometry", "PlacedGeometry"),
     },
 )

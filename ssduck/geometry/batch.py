@@ -17,7 +17,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags, Pairs, meeting
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.gjk import (
     ABOVE,
     BELOW,
@@ -25,10 +26,10 @@ from ssduck.geometry.gjk import (
     ConvexCores,
     PlacedCores,
     Verdicts,
-    compare,
-    slack,
+    classify_gaps,
+    tolerances,
 )
-from ssduck.geometry.shapes import Array, Indices, rotate
+from ssduck.geometry.poses import rotate
 from ssduck.geometry.solids import Solid
 
 # Two edges that are as parallel have no axis of their own.
@@ -40,7 +41,7 @@ _MOST_ENTITIES = 1 << 32
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
-Asked: TypeAlias = Literal["colliding", "within", "touching"]
+PredicateKind: TypeAlias = Literal["colliding", "within", "touching"]
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class PairPredicate:
         distance: metres.
     """
 
-    of: Asked
+    of: PredicateKind
     distance: float
 
     def bound(self, margins: float) -> float:
@@ -67,22 +68,22 @@ class PairPredicate:
             return -self.distance
         return self.distance + margins if self.of == "touching" else self.distance
 
-    def bounds(self, sorts: ShapeTable, first: Indices, second: Indices) -> Array:
+    def bounds(self, table: ShapeTable, first: Indices, second: Indices) -> Array:
         """The bounds of pairs of shapes, (n,)."""
         found = np.full(len(first), self.bound(0.0))
         if self.of == "touching":
-            found += sorts.margins[first] + sorts.margins[second]
+            found += table.margins[first] + table.margins[second]
         return found
 
-    def candidates(self, scene: TickPairs) -> Pairs:
+    def candidates(self, tick: TickShapes) -> Pairs:
         """The pairs of shapes whose boxes are near enough."""
         if self.of == "colliding":
-            return _candidates(scene, scene.boxes, 0.0)
+            return _candidates(tick, tick.boxes, 0.0)
         if self.of == "within":
-            return _candidates(scene, scene.boxes, self.distance + _MARGIN)
-        margins = scene.sorts.margins
-        grown = np.concatenate((scene.boxes[:3] - margins, scene.boxes[3:] + margins))
-        return _candidates(scene, grown, max(self.distance, 0.0) + _MARGIN)
+            return _candidates(tick, tick.boxes, self.distance + _MARGIN)
+        margins = tick.table.margins
+        grown = np.concatenate((tick.boxes[:3] - margins, tick.boxes[3:] + margins))
+        return _candidates(tick, grown, max(self.distance, 0.0) + _MARGIN)
 
 
 class ShapeTable:
@@ -105,36 +106,38 @@ class ShapeTable:
         self.entities = entities
         self.margins = np.zeros(len(of)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
-        self.single = bool(np.bincount(entities).max(initial=0) <= 1)
-        self.known = np.array([solid.known for solid in solids], dtype=bool)[of]
-        self.is_shown = np.array([not solid.is_empty for solid in solids], dtype=bool)[of]
-        self.is_endless = np.array([solid.type == "plane" for solid in solids], dtype=bool)[of]
+        self.has_single_shapes = bool(np.bincount(entities).max(initial=0) <= 1)
+        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[of]
+        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[of]
+        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[of]
         self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[of]
         self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[of]
-        self.reach = np.array([solid.reach for solid in solids])[of]
+        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[of]
         self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[of]
-        self.inner_centre = np.array([solid.inner_centre for solid in solids]).reshape(-1, 3)[of]
-        self.inner_radius = np.array([solid.inner_radius for solid in solids])[of]
+        self.inscribed_centre = np.array([solid.inscribed_centre for solid in solids]).reshape(
+            -1, 3
+        )[of]
+        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[of]
         up = np.array([0.0, 0.0, 1.0])
-        normals = [s.normals[0] if s.type == "plane" and s.known else up for s in solids]
+        normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
         self.normal = np.array(normals).reshape(-1, 3)[of]
         self.cores = ConvexCores(solids, of)
 
 
 @dataclass(frozen=True, eq=False)
-class TickPairs:
+class TickShapes:
     """The shapes of a tick, in arrays.
 
     Attributes:
-        sorts: what they are, and whose.
-        known: (n,), whether the poses and the shapes of its entity are known.
+        table: what they are, and whose.
+        is_known: (n,), whether the poses and the shapes of its entity are known.
         boxes: (6, n), lower corners, upper corners.
         positions: (n, 3).
         matrices: (n, 3, 3).
     """
 
-    sorts: ShapeTable
-    known: Flags
+    table: ShapeTable
+    is_known: Flags
     boxes: Array
     positions: Array
     matrices: Array
@@ -150,23 +153,23 @@ class TickPairs:
     @cached_property
     def centres(self) -> Array:
         """(n, 3), of the spheres around the shapes."""
-        return self.moved(self.sorts.centre)
+        return self.moved(self.table.centre)
 
     @cached_property
     def inner(self) -> Array:
         """(n, 3), of the spheres in the shapes."""
-        return self.moved(self.sorts.inner_centre)
+        return self.moved(self.table.inscribed_centre)
 
     @cached_property
-    def bodies(self) -> PlacedCores:
+    def placed_cores(self) -> PlacedCores:
         """The shapes' cores."""
         turns = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
         centres, inner = map(np.ascontiguousarray, (self.centres.T, self.inner.T))
-        return PlacedCores(self.sorts.cores, turns, centres, inner)
+        return PlacedCores(self.table.cores, turns, centres, inner)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
         """Whose shapes these are: a number for each pair of entities, as of `pair_number`."""
-        i, j = self.sorts.entities[first], self.sorts.entities[second]
+        i, j = self.table.entities[first], self.table.entities[second]
         return np.minimum(i, j) * _MOST_ENTITIES + np.maximum(i, j)
 
 
@@ -199,52 +202,52 @@ class PairResult:
         return list(zip(first.tolist(), second.tolist(), strict=True))
 
 
-def known_with_all(sorts: ShapeTable, known: Flags) -> Flags:
+def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
     """Of each shape whether all of its entity are known."""
-    lost = np.bincount(sorts.entities[~known], minlength=sorts.count)
-    all_known: Flags = lost[sorts.entities] == 0
+    lost = np.bincount(table.entities[~is_known], minlength=table.count)
+    all_known: Flags = lost[table.entities] == 0
     return all_known
 
 
-def entities_of(
-    scene: TickPairs,
-    question: PairPredicate,
+def matching_pairs(
+    tick: TickShapes,
+    predicate: PairPredicate,
     holds: Callable[[int, int], bool],
     among: Pairs | None = None,
 ) -> PairResult:
     """The pairs of entities of which something holds.
 
     Args:
-        scene: the shapes.
-        question: what is to hold of two of their shapes.
+        tick: the shapes.
+        predicate: what is to hold of two of their shapes.
         holds: whether it does, asked of those that nothing else decides.
         among: the pairs of shapes that are compared; None for all that are near enough.
     """
-    among = question.candidates(scene) if among is None else _usable(scene, among)
-    bounds = question.bounds(scene.sorts, *among)
+    among = predicate.candidates(tick) if among is None else _usable(tick, among)
+    bounds = predicate.bounds(tick.table, *among)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
-    if question.of == "colliding":
+    if predicate.of == "colliding":
         rules = _by_spheres, _by_planes, _by_axes, _by_cores
     else:  # no distance is below 0
         usable = bounds >= 0.0
         among, bounds = (among[0][usable], among[1][usable]), bounds[usable]
-    return _found(scene, among, rules, bounds, holds)
+    return _found(tick, among, rules, bounds, holds)
 
 
-def _usable(scene: TickPairs, shapes: Pairs) -> Pairs:
+def _usable(tick: TickShapes, shapes: Pairs) -> Pairs:
     first, second = shapes
-    usable = scene.known & scene.sorts.is_shown
+    usable = tick.is_known & tick.table.has_points
     both = usable[first] & usable[second]
     return first[both], second[both]
 
 
-Rule: TypeAlias = Callable[[TickPairs, Indices, Indices, Array], Verdicts]
+Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
 
 
 # What is too large for its squares is not decided by them.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _found(
-    scene: TickPairs,
+    tick: TickShapes,
     candidates: Pairs,
     rules: Sequence[Rule],
     bounds: Array,
@@ -253,22 +256,22 @@ def _found(
     """The pairs of entities with shapes whose gaps are below bounds, or of which it is said.
 
     Args:
-        scene: the shapes.
+        tick: the shapes.
         candidates: the pairs of shapes that are compared.
         rules: what is asked of them, one after another, until they are decided.
         bounds: of each pair, metres.
         is_below: asked of two shapes that no rule decides.
     """
     first, second = candidates
-    single = scene.sorts.single
-    owners = scene.owners(first, second)
-    compared = owners if single else np.unique(owners)
+    has_single_shapes = tick.table.has_single_shapes
+    owners = tick.owners(first, second)
+    compared = owners if has_single_shapes else np.unique(owners)
     found = np.zeros(0, np.intp)
     for rule in rules:
-        verdicts = rule(scene, first, second, bounds)
+        verdicts = rule(tick, first, second, bounds)
         found = np.concatenate((found, owners[verdicts == BELOW]))
         left = verdicts == UNDECIDED
-        if not single:
+        if not has_single_shapes:
             left &= ~np.isin(owners, found)
         first, second, owners, bounds = first[left], second[left], owners[left], bounds[left]
     more: set[int] = set()
@@ -276,40 +279,40 @@ def _found(
         if owner not in more and is_below(s, t):
             more.add(owner)
     found = np.concatenate((found, np.array(sorted(more), np.intp)))
-    return PairResult(np.sort(found) if single else np.unique(found), compared)
+    return PairResult(np.sort(found) if has_single_shapes else np.unique(found), compared)
 
 
-def _candidates(scene: TickPairs, boxes: Array, apart: float) -> Pairs:
+def _candidates(tick: TickShapes, boxes: Array, apart: float) -> Pairs:
     """The pairs of known shapes, of two entities, whose boxes (6, n) are no farther apart.
 
     There are none if that is below 0, or no number.
     """
     if not apart >= 0.0:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    sorts = scene.sorts
-    usable = np.flatnonzero(scene.known & sorts.is_shown)
+    table = tick.table
+    usable = np.flatnonzero(tick.is_known & table.has_points)
     if apart == np.inf:
         first, second = np.triu_indices(len(usable), 1)
     else:
-        first, second = meeting(boxes[:, usable], apart)
+        first, second = overlapping_pairs(boxes[:, usable], apart)
     first, second = usable[first], usable[second]
-    if sorts.single:
+    if table.has_single_shapes:
         return first, second
-    different = sorts.entities[first] != sorts.entities[second]
+    different = table.entities[first] != table.entities[second]
     return first[different], second[different]
 
 
 # -- rules -------------------------------------------------------------------------------------
 
 
-def _by_spheres(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """The spheres around shapes, and those in them; a half-space has none."""
-    sorts, error = scene.sorts, slack(scene.bodies, first, second)
+    table, error = tick.table, tolerances(tick.placed_cores, first, second)
     verdicts = np.zeros(len(first), np.int8)
-    around = sorts.reach[first] + sorts.reach[second]
-    verdicts[_distances(scene.centres, first, second) > around + bounds + error] = ABOVE
-    within = sorts.inner_radius[first], sorts.inner_radius[second]
-    apart = _distances(scene.inner, first, second) - within[0] - within[1]
+    around = table.bounding_radius[first] + table.bounding_radius[second]
+    verdicts[_distances(tick.centres, first, second) > around + bounds + error] = ABOVE
+    within = table.inscribed_radius[first], table.inscribed_radius[second]
+    apart = _distances(tick.inner, first, second) - within[0] - within[1]
     verdicts[(apart < bounds - error) & (within[0] > 0.0) & (within[1] > 0.0)] = BELOW
     return verdicts
 
@@ -320,54 +323,54 @@ def _distances(points: Array, first: Indices, second: Indices) -> Array:
     return lengths
 
 
-def _by_planes(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """Half-spaces and any other shape, by the point of it that is farthest in."""
-    sorts = scene.sorts
+    table = tick.table
     verdicts = np.zeros(len(first), np.int8)
-    some = np.flatnonzero(sorts.is_endless[first] != sorts.is_endless[second])
+    some = np.flatnonzero(table.is_plane[first] != table.is_plane[second])
     if not len(some):
         return verdicts
-    is_first = sorts.is_endless[first[some]]
+    is_first = table.is_plane[first[some]]
     plane = np.where(is_first, first[some], second[some])
     other = np.where(is_first, second[some], first[some])
-    normals = rotate(scene.matrices[plane], sorts.normal[plane])
-    lowest = scene.centres[other] - scene.positions[plane]
-    lowest += scene.bodies.supports(other, -normals.T).T
-    gaps = np.einsum("ni,ni->n", normals, lowest) - sorts.cores.radius[other]
-    error = slack(scene.bodies, plane, other)
+    normals = rotate(tick.matrices[plane], table.normal[plane])
+    lowest = tick.centres[other] - tick.positions[plane]
+    lowest += tick.placed_cores.support_points(other, -normals.T).T
+    gaps = np.einsum("ni,ni->n", normals, lowest) - table.cores.radius[other]
+    error = tolerances(tick.placed_cores, plane, other)
     verdicts[some[gaps > bounds[some] + error]] = ABOVE
     verdicts[some[gaps < bounds[some] - error]] = BELOW
     return verdicts
 
 
-def _by_axes(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """Boxes that may be deep in each other: exactly."""
     verdicts = np.zeros(len(first), np.int8)
-    some = np.flatnonzero(scene.sorts.is_box[first] & scene.sorts.is_box[second])
-    is_deep = box_depths(scene, first[some], second[some]) > -bounds[some]
+    some = np.flatnonzero(tick.table.is_box[first] & tick.table.is_box[second])
+    is_deep = box_depths(tick, first[some], second[some]) > -bounds[some]
     verdicts[some] = np.where(is_deep, BELOW, ABOVE)
     return verdicts
 
 
-def _by_cores(scene: TickPairs, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_cores(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """What is convex; the convex hull of a mesh only tells that it is far from something."""
-    sorts = scene.sorts
+    table = tick.table
     verdicts = np.zeros(len(first), np.int8)
-    some = np.flatnonzero(~(sorts.is_endless[first] | sorts.is_endless[second]))
-    found = compare(scene.bodies, first[some], second[some], bounds[some])
-    hollow = ~(sorts.is_convex[first[some]] & sorts.is_convex[second[some]])
+    some = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
+    found = classify_gaps(tick.placed_cores, first[some], second[some], bounds[some])
+    hollow = ~(table.is_convex[first[some]] & table.is_convex[second[some]])
     found[hollow & (found == BELOW)] = UNDECIDED
     verdicts[some] = found
     return verdicts
 
 
-def box_depths(scene: TickPairs, first: Indices, second: Indices) -> Array:
+def box_depths(tick: TickShapes, first: Indices, second: Indices) -> Array:
     """How deep boxes are in each other, m: the least overlap along their 15 axes; < 0 if apart."""
-    a, b = scene.sorts.cores.half[:, first].T, scene.sorts.cores.half[:, second].T
-    turn_a, turn_b = scene.matrices[first], scene.matrices[second]
+    a, b = tick.table.cores.half_extents[:, first].T, tick.table.cores.half_extents[:, second].T
+    turn_a, turn_b = tick.matrices[first], tick.matrices[second]
     # The second box in the frame of the first.
     turn = np.einsum("nji,njk->nik", turn_a, turn_b)
-    way = np.einsum("nji,nj->ni", turn_a, scene.positions[second] - scene.positions[first])
+    way = np.einsum("nji,nj->ni", turn_a, tick.positions[second] - tick.positions[first])
     size = np.abs(turn)
     faces_a = a + np.einsum("nij,nj->ni", size, b) - np.abs(way)
     faces_b = b + np.einsum("nij,ni->nj", size, a) - np.abs(np.einsum("nij,ni->nj", turn, way))

@@ -9,18 +9,18 @@ end, a ground plane's, are compared with all others.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import pairwise
-from math import prod
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
 Pairs: TypeAlias = tuple[Indices, Indices]
+Corners: TypeAlias = tuple[Array, Array]
 Cells: TypeAlias = npt.NDArray[np.int64]
 
 # Extents within this factor share a class.
@@ -37,12 +37,14 @@ _NUMBERS = 2**62
 _MANY = 2.0**20
 # So many candidates are compared at a time, or those of one box.
 _AT_ONCE = 250_000
+# Pairs of boxes of two sets that are looked at together, and up to twice as many found.
+TOGETHER = 20_000
 # Rows of cells along z, by their steps along x and y: those ahead, and those behind.
 _AHEAD = ((0, 1), (1, -1), (1, 0), (1, 1))
 _BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
 
 
-def meeting(boxes: Array, apart: float = 0.0) -> Pairs:
+def overlapping_pairs(boxes: Array, apart: float = 0.0) -> Pairs:
     """The pairs of boxes that meet, or are no farther apart along any axis than asked.
 
     Args:
@@ -122,7 +124,7 @@ def _numbered(low: Array, cell: float) -> tuple[Cells, list[int]]:
     x, y, z = cells = [_along(axis, cell) for axis in low]
     # A cell around the grid keeps rows from running into each other.
     wide = [int(axis.max()) + 3 for axis in cells]
-    if prod(wide) > _NUMBERS:
+    if math.prod(wide) > _NUMBERS:
         return _numbered(low, 8.0 * cell)  # boxes that meet are neighbours in a coarser grid too
     return ((x + 1) * wide[1] + y + 1) * wide[2] + z + 1, wide
 
@@ -169,3 +171,64 @@ def _met(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
         kept = np.flatnonzero(meets)
         i, j = i.take(kept), j.take(kept)
     return i, j
+
+
+# -- boxes of two sets ---------------------------------------------------------------------------
+
+
+def meeting_across(first: Corners, second: Corners, *, rims: bool) -> Iterator[Pairs]:
+    """The pairs of a box of one set and a box of another that meet, in parts.
+
+    The larger of two sets that may meet is halved until there are few pairs.
+
+    Args:
+        first: the lower and the upper corners, (3, n) each; they may be infinite along z.
+        second: the same, (3, m).
+        rims: whether boxes meet that have only parts of their rims in common.
+    """
+    (low, high), (lows, highs) = first, second
+    less = np.less_equal if rims else np.less
+    todo = [(np.arange(low.shape[1]), np.arange(lows.shape[1]))]
+    found: list[Pairs] = []
+    count = 0
+    while todo:
+        i, j = todo.pop()
+        i = i[_overlap(less, low[:, i], high[:, i], _least(lows[:, j]), _most(highs[:, j]))]
+        j = j[_overlap(less, lows[:, j], highs[:, j], _least(low[:, i]), _most(high[:, i]))]
+        if len(i) * len(j) > TOGETHER:
+            if len(i) > len(j):
+                todo += [(half, j) for half in _halves(i, low[:2, i] + high[:2, i])]
+            else:
+                todo += [(i, half) for half in _halves(j, lows[:2, j] + highs[:2, j])]
+            continue
+        a, b = i[:, None], j[None]
+        pairs = np.nonzero(_overlap(less, low[:, a], high[:, a], lows[:, b], highs[:, b]))
+        found.append((i[pairs[0]], j[pairs[1]]))
+        count += len(pairs[0])
+        if count > TOGETHER or not todo:
+            of_first, of_second = zip(*found, strict=True)
+            yield np.concatenate(of_first), np.concatenate(of_second)
+            found, count = [], 0
+
+
+def _overlap(less: np.ufunc, low: Array, high: Array, lows: Array, highs: Array) -> Flags:
+    """Whether boxes meet: (3, …) lower and upper corners of either."""
+    meet: Flags = np.asarray((less(low, highs) & less(lows, high)).all(axis=0))
+    return meet
+
+
+def _least(low: Array) -> Array:
+    least: Array = low.min(axis=1, keepdims=True, initial=math.inf)
+    return least
+
+
+def _most(high: Array) -> Array:
+    most: Array = high.max(axis=1, keepdims=True, initial=-math.inf)
+    return most
+
+
+def _halves(some: Indices, places: Array) -> Pairs:
+    """Those on either side of the middle one, along the axis along which places (2, n) differ."""
+    middle = len(some) // 2
+    order = places[np.ptp(places, axis=1).argmax()].argpartition(middle)
+    return some[order[:middle]], some[order[middle:]]

@@ -11,13 +11,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.broad_phase import Pairs, meeting_across
 
 # A triangle whose shadow is smaller, as a share of its longest edge squared, casts none.
 UPRIGHT = 1e-13
-# Pairs of triangles that are looked at together, and up to twice as many: 10 MB an array.
-TOGETHER = 20_000
 
 
 def common_volume(surface: Array, weights: Array, other: Array) -> float:
@@ -56,62 +54,13 @@ def _shadows(triangles: Array) -> Array:
     return np.where(np.abs(areas) > UPRIGHT * longest, areas, 0.0)
 
 
-def _over_each_other(surface: Array, other: Array) -> Iterator[tuple[Indices, Indices]]:
-    """Pairs of triangles: shadows whose boxes meet, and not all of the first above the second.
-
-    The larger of two sets of triangles that may meet is halved until there are few pairs.
-    """
+def _over_each_other(surface: Array, other: Array) -> Iterator[Pairs]:
+    """Pairs of triangles: shadows whose boxes meet, and not all of the first above the second."""
     low, high, lows, highs = (
         corner.T.copy() for one in (surface, other) for corner in (one.min(axis=1), one.max(axis=1))
     )
     high[2], lows[2] = math.inf, -math.inf
-    todo = [(np.arange(len(surface)), np.arange(len(other)))]
-    found, count = [], 0
-    while todo:
-        i, j = todo.pop()
-        i = i[_meet(low[:, i], high[:, i], _least(lows[:, j]), _most(highs[:, j]))]
-        j = j[_meet(lows[:, j], highs[:, j], _least(low[:, i]), _most(high[:, i]))]
-        if len(i) * len(j) > TOGETHER:
-            if len(i) > len(j):
-                todo += [(half, j) for half in _halves(i, low[:2, i] + high[:2, i])]
-            else:
-                todo += [(i, half) for half in _halves(j, lows[:2, j] + highs[:2, j])]
-            continue
-        first, second = i[:, None], j[None]
-        pairs = np.nonzero(_meet(low[:, first], high[:, first], lows[:, second], highs[:, second]))
-        found.append((i[pairs[0]], j[pairs[1]]))
-        count += len(pairs[0])
-        if count > TOGETHER or not todo:
-            yield _joined(found)
-            found, count = [], 0
-
-
-def _joined(parts: list[tuple[Indices, Indices]]) -> tuple[Indices, Indices]:
-    first, second = zip(*parts, strict=True)
-    return np.concatenate(first), np.concatenate(second)
-
-
-def _meet(low: Array, high: Array, lows: Array, highs: Array) -> Flags:
-    """Whether boxes have an inside in common: (3, …) lower and upper corners of either."""
-    meet: Flags = np.asarray(((low < highs) & (lows < high)).all(axis=0))
-    return meet
-
-
-def _least(low: Array) -> Array:
-    least: Array = low.min(axis=1, keepdims=True, initial=math.inf)
-    return least
-
-
-def _most(high: Array) -> Array:
-    most: Array = high.max(axis=1, keepdims=True, initial=-math.inf)
-    return most
-
-
-def _halves(some: Indices, places: Array) -> tuple[Indices, Indices]:
-    """Those on either side of the middle one, along the axis along which places (2, n) differ."""
-    middle = len(some) // 2
-    order = places[np.ptp(places, axis=1).argmax()].argpartition(middle)
-    return some[order[:middle]], some[order[middle:]]
+    return meeting_across((low, high), (lows, highs), rims=False)
 
 
 def _lowered(first: Array, second: Array, areas: Array) -> Array:
@@ -134,18 +83,18 @@ def _lowered(first: Array, second: Array, areas: Array) -> Array:
     rows = np.arange(len(first))
     for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, -1.0)):
         heights = polygons[:, :, :2] @ np.array(side) + (sum(side) < 0.0)
-        polygons, some = cut(polygons, heights)
+        polygons, some = clip_polygons(polygons, heights)
         rows = rows[some]
     over = np.einsum("nki,ni->nk", polygons[:, :, :2], edges[rows, :, 2]) + origin[rows, :, 2]
     polygons[:, :, 2] -= over
-    polygons, some = cut(polygons, -polygons[:, :, 2])
+    polygons, some = clip_polygons(polygons, -polygons[:, :, 2])
     rows = rows[some]
     found = np.zeros(len(first))
     found[rows] = _integrals(polygons) * np.abs(areas[rows])
     return found
 
 
-def cut(polygons: Array, heights: Array) -> tuple[Array, Indices]:
+def clip_polygons(polygons: Array, heights: Array) -> tuple[Array, Indices]:
     """The parts of convex polygons (n, k, d) where heights (n, k), linear over each, are not < 0.
 
     Returns:

@@ -24,7 +24,7 @@ LEVEL = 1e-3
 ALIKE = 3
 
 
-def carries(own: Sequence[Point], others: Iterable[Point]) -> bool:
+def is_carried_by(own: Sequence[Point], others: Iterable[Point]) -> bool:
     """Whether a body carries another one, alone or with others.
 
     It does if one of its pushes is in a set of pushes that together may be within 30 degrees of up,

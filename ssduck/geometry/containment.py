@@ -9,11 +9,12 @@ from typing import TypeAlias
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.common_volume import common_volume
 from ssduck.geometry.placed_solid import PlacedSolid
-from ssduck.geometry.shapes import Array, Geometry
-from ssduck.geometry.solids import FLAT, Solid, hull_of, solid_of
-from ssduck.geometry.surfaces import without_copies
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import FLAT, Solid, hull_solid, solid_of
+from ssduck.geometry.surfaces import unique_points
 
 # What sticks out of a hull by less, metres, is in it; what sticks into it by less is not.
 ROUNDING = 1e-9
@@ -46,17 +47,17 @@ class WorldHull:
         return not len(self.normals)
 
 
-def hull_around(a: Sequence[PlacedSolid]) -> WorldHull | None:
+def world_hull(a: Sequence[PlacedSolid]) -> WorldHull | None:
     """The convex hull of shapes; None if it has no volume.
 
-    Round shapes are polyhedra: see `share_inside`.
+    Round shapes are polyhedra: see `fraction_inside`.
     """
     planes = [one for one in a if one.solid.type == "plane"]
     own = _own_hull(a[0]) if len(a) == 1 else None
     if own is not None:
         return own
     if not planes:
-        solid = hull_of(_points(a))
+        solid = hull_solid(_points(a))
         if solid.offsets is None:
             return None
         return WorldHull(solid.normals, solid.offsets, solid.core[solid.faces])
@@ -66,19 +67,22 @@ def hull_around(a: Sequence[PlacedSolid]) -> WorldHull | None:
         return WorldHull(np.zeros((0, 3)), np.zeros(0), endless)  # they differ in direction
     heights = [float(normal @ one.position) for one in planes]
     bodies = (one for one in a if one.solid.type != "plane")
-    heights += [float(one.reaches(normal[None])[0]) + one.solid.radius for one in bodies]
+    heights += [float(one.support_heights(normal[None])[0]) + one.solid.radius for one in bodies]
     return WorldHull(normal[None], np.array([max(heights)]), endless)
 
 
 def _own_hull(a: PlacedSolid) -> WorldHull | None:
     """That of a polyhedron that is its own, and surely is not flat."""
-    sharp = a.solid.type in ("box", "hull") and a.solid.inner_radius > FLAT * a.solid.reach
+    sharp = (
+        a.solid.type in ("box", "hull")
+        and a.solid.inscribed_radius > FLAT * a.solid.bounding_radius
+    )
     if not sharp or a.offsets is None:
         return None
     return WorldHull(a.normals, a.offsets, a.points[a.solid.faces])
 
 
-def share_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float | None:
+def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float | None:
     """The share of b's volume that is inside a convex hull, 0..1.
 
     Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, balls and
@@ -110,7 +114,7 @@ def share_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float | No
     return min(1.0, max(0.0, inside / whole))
 
 
-def box_around(a: Iterable[tuple[Solid, Box]]) -> Box:
+def hull_bounds(a: Iterable[tuple[Solid, Box]]) -> Box:
     """A box that the hull of shapes is in: by the solids, and the box of each."""
     boxes = np.array([_grown(solid, box) for solid, box in a]).reshape(-1, 6)
     low, high = boxes[:, :3].min(0, initial=math.inf), boxes[:, 3:].max(0, initial=-math.inf)
@@ -118,8 +122,8 @@ def box_around(a: Iterable[tuple[Solid, Box]]) -> Box:
     return corners
 
 
-def most_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
-    """What `share_inside` says at most: no more of a shape is inside than its box has room for.
+def max_fraction_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
+    """What `fraction_inside` says at most: no more of a shape is inside than its box has room for.
 
     Args:
         around: a box that the hull is in.
@@ -135,13 +139,13 @@ def most_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
     return inside / whole
 
 
-def most_in_hull(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float:
+def max_fraction_in_hull(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float:
     """The same: what a face of the hull cuts off from the sphere in a shape is not inside."""
     if hull is None:
         return 0.0
     inside = whole = 0.0
     for one in b:
-        middle, radius = one.world(*one.solid.inner_centre), one.solid.inner_radius
+        middle, radius = one.to_world(*one.solid.inscribed_centre), one.solid.inscribed_radius
         over = float((hull.normals @ middle - hull.offsets).max(initial=-math.inf)) - ROUNDING
         height = min(max(radius + over, 0.0), 2.0 * radius)
         inside += one.solid.volume - math.pi * height**2 * (radius - height / 3.0)
@@ -153,7 +157,7 @@ def _grown(solid: Solid, box: Box) -> Box:
     """The box of what stands in for a solid here: of a polyhedron if it is round."""
     if solid.type == "plane":
         return [-math.inf] * 3 + [math.inf] * 3
-    off = ROUNDING + ROUND * max(solid.radius, solid.disc)
+    off = ROUNDING + ROUND * max(solid.radius, solid.disc_radius)
     a, b, c, d, e, f = box
     return [a - off, b - off, c - off, d + off, e + off, f + off]
 
@@ -174,7 +178,7 @@ def _span(hull: WorldHull, one: PlacedSolid) -> tuple[float, float]:
     A shape whose highest are all below the faces is inside; one whose lowest are above a face is
     not. That is all that counts, so one that a sphere around it shows to be so is not looked at.
     """
-    middle, reach = one.world(*one.solid.centre), one.solid.reach
+    middle, reach = one.to_world(*one.solid.centre), one.solid.bounding_radius
     heights = hull.normals @ middle - hull.offsets
     farthest = float(heights.max(initial=-math.inf))
     if abs(farthest) >= reach:
@@ -186,8 +190,8 @@ def _span(hull: WorldHull, one: PlacedSolid) -> tuple[float, float]:
         some = near[start : start + step]
         normals, offsets = hull.normals[some], hull.offsets[some]
         radius = one.solid.radius
-        top = max(top, float((one.reaches(normals) + radius - offsets).max()))
-        bottom = max(bottom, float((-one.reaches(-normals) - radius - offsets).max()))
+        top = max(top, float((one.support_heights(normals) + radius - offsets).max()))
+        bottom = max(bottom, float((-one.support_heights(-normals) - radius - offsets).max()))
     return bottom, top
 
 
@@ -195,7 +199,7 @@ def _volume_inside(hull: WorldHull, cut: Sequence[PlacedSolid]) -> float:
     """How much of shapes' volumes is within a hull."""
     parts, weights = [], []
     for one in cut:
-        surface = one.solid.filled
+        surface = one.solid.closed_surface
         parts.append((surface.vertices @ one.matrix.T + one.position)[surface.faces])
         # A capsule has the volume of its polyhedron only nearly.
         weights.append(np.full(len(surface.faces), one.solid.volume / surface.volume))
@@ -225,7 +229,7 @@ def _below(hull: WorldHull, points: Array) -> Array:
 
 def footprint(a: Sequence[PlacedSolid]) -> Array:
     """The corners (k, 2) of the convex hull of the shapes' shadows; of half-spaces not."""
-    points = without_copies(_points(a)[:, :2])
+    points = unique_points(_points(a)[:, :2])
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
@@ -237,7 +241,7 @@ def footprint(a: Sequence[PlacedSolid]) -> Array:
     return corners
 
 
-def covers(a: Sequence[PlacedSolid], corners: Array, x: float, y: float) -> bool:
+def is_over_footprint(a: Sequence[PlacedSolid], corners: Array, x: float, y: float) -> bool:
     """Whether a point of the ground is over the footprint, its rim included."""
     for one in a:
         if one.solid.type == "plane":

@@ -22,13 +22,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.shapes import Array, cross
+from ssduck.geometry.poses import cross
 
 # Below this, metres, surfaces touch.
-TOUCH = 1e-9
+CONTACT_TOLERANCE = 1e-9
 # How far the answers for cylinders may be off, metres; of other convex shapes it is rounding.
-ROUND = 1e-7
+CYLINDER_TOLERANCE = 1e-7
 # Corners of a face that is as flush, metres, all lie in it.
 FLUSH = 1e-6
 # The same as a share of the sizes, where a cylinder takes part.
@@ -61,7 +62,7 @@ class SignedDistance:
     """The gap of a and b: `point_a - point_b == gap * normal`.
 
     Attributes:
-        gap: metres; the distance, or minus the depth.
+        distance: metres; that of their nearest points, or minus the depth.
         point_a: on a, in the world frame; where they meet, the point of a that is deepest in b,
             or one as deep. Where a cylinder is deep in something it may be off by up to 0.005 of
             their sizes, for the depth hardly depends on it.
@@ -70,7 +71,7 @@ class SignedDistance:
             meet, as no way leads out.
     """
 
-    gap: float
+    distance: float
     point_a: Point
     point_b: Point
     normal: Point | None
@@ -79,13 +80,13 @@ class SignedDistance:
         """The same of b and a."""
         normal = self.normal
         turned = None if normal is None else (-normal[0], -normal[1], -normal[2])
-        return SignedDistance(self.gap, self.point_b, self.point_a, turned)
+        return SignedDistance(self.distance, self.point_b, self.point_a, turned)
 
 
 Rule: TypeAlias = Callable[[PlacedSolid, PlacedSolid], SignedDistance]
 
 
-def separation(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
+def signed_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
     """The gap of two convex solids, or of a half-space and any solid."""
     kinds = a.solid.type, b.solid.type
     rule = _RULES.get(kinds)
@@ -99,10 +100,10 @@ def separation(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDist
     if kinds[1] == "plane":
         return _plane(a, b)
     gap, p, q, normal = _core_gap(a, b, calls)
-    return rounded(gap, p, q, normal, a, b)
+    return offset_by_radii(gap, p, q, normal, a, b)
 
 
-def rounded(
+def offset_by_radii(
     gap: float, p: Any, q: Any, normal: Any, a: PlacedSolid, b: PlacedSolid
 ) -> SignedDistance:
     """The separation of two shapes from that of their cores."""
@@ -123,10 +124,10 @@ def _ends(a: PlacedSolid) -> tuple[Point, Point]:
     """The ends of the core of a sphere or a capsule."""
     if a.solid.type == "sphere":
         x, y, z = a.solid.core[0].tolist()
-        centre = a.world(x, y, z)
+        centre = a.to_world(x, y, z)
         return centre, centre
-    half = a.solid.half
-    return a.world(0.0, 0.0, -half), a.world(0.0, 0.0, half)
+    half = a.solid.half_length
+    return a.to_world(0.0, 0.0, -half), a.to_world(0.0, 0.0, half)
 
 
 def _segments(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
@@ -138,10 +139,10 @@ def _segments(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     q = (q1[0] + t * d2[0], q1[1] + t * d2[1], q1[2] + t * d2[2])
     way = _minus(p, q)
     length = math.sqrt(_dot(way, way))
-    if length > TOUCH:
+    if length > CONTACT_TOLERANCE:
         normal = (way[0] / length, way[1] / length, way[2] / length)
-        return rounded(length, p, q, normal, a, b)
-    return rounded(0.0, p, p, _across(d1, d2), a, b)
+        return offset_by_radii(length, p, q, normal, a, b)
+    return offset_by_radii(0.0, p, p, _across(d1, d2), a, b)
 
 
 def _nearest_on_segments(d1: Point, d2: Point, r: Point) -> tuple[float, float]:
@@ -180,38 +181,42 @@ def _across(u: Point, v: Point) -> Point:
 
 def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     centre = _ends(a)[0]
-    x, y, z = point = b.local(centre)
+    x, y, z = point = b.to_local(centre)
     halves: Point = tuple(b.solid.core[7].tolist())
     nearest = [min(max(c, -h), h) for c, h in zip(point, halves, strict=True)]
     way = _minus((x, y, z), (nearest[0], nearest[1], nearest[2]))
     length = math.sqrt(_dot(way, way))
-    if length > TOUCH:
-        normal = b.turned(way[0] / length, way[1] / length, way[2] / length)
-        return rounded(length, centre, b.world(*nearest), normal, a, b)
+    if length > CONTACT_TOLERANCE:
+        normal = b.direction_to_world(way[0] / length, way[1] / length, way[2] / length)
+        return offset_by_radii(length, centre, b.to_world(*nearest), normal, a, b)
     axis = min(range(3), key=lambda k: halves[k] - abs(point[k]))
     side = math.copysign(1.0, point[axis])
     nearest[axis] = side * halves[axis]
-    normal = b.turned(*(side if k == axis else 0.0 for k in range(3)))
-    return rounded(abs(point[axis]) - halves[axis], centre, b.world(*nearest), normal, a, b)
+    normal = b.direction_to_world(*(side if k == axis else 0.0 for k in range(3)))
+    return offset_by_radii(
+        abs(point[axis]) - halves[axis], centre, b.to_world(*nearest), normal, a, b
+    )
 
 
 def _sphere_cylinder(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     centre = _ends(a)[0]
-    x, y, z = b.local(centre)
-    off, wide, half = math.hypot(x, y), b.solid.disc, b.solid.half
+    x, y, z = b.to_local(centre)
+    off, wide, half = math.hypot(x, y), b.solid.disc_radius, b.solid.half_length
     ux, uy = (x / off, y / off) if off > 0.0 else (1.0, 0.0)
     side, top = off - wide, abs(z) - half
     up = math.copysign(1.0, z)
-    if max(side, top) > TOUCH:
+    if max(side, top) > CONTACT_TOLERANCE:
         r, h = min(off, wide), min(max(z, -half), half)
         length = math.hypot(max(side, 0.0), max(top, 0.0))
         way = (max(side, 0.0) / length * ux, max(side, 0.0) / length * uy, (z - h) / length)
-        return rounded(length, centre, b.world(r * ux, r * uy, h), b.turned(*way), a, b)
+        return offset_by_radii(
+            length, centre, b.to_world(r * ux, r * uy, h), b.direction_to_world(*way), a, b
+        )
     if side >= top:
         nearest, normal, gap = (wide * ux, wide * uy, z), (ux, uy, 0.0), side
     else:
         nearest, normal, gap = (x, y, up * half), (0.0, 0.0, up), top
-    return rounded(gap, centre, b.world(*nearest), b.turned(*normal), a, b)
+    return offset_by_radii(gap, centre, b.to_world(*nearest), b.direction_to_world(*normal), a, b)
 
 
 def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
@@ -219,26 +224,26 @@ def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     normal = b.normals[0]
     heights = (a.points - b.position) @ normal
     lowest = float(heights.min())
-    deepest = a.points[heights <= lowest + TOUCH].mean(axis=0)
-    if a.solid.disc:
+    deepest = a.points[heights <= lowest + CONTACT_TOLERANCE].mean(axis=0)
+    if a.solid.disc_radius:
         axis = a.matrix[:, 2]
         down = float(normal @ axis) * axis - normal
         length = float(np.linalg.norm(down))
-        lowest -= a.solid.disc * length
-        if length > TOUCH:
-            deepest = deepest + a.solid.disc / length * down
-    return rounded(lowest, deepest, deepest - lowest * normal, normal, a, b)
+        lowest -= a.solid.disc_radius * length
+        if length > CONTACT_TOLERANCE:
+            deepest = deepest + a.solid.disc_radius / length * down
+    return offset_by_radii(lowest, deepest, deepest - lowest * normal, normal, a, b)
 
 
 def _planes(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     """Half-spaces are apart only if they face away from each other."""
     n, m = a.normals[0], b.normals[0]
     p, q = np.array(a.position), np.array(b.position)
-    if float(np.linalg.norm(n + m)) <= TOUCH:
+    if float(np.linalg.norm(n + m)) <= CONTACT_TOLERANCE:
         gap = float((p - q) @ m)
-        return rounded(gap, q + gap * m, q, m, a, b)
+        return offset_by_radii(gap, q + gap * m, q, m, a, b)
     # A point that is in both: on the border of both, or of the deeper one of parallel ones.
-    if float(np.linalg.norm(n - m)) <= TOUCH:
+    if float(np.linalg.norm(n - m)) <= CONTACT_TOLERANCE:
         inside = p if float((p - q) @ n) <= 0.0 else q
     else:
         step = m - float(n @ m) * n
@@ -274,7 +279,7 @@ def _within(share: float) -> float:
 Core: TypeAlias = tuple[float, Array, Array, Array]
 
 
-def nearest_of_surfaces(a: Any, b: Any, calls: CallCounter) -> tuple[float, Array, Array]:
+def surface_distance(a: Any, b: Any, calls: CallCounter) -> tuple[float, Array, Array]:
     """FCL's distance of two surfaces, 0 where they cross, and their nearest points."""
     import fcl
 
@@ -286,36 +291,36 @@ def nearest_of_surfaces(a: Any, b: Any, calls: CallCounter) -> tuple[float, Arra
 
 
 def _core_gap(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
-    distance, p, q = nearest_of_surfaces(a.object, b.object, calls)
-    is_round = bool(a.solid.disc or b.solid.disc)
-    if distance > TOUCH:
+    distance, p, q = surface_distance(a.fcl_object, b.fcl_object, calls)
+    is_round = bool(a.solid.disc_radius or b.solid.disc_radius)
+    if distance > CONTACT_TOLERANCE:
         p, q = _onto(a, q, p), _onto(b, p, q)
-        core = _certified(a, b, p, q, ROUND if is_round else TOUCH)
+        core = _certified(a, b, p, q, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
         if core is not None:
             return core
-    deep = _deepest(a, b, ROUND if is_round else TOUCH)
+    deep = _deepest(a, b, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
     return deep or _nearest(a, b, p, q)
 
 
 def _onto(a: PlacedSolid, towards: Array, point: Array) -> Array:
     """A point of the prism of a cylinder, moved to where the cylinder is nearest to another."""
-    if not a.solid.disc:
+    if not a.solid.disc_radius:
         return point
-    x, y, z = a.local((float(towards[0]), float(towards[1]), float(towards[2])))
-    shrink = min(1.0, a.solid.disc / max(math.hypot(x, y), 1e-300))
-    half = a.solid.half
-    return np.array(a.world(x * shrink, y * shrink, min(max(z, -half), half)))
+    x, y, z = a.to_local((float(towards[0]), float(towards[1]), float(towards[2])))
+    shrink = min(1.0, a.solid.disc_radius / max(math.hypot(x, y), 1e-300))
+    half = a.solid.half_length
+    return np.array(a.to_world(x * shrink, y * shrink, min(max(z, -half), half)))
 
 
 def _certified(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: float) -> Core | None:
     """The gap if the way from q to p separates by it."""
     way = p - q
     length = math.sqrt(float(way @ way))
-    if length <= TOUCH:
+    if length <= CONTACT_TOLERANCE:
         return None
     normal = way / length
-    apart = -float((a.reaches(-normal[None]) + b.reaches(normal[None]))[0])
-    scale = a.solid.reach + b.solid.reach
+    apart = -float((a.support_heights(-normal[None]) + b.support_heights(normal[None]))[0])
+    scale = a.solid.bounding_radius + b.solid.bounding_radius
     if length - apart > max(tolerance, 1e-12 * scale):
         return None
     return length, p, q, normal
@@ -324,9 +329,9 @@ def _certified(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: fl
 def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
     """Minus the depth, the least overlap in any direction; None if a direction separates them."""
     ways = _ways(a, b)
-    overlaps = b.reaches(ways) + a.reaches(-ways)
+    overlaps = b.support_heights(ways) + a.support_heights(-ways)
     least = int(overlaps.argmin())
-    if overlaps[least] < -TOUCH:
+    if overlaps[least] < -CONTACT_TOLERANCE:
         return None
     normal, depth = ways[least], max(0.0, float(overlaps[least]))
     for first, second in ((a, b), (b, a)):
@@ -341,10 +346,12 @@ def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
             return None
         depth, normal = expanded
     flush = FLUSH
-    if a.solid.disc or b.solid.disc:
+    if a.solid.disc_radius or b.solid.disc_radius:
         # The depth is known up to the tolerance, and the direction by as much for their sizes.
-        flush = max(FLUSH, _LEVEL * (a.solid.reach + b.solid.reach))
-    return _witnesses(depth, normal, a.face(-normal, flush), b.face(normal, flush))
+        flush = max(FLUSH, _LEVEL * (a.solid.bounding_radius + b.solid.bounding_radius))
+    return _witnesses(
+        depth, normal, a.extreme_points(-normal, flush), b.extreme_points(normal, flush)
+    )
 
 
 def _ways(a: PlacedSolid, b: PlacedSolid) -> Array:
@@ -366,9 +373,9 @@ def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | Non
     """
     if b.offsets is None:
         return None
-    points = a.supports(-b.normals) if a.solid.disc else a.points
+    points = a.support_points(-b.normals) if a.solid.disc_radius else a.points
     depths = (b.offsets - points @ b.normals.T).min(axis=1)
-    deepest = depths >= depth - TOUCH
+    deepest = depths >= depth - CONTACT_TOLERANCE
     if not deepest.any():
         return None
     middle: Array = points[deepest].mean(axis=0)
@@ -390,14 +397,14 @@ def _expanded(
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    of_a, of_b = a.supports(-ways), b.supports(ways)
+    of_a, of_b = a.support_points(-ways), b.support_points(ways)
     for _ in range(ROUNDS):
         try:
             hull = ConvexHull(of_a - of_b)
         except QhullError:  # a flat difference: they only touch, across it
             across = np.linalg.svd((of_a - of_b) - (of_a - of_b)[0])[2][2:]
             across = np.concatenate((across, -across))
-            overlaps = b.reaches(across) + a.reaches(-across)
+            overlaps = b.support_heights(across) + a.support_heights(-across)
             if overlaps.min() < depth:
                 depth, normal = float(overlaps.min()), across[int(overlaps.argmin())]
             break
@@ -405,12 +412,12 @@ def _expanded(
         thin = np.unique(outward[inside < depth - tolerance], axis=0)
         if not len(thin):
             break
-        more_a, more_b = a.supports(thin), b.supports(-thin)
+        more_a, more_b = a.support_points(thin), b.support_points(-thin)
         overlaps = np.einsum("ij,ij->i", thin, more_a - more_b)
         best = int(overlaps.argmin())
         if overlaps[best] < depth:
             depth, normal = float(overlaps[best]), -thin[best]
-        if depth < -TOUCH:
+        if depth < -CONTACT_TOLERANCE:
             return None
         reached = np.einsum("ij,kj->ik", thin, of_a - of_b).max(axis=1)
         new = overlaps > reached + tolerance / 4
@@ -419,7 +426,7 @@ def _expanded(
         if not new.any() or len(of_a) > MOST_POINTS:
             break
         of_a, of_b = np.concatenate((of_a, more_a[new])), np.concatenate((of_b, more_b[new]))
-    return None if depth < -TOUCH else (max(0.0, depth), normal)
+    return None if depth < -CONTACT_TOLERANCE else (max(0.0, depth), normal)
 
 
 def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
@@ -427,7 +434,9 @@ def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
     from scipy.optimize import nnls
 
     middle = (of_a.mean(axis=0) + of_b.mean(axis=0)) / 2
-    scale = max(float(np.abs(of_a - middle).max()), float(np.abs(of_b - middle).max()), TOUCH)
+    scale = max(
+        float(np.abs(of_a - middle).max()), float(np.abs(of_b - middle).max()), CONTACT_TOLERANCE
+    )
     count = len(of_a)
     system = np.zeros((5, count + len(of_b)))
     system[:3, :count] = ((of_a - middle) / scale).T
@@ -443,8 +452,8 @@ def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
 
 def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
     """The nearest points of cores that are apart: Wolfe's point of least norm (1976)."""
-    of_a, of_b = a.supports((q - p)[None]), b.supports((p - q)[None])
-    if float(np.linalg.norm(p - q)) > TOUCH:
+    of_a, of_b = a.support_points((q - p)[None]), b.support_points((p - q)[None])
+    if float(np.linalg.norm(p - q)) > CONTACT_TOLERANCE:
         of_a, of_b = np.vstack((p, of_a)), np.vstack((q, of_b))
     weights = np.zeros(len(of_a))
     weights[0] = 1.0
@@ -454,13 +463,13 @@ def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
         p, q = weights @ of_a, weights @ of_b
         way = p - q
         length = float(np.linalg.norm(way))
-        if length <= TOUCH:
+        if length <= CONTACT_TOLERANCE:
             break
         normal = way / length
-        new_a, new_b = a.supports(-normal[None]), b.supports(normal[None])
-        if length - float((new_a - new_b)[0] @ normal) <= ROUND / 10:
+        new_a, new_b = a.support_points(-normal[None]), b.support_points(normal[None])
+        if length - float((new_a - new_b)[0] @ normal) <= CYLINDER_TOLERANCE / 10:
             break
-        if length > before - TOUCH / 1e4:
+        if length > before - CONTACT_TOLERANCE / 1e4:
             # Points that are nearly one are worth no more than their mixture.
             of_a, of_b, weights = p[None], q[None], np.ones(1)
         before = length

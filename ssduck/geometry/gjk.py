@@ -28,11 +28,10 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.distance import ROUND, TOUCH
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
 from ssduck.geometry.solids import Solid
 
-Flags: TypeAlias = npt.NDArray[np.bool_]
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 
 BELOW, ABOVE, UNDECIDED = 1, -1, 0
@@ -67,14 +66,16 @@ class ConvexCores:
     """
 
     def __init__(self, solids: Sequence[Solid], of: Indices) -> None:
-        self.half = np.array([_half(solid) for solid in solids]).reshape(-1, 3).T[:, of]
-        self.disc = np.array([solid.disc for solid in solids])[of]
+        self.half_extents = np.array([_half(solid) for solid in solids]).reshape(-1, 3).T[:, of]
+        self.disc_radius = np.array([solid.disc_radius for solid in solids])[of]
         self.radius = np.array([solid.radius for solid in solids])[of]
-        reaches = [solid.reach if np.isfinite(solid.reach) else 0.0 for solid in solids]
-        self.reach = np.array(reaches)[of]
-        self.is_thick = np.array([solid.inner_radius > 0.0 for solid in solids], dtype=bool)[of]
+        reaches = [
+            solid.bounding_radius if np.isfinite(solid.bounding_radius) else 0.0 for solid in solids
+        ]
+        self.bounding_radius = np.array(reaches)[of]
+        self.is_thick = np.array([solid.inscribed_radius > 0.0 for solid in solids], dtype=bool)[of]
         # Of the ball in the core: round solids have some of theirs around it.
-        self.thick = np.array([solid.inner_radius - solid.radius for solid in solids])[of]
+        self.thick = np.array([solid.inscribed_radius - solid.radius for solid in solids])[of]
         hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _is_pointed(solid)}
         sizes = {n: _room(len(points)) for n, points in hulls.items()}
         kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
@@ -98,7 +99,7 @@ def _is_pointed(solid: Solid) -> bool:
 
 
 def _corners(solid: Solid) -> Array:
-    points = solid.rim if solid.type == "mesh" else solid.core
+    points = solid.hull_corners if solid.type == "mesh" else solid.core
     around: Array = points - np.array(solid.centre)
     return around
 
@@ -131,7 +132,7 @@ class PlacedCores:
         centre = inner.take(first, axis=1) - inner.take(second, axis=1)
         return known, centre, cores.thick.take(first) + cores.thick.take(second)
 
-    def supports(self, which: Indices, ways: Array) -> Array:
+    def support_points(self, which: Indices, ways: Array) -> Array:
         """The farthest points of cores, (3, m), from their centres, in the world's frame.
 
         Args:
@@ -143,8 +144,8 @@ class PlacedCores:
         local = turns[0:3] * x
         local += turns[3:6] * y
         local += turns[6:9] * z
-        points = np.copysign(cores.half.take(which, axis=1), local)
-        disc = cores.disc.take(which)
+        points = np.copysign(cores.half_extents.take(which, axis=1), local)
+        disc = cores.disc_radius.take(which)
         if disc.any():
             length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
             points[:2] += local[:2] * (disc / length)
@@ -206,7 +207,7 @@ class _Pairs:
         """The farthest points of the differences in directions (3, n)."""
         count = len(self.first)
         both = np.concatenate((self.first, self.second))
-        points = bodies.supports(both, np.concatenate((ways, -ways), axis=1))
+        points = bodies.support_points(both, np.concatenate((ways, -ways), axis=1))
         found: Array = points[:, :count] - points[:, count:]
         found += self.between
         return found
@@ -220,7 +221,9 @@ def _joined(parts: Sequence[_Pairs]) -> _Pairs:
     return _Pairs(*fields)
 
 
-def compare(bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array) -> Verdicts:
+def classify_gaps(
+    bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array
+) -> Verdicts:
     """Whether the gaps of pairs of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
 
     The gap is as of `ssduck.geometry.distance`: minus the depth where shapes meet. A verdict leaves
@@ -241,14 +244,18 @@ def compare(bodies: PlacedCores, first: Indices, second: Indices, bound: float |
     return verdicts
 
 
-def slack(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
+def tolerances(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
     """How near to the bound the gaps of pairs may be for the exact answer to be needed, metres."""
     cores, centres = bodies.cores, bodies.centres
-    is_round = (cores.disc[first] > 0.0) | (cores.disc[second] > 0.0)
+    is_round = (cores.disc_radius[first] > 0.0) | (cores.disc_radius[second] > 0.0)
     far = np.abs(centres).max(axis=0, initial=0.0)
     farther = np.maximum(far[first], far[second])
-    reach = cores.reach[first] + cores.reach[second]
-    error: Array = np.where(is_round, 2.5 * ROUND, 2.5 * TOUCH) + 4e-12 * reach + 4e-15 * farther
+    reach = cores.bounding_radius[first] + cores.bounding_radius[second]
+    error: Array = (
+        np.where(is_round, 2.5 * CYLINDER_TOLERANCE, 2.5 * CONTACT_TOLERANCE)
+        + 4e-12 * reach
+        + 4e-15 * farther
+    )
     error[np.maximum(farther, reach) > LARGE] = np.inf
     return error
 
@@ -256,7 +263,7 @@ def slack(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
 def _begin(bodies: PlacedCores, first: Indices, second: Indices, bounds: Array) -> _Pairs:
     cores = bodies.cores
     between = bodies.centres[:, first] - bodies.centres[:, second]
-    error = slack(bodies, first, second)
+    error = tolerances(bodies, first, second)
     core_bound = bounds + cores.radius[first] + cores.radius[second]
     count = len(first)
     return _Pairs(

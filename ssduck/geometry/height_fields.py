@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.shapes import Array, Triangles
+from ssduck.geometry.arrays import Array, Triangles
 
 
 def height_field(

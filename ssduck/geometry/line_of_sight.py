@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.ray_casting import ROUNDED, first_met
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array, Flags
+from ssduck.geometry.ray_casting import HIT_TOLERANCE, first_hits
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # Rays times faces that are looked at together.
@@ -40,13 +39,13 @@ def _may_meet(solid: Solid, matrix: Array, off: Array, ways: Array, lengths: Arr
         return np.ones(len(ways), dtype=bool)
     centre = matrix @ np.array(solid.centre) + off
     along = ways @ centre / lengths
-    square, reach = float(centre @ centre), solid.reach + ROUNDED
+    square, reach = float(centre @ centre), solid.bounding_radius + HIT_TOLERANCE
     near: Flags = (square - along**2 <= reach**2) & (along >= -reach) & (along - reach <= lengths)
     return near
 
 
 def _meets(solid: Solid, start: Array, ways: Array, lengths: Array) -> Flags:
     """Whether rays meet a solid before they end; all in its frame."""
-    far = first_met(solid, start, ways) * lengths
-    met: Flags = (far > ROUNDED) & (far < lengths - ROUNDED)
+    far = first_hits(solid, start, ways) * lengths
+    met: Flags = (far > HIT_TOLERANCE) & (far < lengths - HIT_TOLERANCE)
     return met

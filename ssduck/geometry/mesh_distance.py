@@ -22,16 +22,17 @@ from typing import Any
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.distance import (
-    TOUCH,
+    CONTACT_TOLERANCE,
     CallCounter,
     Core,
     SignedDistance,
-    nearest_of_surfaces,
-    rounded,
+    offset_by_radii,
+    surface_distance,
 )
 from ssduck.geometry.placed_solid import PlacedSolid
-from ssduck.geometry.shapes import Array, cross
+from ssduck.geometry.poses import cross
 from ssduck.geometry.surfaces import Surface
 
 MOST_CONTACTS = 100_000
@@ -41,29 +42,29 @@ SOME_CONTACTS = 16
 TELLING = 200
 
 
-def mesh_apart(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance | None:
+def mesh_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance | None:
     """The gap of two solids, one or both a mesh; None if their cores meet."""
     if _pierced(a, b) or _pierced(b, a):
         return None
-    distance, p, q = nearest_of_surfaces(a.fine_object, b.fine_object, calls)
-    if distance <= TOUCH or _encloses(a, b) or _encloses(b, a):
+    distance, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
+    if distance <= CONTACT_TOLERANCE or _encloses(a, b) or _encloses(b, a):
         return None
-    return rounded(distance, p, q, (p - q) / distance, a, b)
+    return offset_by_radii(distance, p, q, (p - q) / distance, a, b)
 
 
-def mesh_depth(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
+def mesh_penetration(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
     """The same for cores that meet."""
     found: list[Core] = [*_corners(a, b, calls), *_crossings(a, b, calls)]
     found += [(gap, p, q, -normal) for gap, q, p, normal in _corners(b, a, calls)]
     if not found:
         found.append(_touching(a, b, calls))
     gap, p, q, normal = min(found, key=lambda core: core[0])
-    if gap >= -TOUCH:
+    if gap >= -CONTACT_TOLERANCE:
         normal = _normal_at(a, b, (p + q) / 2)
-    return rounded(gap, p, q, normal, a, b)
+    return offset_by_radii(gap, p, q, normal, a, b)
 
 
-def surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallCounter) -> bool:
+def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallCounter) -> bool:
     """Whether a mesh and another solid are deeper in each other, by some triangles that cross.
 
     Each bounds the depth from below. If these are not deeper, others may be.
@@ -73,7 +74,7 @@ def surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallCoun
         return False
     i, j = zip(*numbers, strict=True)
     depths, _ = triangle_depths(_world_triangles(a, list(i)), _world_triangles(b, list(j)))
-    return float(depths.max()) > deeper + TOUCH
+    return float(depths.max()) > deeper + CONTACT_TOLERANCE
 
 
 def _pierced(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
@@ -100,14 +101,14 @@ def _encloses(outer: PlacedSolid, inner: PlacedSolid) -> bool:
     """Whether a part of one is inside the other, if their surfaces do not cross."""
     if not _is_full(outer):
         return False
-    points = _local(outer, _world(inner, inner.solid.fine_surface.representatives))
+    points = _local(outer, _world(inner, inner.solid.fine_surface.component_vertices))
     return bool(outer.solid.fine_surface.encloses(points).any())
 
 
 def _is_full(placed: PlacedSolid) -> bool:
     """Whether the core has an inside."""
     solid = placed.solid
-    return solid.closed and solid.volume > 0.0 and not solid.radius
+    return solid.is_closed and solid.volume > 0.0 and not solid.radius
 
 
 def _world(placed: PlacedSolid, points: Array) -> Array:
@@ -160,14 +161,14 @@ def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Co
         number = int(most.argmax())
         if most[number] <= depth:
             break
-        found = nearest_of_surfaces(_at(points[number]), mesh.fine_object, calls)
+        found = surface_distance(_at(points[number]), mesh.fine_fcl_object, calls)
         if found[0] > depth:
             depth, p, q = found
         most[number] = found[0]
         if asked < TELLING:  # where many are as deep, more would tell nothing
             off = points - points[number]
             most = np.minimum(most, found[0] + np.sqrt(np.einsum("ij,ij->i", off, off)))
-    if depth <= TOUCH:
+    if depth <= CONTACT_TOLERANCE:
         return 0.0, p, p, _facing(mesh, p)[0]
     return -depth, p, q, (q - p) / depth
 
@@ -176,7 +177,7 @@ def _at(point: Array) -> Any:
     """A point for FCL."""
     import fcl
 
-    return fcl.CollisionObject(_point().tree, fcl.Transform(point))
+    return fcl.CollisionObject(_point().bvh, fcl.Transform(point))
 
 
 @cache
@@ -196,7 +197,7 @@ def _facing(placed: PlacedSolid, point: Array) -> Array:
     if not len(normals):
         return np.zeros((0, 3))
     off = np.abs(np.einsum("ij,ij->i", normals, local - corners[:, 0]))
-    at: Array = normals[off <= off.min() + 10 * TOUCH]
+    at: Array = normals[off <= off.min() + 10 * CONTACT_TOLERANCE]
     turned: Array = np.einsum("ij,nj->ni", placed.matrix, at)
     return turned
 
@@ -211,7 +212,7 @@ def _crossings(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]
     first, second = _world_triangles(a, numbers[:, 0]), _world_triangles(b, numbers[:, 1])
     depths, normals = triangle_depths(first, second)
     deepest = int(depths.argmax())
-    if depths[deepest] < -TOUCH:  # FCL counts some that lie in one plane side by side
+    if depths[deepest] < -CONTACT_TOLERANCE:  # FCL counts some that lie in one plane side by side
         return []
     depth, normal = max(0.0, float(depths[deepest])), normals[deepest]
     middle = _crossing_point(first[deepest], second[deepest])
@@ -225,7 +226,7 @@ def _touched(a: PlacedSolid, b: PlacedSolid, most: int, calls: CallCounter) -> s
     calls.calls += 1
     result = fcl.CollisionResult()
     request = fcl.CollisionRequest(num_max_contacts=most, enable_contact=True)
-    fcl.collide(a.fine_object, b.fine_object, request, result)
+    fcl.collide(a.fine_fcl_object, b.fine_fcl_object, request, result)
     return {(contact.b1, contact.b2) for contact in result.contacts}
 
 
@@ -242,7 +243,7 @@ def _crossing_point(first: Array, second: Array) -> Array:
             at = start + float((other[0] - start) @ normal) / along * (end - start)
             sides = np.cross(np.roll(other, -1, axis=0) - other, at - other) @ normal
             inside = sides.min() >= -1e-9 * square
-            if inside and float((at - start) @ (at - end)) <= TOUCH * TOUCH:
+            if inside and float((at - start) @ (at - end)) <= CONTACT_TOLERANCE * CONTACT_TOLERANCE:
                 found.append(at)
     if found:
         mean: Array = np.array(found).mean(axis=0)
@@ -298,7 +299,7 @@ def _touching(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
 
     Of the normals of the faces there it is that along which the shapes overlap least.
     """
-    _, p, q = nearest_of_surfaces(a.fine_object, b.fine_object, calls)
+    _, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
     middle = (p + q) / 2
     return 0.0, middle, middle, _normal_at(a, b, middle)
 
@@ -308,6 +309,6 @@ def _normal_at(a: PlacedSolid, b: PlacedSolid, point: Array) -> Array:
     if not len(faces):
         return np.array([0.0, 0.0, 1.0])
     ways = np.concatenate((faces, -faces))
-    overlaps = a.reaches(-ways) + b.reaches(ways)
+    overlaps = a.support_heights(-ways) + b.support_heights(ways)
     best: Array = ways[int(overlaps.argmin())]
     return best

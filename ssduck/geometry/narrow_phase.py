@@ -17,31 +17,31 @@ from threading import RLock
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.batch import (
     PairPredicate,
     PairResult,
     ShapeTable,
-    TickPairs,
-    entities_of,
-    known_with_all,
+    TickShapes,
+    matching_pairs,
+    of_known_entities,
 )
-from ssduck.geometry.broad_phase import Flags
 from ssduck.geometry.contact_support import UPRIGHT
 from ssduck.geometry.containment import (
     Box,
     WorldHull,
-    box_around,
-    covers,
     footprint,
-    hull_around,
-    most_in_box,
-    most_in_hull,
-    share_inside,
+    fraction_inside,
+    hull_bounds,
+    is_over_footprint,
+    max_fraction_in_box,
+    max_fraction_in_hull,
+    world_hull,
 )
-from ssduck.geometry.distance import CallCounter, SignedDistance, separation
-from ssduck.geometry.mesh_distance import mesh_apart, mesh_depth, surely_deeper
+from ssduck.geometry.distance import CallCounter, SignedDistance, signed_distance
+from ssduck.geometry.mesh_distance import is_surely_deeper, mesh_distance, mesh_penetration
 from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.shapes import Array, Indices, rotate, rotation_matrices, unit_quaternions
+from ssduck.geometry.poses import rotate, rotation_matrices, unit_quaternions
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # What is deeper collides.
@@ -118,29 +118,29 @@ class NarrowPhase:
         """Whether two shapes are at most so far apart, m, and the margins of both."""
         return self._holds(i, j, PairPredicate("touching", apart))
 
-    def _holds(self, i: int, j: int, question: PairPredicate) -> bool | None:
+    def _holds(self, i: int, j: int, predicate: PairPredicate) -> bool | None:
         if i == j:
             return False
-        key = (i, j, question) if i < j else (j, i, question)
+        key = (i, j, predicate) if i < j else (j, i, predicate)
         with self._lock:
             if key not in self._decided:
                 self._decided[key] = self._decide(*key)
             return self._decided[key]
 
-    def all_of(self, question: PairPredicate, sorts: ShapeTable) -> PairResult:
+    def all_of(self, predicate: PairPredicate, table: ShapeTable) -> PairResult:
         """The pairs of entities of which something holds.
 
         Args:
-            question: what is to hold.
-            sorts: what the shapes are, and whose.
+            predicate: what is to hold.
+            table: what the shapes are, and whose.
         """
         with self._lock:
-            if question not in self._all:
-                scene = self._scene(sorts)
-                found = entities_of(scene, question, lambda s, t: self.answer(s, t, question))
+            if predicate not in self._all:
+                scene = self._scene(table)
+                found = matching_pairs(scene, predicate, lambda s, t: self.answer(s, t, predicate))
                 self.note(found.compared.tolist())
-                self._all[question] = found
-            return self._all[question]
+                self._all[predicate] = found
+            return self._all[predicate]
 
     def note(self, pairs: Iterable[int]) -> None:
         """Count pairs of entities, by their numbers, as compared.
@@ -152,15 +152,15 @@ class NarrowPhase:
             self._compared.update(pairs)
             self.calls.pairs += len(self._compared) - before
 
-    def _scene(self, sorts: ShapeTable) -> TickPairs:
-        known = known_with_all(sorts, self._finite & sorts.known)
-        return TickPairs(sorts, known, self._boxes.T, self._positions, self._matrices)
+    def _scene(self, table: ShapeTable) -> TickShapes:
+        known = of_known_entities(table, self._finite & table.is_known)
+        return TickShapes(table, known, self._boxes.T, self._positions, self._matrices)
 
-    def answer(self, s: int, t: int, question: PairPredicate) -> bool:
+    def answer(self, s: int, t: int, predicate: PairPredicate) -> bool:
         """Whether something holds of two shapes."""
-        if question.of == "colliding":
-            return self._are_deep(s, t, question.distance)
-        return self._are_within(s, t, question.bound(self._margin(s, t)))
+        if predicate.of == "colliding":
+            return self._are_deep(s, t, predicate.distance)
+        return self._are_within(s, t, predicate.bound(self._margin(s, t)))
 
     def _are_deep(self, s: int, t: int, deeper: float) -> bool:
         """Whether two shapes are deeper in each other."""
@@ -169,16 +169,16 @@ class NarrowPhase:
         # Most meshes that collide are found to without their depth.
         first, second = self._in_order(s, t)
         is_new = self._is_of_mesh(s, t) and (first, second) not in self._apart
-        if is_new and surely_deeper(self._place(first), self._place(second), deeper, self.calls):
+        if is_new and is_surely_deeper(self._place(first), self._place(second), deeper, self.calls):
             return True
-        return self._separation(s, t).gap < -deeper
+        return self._signed_distance(s, t).distance < -deeper
 
     def _are_within(self, s: int, t: int, apart: float) -> bool:
         """Whether two shapes are at most so far apart, m."""
         if self._bound(s, t) > apart + ROUNDING:
             return False
         found = self._gap(s, t)
-        return (0.0 if found is None else max(0.0, found.gap)) <= apart
+        return (0.0 if found is None else max(0.0, found.distance)) <= apart
 
     def _margin(self, s: int, t: int) -> float:
         """The collision margins of two shapes together, m."""
@@ -190,10 +190,10 @@ class NarrowPhase:
 
     def shapes_touching(self, i: int, j: int, apart: float) -> list[int]:
         """Which of an entity's shapes are at most so far from one of another's, m, and margins."""
-        question = PairPredicate("touching", apart)
+        predicate = PairPredicate("touching", apart)
         with self._lock:
             near = self._near(i, j, apart + self._margins_of(i, j))
-            found = {s for s, t in near if self.answer(s, t, question)}
+            found = {s for s, t in near if self.answer(s, t, predicate)}
         return sorted(s - self._starts[i] for s in found)
 
     def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
@@ -226,10 +226,10 @@ class NarrowPhase:
         with self._lock:
             if not (self._are_known[i] and self._are_known[j]):
                 return None
-            found = (self._separation(s, t) for s, t in self._near(i, j, 0.0))
-            return max((0.0, *(-one.gap for one in found)))
+            found = (self._signed_distance(s, t) for s, t in self._near(i, j, 0.0))
+            return max((0.0, *(-one.distance for one in found)))
 
-    def separation(self, i: int, j: int) -> SignedDistance | None:
+    def signed_distance(self, i: int, j: int) -> SignedDistance | None:
         """The deepest two shapes if any meet, else the nearest two; None without shapes."""
         if i == j:
             return None
@@ -242,15 +242,15 @@ class NarrowPhase:
 
     def nearest_points(self, i: int, j: int) -> tuple[Point, Point] | None:
         """A point on i and one on j, in the world: the nearest, or the deepest where they meet."""
-        found = self.separation(i, j)
+        found = self.signed_distance(i, j)
         return None if found is None else (found.point_a, found.point_b)
 
     def pushes(self, a: int, b: int) -> list[Point]:
         """The normals, from a to b, of their shapes that touch, by 1 mm and the margins of both."""
         with self._lock:
             near = self._near(a, b, TOUCHES + self._margins_of(a, b))
-            found = ((self._separation(s, t), TOUCHES + self._margin(s, t)) for s, t in near)
-            normals = [one.normal for one, apart in found if one.gap <= apart]
+            found = ((self._signed_distance(s, t), TOUCHES + self._margin(s, t)) for s, t in near)
+            normals = [one.normal for one, apart in found if one.distance <= apart]
         return [(-x, -y, -z) for x, y, z in filter(None, normals)]
 
     def on(self, a: int, b: int) -> bool | None:
@@ -276,18 +276,18 @@ class NarrowPhase:
             return False
         if a not in self._footprints:
             self._footprints[a] = footprint(self.shapes_of(a))
-        return covers(self.shapes_of(a), self._footprints[a], x, y)
+        return is_over_footprint(self.shapes_of(a), self._footprints[a], x, y)
 
     def inside(self, a: int, b: int) -> float | None:
         """The share of b's volume that is inside the convex hull of a, 0..1.
 
-        None if b has no volume. See `ssduck.geometry.containment.share_inside`.
+        None if b has no volume. See `ssduck.geometry.containment.fraction_inside`.
         """
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             if (a, b) not in self._shares:
-                self._shares[a, b] = share_inside(self._hull(a), self.shapes_of(b))
+                self._shares[a, b] = fraction_inside(self._hull(a), self.shapes_of(b))
             return self._shares[a, b]
 
     def contains(self, a: int, b: int) -> bool | None:
@@ -309,14 +309,14 @@ class NarrowPhase:
     def _is_surely_out(self, a: int, b: int) -> bool:
         """Whether not enough of b, which has a volume, can be inside the hull of a."""
         if a not in self._arounds:
-            self._arounds[a] = box_around(self._boxed(a))
-        if most_in_box(self._arounds[a], self._boxed(b)) < CONTAINED - TOLD:
+            self._arounds[a] = hull_bounds(self._boxed(a))
+        if max_fraction_in_box(self._arounds[a], self._boxed(b)) < CONTAINED - TOLD:
             return True
-        return most_in_hull(self._hull(a), self.shapes_of(b)) < CONTAINED - TOLD
+        return max_fraction_in_hull(self._hull(a), self.shapes_of(b)) < CONTAINED - TOLD
 
     def _hull(self, e: int) -> WorldHull | None:
         if e not in self._hulls:
-            self._hulls[e] = hull_around(self.shapes_of(e))
+            self._hulls[e] = world_hull(self.shapes_of(e))
         return self._hulls[e]
 
     def _boxed(self, e: int) -> list[tuple[Solid, Box]]:
@@ -357,15 +357,15 @@ class NarrowPhase:
 
     # -- of two entities ------------------------------------------------------------------
 
-    def _decide(self, i: int, j: int, question: PairPredicate) -> bool | None:
+    def _decide(self, i: int, j: int, predicate: PairPredicate) -> bool | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
-        near = self._near(i, j, question.bound(self._margins_of(i, j)))
-        if question.of == "colliding" and any(
-            self._overlap(s, t) > question.distance + ROUNDING for s, t in near
+        near = self._near(i, j, predicate.bound(self._margins_of(i, j)))
+        if predicate.of == "colliding" and any(
+            self._overlap(s, t) > predicate.distance + ROUNDING for s, t in near
         ):
             return True
-        return any(self.answer(s, t, question) for s, t in near)
+        return any(self.answer(s, t, predicate) for s, t in near)
 
     def _clear(self, i: int, j: int, upto: float) -> float | None:
         if not (self._are_known[i] and self._are_known[j]):
@@ -380,7 +380,7 @@ class NarrowPhase:
             if bound <= 0.0 and self._overlap(s, t) > COLLIDES:
                 return 0.0
             apart = self._gap(s, t)
-            best = min(best, 0.0 if apart is None else max(0.0, apart.gap))
+            best = min(best, 0.0 if apart is None else max(0.0, apart.distance))
             if best == 0.0:
                 break
         return best if best <= upto else math.inf
@@ -391,10 +391,10 @@ class NarrowPhase:
         best: SignedDistance | None = None
         for bound, s, t in self._pairs(i, j):
             # Those that meet are all compared, for the deepest; the others up to the nearest.
-            if best is not None and bound > max(0.0, best.gap) + ROUNDING:
+            if best is not None and bound > max(0.0, best.distance) + ROUNDING:
                 break
-            found = self._separation(s, t)
-            if best is None or found.gap < best.gap:
+            found = self._signed_distance(s, t)
+            if best is None or found.distance < best.distance:
                 best = found
         return best
 
@@ -432,7 +432,7 @@ class NarrowPhase:
         x, y, z = self._place(plane).normals[0].tolist()
         (a, b, c), (d, e, f) = self._centres[other], self._place(plane).position
         height: float = x * (a - d) + y * (b - e) + z * (c - f)
-        return max(0.0, height - self._solids[other].reach)
+        return max(0.0, height - self._solids[other].bounding_radius)
 
     def _overlap(self, s: int, t: int) -> float:
         """How deep spheres in the shapes are in each other: they are at least as deep, m.
@@ -440,7 +440,7 @@ class NarrowPhase:
         A shape without an inside has no such sphere, and one around nothing, a ring, none that
         is known: then it is minus infinity.
         """
-        own, other = self._solids[s].inner_radius, self._solids[t].inner_radius
+        own, other = self._solids[s].inscribed_radius, self._solids[t].inscribed_radius
         if not (own > 0.0 and other > 0.0):
             return -math.inf
         return own + other - math.dist(self._inner[s], self._inner[t])
@@ -452,18 +452,18 @@ class NarrowPhase:
         first, second = key = self._in_order(s, t)
         if key not in self._apart:
             a, b = self._place(first), self._place(second)
-            compare = mesh_apart if self._is_of_mesh(s, t) else separation
+            compare = mesh_distance if self._is_of_mesh(s, t) else signed_distance
             self._apart[key] = compare(a, b, self.calls)
         found = self._apart[key]
         return found if found is None or first == s else found.swapped()
 
-    def _separation(self, s: int, t: int) -> SignedDistance:
+    def _signed_distance(self, s: int, t: int) -> SignedDistance:
         found = self._gap(s, t)
         if found is not None:
             return found
         first, second = key = self._in_order(s, t)
         if key not in self._deep:
-            self._deep[key] = mesh_depth(self._place(first), self._place(second), self.calls)
+            self._deep[key] = mesh_penetration(self._place(first), self._place(second), self.calls)
         return self._deep[key] if first == s else self._deep[key].swapped()
 
     def _in_order(self, s: int, t: int) -> tuple[int, int]:
@@ -539,7 +539,7 @@ class NarrowPhase:
 
     @cached_property
     def _reaches(self) -> list[float]:
-        return [solid.reach for solid in self._solids]
+        return [solid.bounding_radius for solid in self._solids]
 
     # What all shapes need of their poses is worked out at once, and not before it is asked for.
 
@@ -555,7 +555,7 @@ class NarrowPhase:
 
     @cached_property
     def _known(self) -> list[bool]:
-        known = np.array([solid.known for solid in self._solids], dtype=bool)
+        known = np.array([solid.is_known for solid in self._solids], dtype=bool)
         found: list[bool] = (self._finite & known).tolist()
         return found
 
@@ -570,7 +570,7 @@ class NarrowPhase:
 
     @cached_property
     def _inner(self) -> list[list[float]]:
-        return self._moved([solid.inner_centre for solid in self._solids])
+        return self._moved([solid.inscribed_centre for solid in self._solids])
 
     def _moved(self, points: list[Point]) -> list[list[float]]:
         """A point of each shape in the world."""

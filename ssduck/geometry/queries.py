@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
-from ssduck.geometry.broad_phase import meeting
+from ssduck.geometry.broad_phase import overlapping_pairs
 from ssduck.geometry.narrow_phase import COLLIDES, NarrowPhase
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.geometry.surroundings import NeighbourSearch, Turn
 from ssduck.schema import MOST_IDS
 
 # After more pairs, or one for every four entities, all pairs of the tick are compared at once.
@@ -55,7 +55,7 @@ class ShapeQueries:
     Args:
         narrow: the shapes.
         numbers: which entity of `narrow` an id is.
-        sorts: what the shapes are, and whose.
+        table: what the shapes are, and whose.
         boxes: (6, n), of the entities in the order of `ids`: the lower corners, then the upper.
         ids: (n,)
     """
@@ -64,14 +64,14 @@ class ShapeQueries:
         self,
         narrow: NarrowPhase,
         numbers: Mapping[int, int],
-        sorts: ShapeTable,
+        table: ShapeTable,
         boxes: Array,
         ids: Ids,
     ) -> None:
         self._narrow = narrow
-        self._around = NeighbourSearch(narrow, self._reached)
+        self._around = NeighbourRelations(narrow, self._reached)
         self._numbers = numbers
-        self._sorts = sorts
+        self._sorts = table
         self._boxes = boxes
         self._ids = ids
         self._overlapping: dict[float, list[int]] = {}
@@ -97,26 +97,26 @@ class ShapeQueries:
         """The pairs with shapes that are at most so far apart, m, and the margins of both."""
         return self._pairs(PairPredicate("touching", apart))
 
-    def _pairs(self, question: PairPredicate) -> list[int]:
+    def _pairs(self, predicate: PairPredicate) -> list[int]:
         """The pairs of which something holds."""
-        if question not in self._all:
-            found = self._narrow.all_of(question, self._sorts)
+        if predicate not in self._all:
+            found = self._narrow.all_of(predicate, self._sorts)
             ids = np.array(list(self._numbers), dtype=np.int64)
             first, second = found.sides
-            self._all[question] = _both_ways(ids[first], ids[second])
-        return self._all[question]
+            self._all[predicate] = _both_ways(ids[first], ids[second])
+        return self._all[predicate]
 
     def all_meeting(self, apart: float) -> list[int]:
         """The pairs whose boxes are no farther apart along any axis, m."""
         if apart not in self._overlapping:
-            first, second = meeting(self._boxes, apart + ROUNDED)
+            first, second = overlapping_pairs(self._boxes, apart + ROUNDED)
             self._overlapping[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._overlapping[apart]
 
     def all_reaching(self, apart: float) -> list[int]:
         """The same of boxes that are grown by the largest margin of their shapes."""
         if apart not in self._reaching:
-            first, second = meeting(self._grown, apart + ROUNDED)
+            first, second = overlapping_pairs(self._grown, apart + ROUNDED)
             self._reaching[apart] = _both_ways(self._ids[first], self._ids[second])
         return self._reaching[apart]
 
@@ -136,7 +136,7 @@ class ShapeQueries:
     def _reached(self, apart: float) -> list[tuple[int, int]]:
         """The pairs of entities, by number, whose grown boxes are no farther apart, m."""
         numbers = np.array([self._numbers[id] for id in self._ids.tolist()], dtype=np.int64)
-        first, second = meeting(self._grown, apart)
+        first, second = overlapping_pairs(self._grown, apart)
         return list(zip(numbers[first].tolist(), numbers[second].tolist(), strict=True))
 
     def _pair(self, a: int, b: int) -> tuple[int, int]:
@@ -145,20 +145,20 @@ class ShapeQueries:
         self._narrow.note((pair_number(i, j),))
         return i, j
 
-    def _together(self, question: PairPredicate) -> frozenset[int] | None:
+    def _together(self, predicate: PairPredicate) -> frozenset[int] | None:
         """The pairs of which something holds, found at once; None while few were asked about.
 
         What is far, as bodies go, is near too many.
         """
-        if question not in self._found:
-            self._asked[question] += 1
+        if predicate not in self._found:
+            self._asked[predicate] += 1
             few = max(FEW, len(self._numbers) // 4)
-            is_far = question.of != "colliding" and not question.distance <= self._usual
-            if self._asked[question] <= few or is_far:
+            is_far = predicate.of != "colliding" and not predicate.distance <= self._usual
+            if self._asked[predicate] <= few or is_far:
                 return None
-            found = self._narrow.all_of(question, self._sorts)
-            self._found[question] = frozenset(found.numbers.tolist())
-        return self._found[question]
+            found = self._narrow.all_of(predicate, self._sorts)
+            self._found[predicate] = frozenset(found.numbers.tolist())
+        return self._found[predicate]
 
     @cached_property
     def _usual(self) -> float:
@@ -284,7 +284,7 @@ def depth(deeper: float) -> float:
     return deeper
 
 
-def _turn(numbers: tuple[float, ...]) -> Turn:
+def _turn(numbers: tuple[float, ...]) -> Orientation:
     w, x, y, z = numbers
     return w, x, y, z
 
@@ -294,31 +294,3 @@ def _both_ways(a: Ids, b: Ids) -> list[int]:
     numbers = np.concatenate((a * MOST_IDS + b, b * MOST_IDS + a))
     found: list[int] = np.sort(numbers).tolist()
     return found
-
-
-Answer: TypeAlias = Callable[..., Any]
-ANSWERS: dict[str, Answer] = {
-    f"narrow {answer.__name__}": answer
-    for answer in (
-        ShapeQueries.all_colliding,
-        ShapeQueries.all_within,
-        ShapeQueries.all_touching,
-        ShapeQueries.all_meeting,
-        ShapeQueries.all_reaching,
-        ShapeQueries.all_resting,
-        ShapeQueries.collides,
-        ShapeQueries.penetration,
-        ShapeQueries.clearance,
-        ShapeQueries.near,
-        ShapeQueries.touching,
-        ShapeQueries.points,
-        ShapeQueries.on,
-        ShapeQueries.supports,
-        ShapeQueries.rests_on,
-        ShapeQueries.encloses,
-        ShapeQueries.beside,
-        ShapeQueries.inside,
-        ShapeQueries.contains,
-        ShapeQueries.volume,
-    )
-}

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
 
 # What is as near to a boundary is on it, m.
-ROUNDED = 1e-9
+CELL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ cut at the two heights; of a sphere there is a formula; of a cylinder the ends a
 points where so many of its bounds meet; a capsule is a cylinder and two spheres. A surface is its
 triangles one by one. A closed mesh is its surface, and the cells between that it winds around.
 
-A solid occupies a cell that it reaches into by more than `ROUNDED`: one that it only touches is
-free. What has no inside (an open mesh, a flat hull) occupies each cell that it touches.
+A solid occupies a cell if it reaches into it by more than `CELL_TOLERANCE`. One that only touches
+a cell leaves it free. A shape without an inside (an open mesh, a flat hull) occupies every cell
+that it touches.
 """
 
 from __future__ import annotations
@@ -20,11 +21,10 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.common_volume import cut
-from ssduck.geometry.raster import ROUNDED, Raster, StripIntervals
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.common_volume import clip_polygons
+from ssduck.geometry.raster import CELL_TOLERANCE, Raster, StripIntervals
 from ssduck.geometry.rasterize_round import RoundShape, round_parts
-from ssduck.geometry.shapes import Array, Indices
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # Pairs of an edge and a strip that are looked at together.
@@ -50,7 +50,7 @@ class Rasterizer:
             if solid.type == "plane":
                 normal = matrix @ solid.normals[0]
                 self._planes.append((normal, float(normal @ position)))
-            elif solid.radius or solid.disc:
+            elif solid.radius or solid.disc_radius:
                 self._round += round_parts(solid, position, matrix)
             elif len(solid.core):
                 surface = solid.surface
@@ -60,7 +60,7 @@ class Rasterizer:
                 count = int(groups[-1][-1]) + 1
                 triangles.append(corners)
                 thin.append(np.full(len(corners), solid.volume == 0.0))
-                if solid.type == "mesh" and solid.closed:
+                if solid.type == "mesh" and solid.is_closed:
                     self._meshes.append(corners)
         self._triangles = np.concatenate(triangles)
         self._groups = np.concatenate(groups)
@@ -69,7 +69,7 @@ class Rasterizer:
         self._low, self._high = heights.min(axis=1), heights.max(axis=1)
 
     def cells(
-        self, raster: Raster, low: float, high: float, *, reach: float = -ROUNDED
+        self, raster: Raster, low: float, high: float, *, reach: float = -CELL_TOLERANCE
     ) -> npt.NDArray[np.bool_]:
         """The cells that the shapes occupy anywhere between two heights.
 
@@ -101,16 +101,20 @@ class Rasterizer:
             if found is not None:
                 yield found
         for thin in (False, True):
-            within = -ROUNDED if thin else reach
+            within = -CELL_TOLERANCE if thin else reach
             bottom, top = low + within, high - within
             some = np.flatnonzero(
                 (self._low <= top) & (self._high >= bottom) & (self._thin == thin)
             )
             if len(some) and bottom <= top:
-                polygons, rows = cut(self._triangles[some], self._triangles[some][:, :, 2] - bottom)
-                polygons, left = cut(polygons, top - polygons[:, :, 2])
+                polygons, rows = clip_polygons(
+                    self._triangles[some], self._triangles[some][:, :, 2] - bottom
+                )
+                polygons, left = clip_polygons(polygons, top - polygons[:, :, 2])
                 groups = self._groups[some[rows[left]]]
-                yield from _of_polygons(raster, polygons, groups, -ROUNDED if thin else ROUNDED)
+                yield from _of_polygons(
+                    raster, polygons, groups, -CELL_TOLERANCE if thin else CELL_TOLERANCE
+                )
 
 
 def _is_full_hull(solid: Solid) -> bool:
@@ -236,6 +240,6 @@ def _add_half_space(
     least = min(normal[2] * height for height in heights)
     sums = [np.zeros(0), np.zeros(0)]
     for axis in (0, 1):
-        near = raster.origin[axis] + np.arange(raster.shape[axis]) * raster.size + ROUNDED
+        near = raster.origin[axis] + np.arange(raster.shape[axis]) * raster.size + CELL_TOLERANCE
         sums[axis] = np.minimum(normal[axis] * near, normal[axis] * (near + raster.size - 2e-9))
     occupied |= sums[0][:, None] + sums[1] + least <= offset

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.geometry.raster import ROUNDED, Raster, StripIntervals
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.raster import CELL_TOLERANCE, Raster, StripIntervals
 from ssduck.geometry.solids import Solid
 
 # How far a point that is worked out may be outside of what bounds it, m.
@@ -40,7 +40,7 @@ class RoundShape:
         start, end = self.position - reach, self.position + reach
         if start[2] > high or end[2] < low or low > high:
             return None
-        within = -ROUNDED if self.half == 0.0 else ROUNDED
+        within = -CELL_TOLERANCE if self.half == 0.0 else CELL_TOLERANCE
         first, last = raster.reached(start[:1], end[:1], within, 0)
         strips = np.arange(first[0], last[0] + 1)
         left = raster.origin[0] + strips * raster.size + within
@@ -133,10 +133,10 @@ def _corners(pairs: tuple[tuple[Array, list[Array]], ...]) -> Array:
 def round_parts(solid: Solid, position: Array, matrix: Array) -> list[RoundShape]:
     """The spheres and cylinders that a sphere, a cylinder or a capsule is made of."""
     if solid.type == "cylinder":
-        return [RoundShape(solid.disc, solid.half, position, matrix)]
+        return [RoundShape(solid.disc_radius, solid.half_length, position, matrix)]
     parts = [
         RoundShape(solid.radius, -1.0, matrix @ point + position, matrix) for point in solid.core
     ]
     if solid.type == "capsule":
-        parts.append(RoundShape(solid.radius, solid.half, position, matrix))
+        parts.append(RoundShape(solid.radius, solid.half_length, position, matrix))
     return parts

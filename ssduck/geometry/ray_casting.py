@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, cross
+from ssduck.geometry.arrays import Array, Flags
+from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import Solid
 
 # As near as this a surface begins at a point, m.
-ROUNDED = 1e-9
+HIT_TOLERANCE = 1e-9
 # A triangle is met that is as near, as a share of its sides: no ray slips between two of them.
 EDGE = 1e-9
 
@@ -35,13 +35,13 @@ class RayChords(NamedTuple):
     leave: Array
 
 
-def is_of_triangles(solid: Solid) -> bool:
+def is_triangle_surface(solid: Solid) -> bool:
     """Whether rays meet the triangles of a solid from either side, rather than all of it."""
     is_round = solid.type in ("sphere", "capsule", "cylinder")
     return solid.is_shell or (solid.offsets is None and not is_round)
 
 
-def first_met(solid: Solid, start: Array, ways: Array) -> Array:
+def first_hits(solid: Solid, start: Array, ways: Array) -> Array:
     """The share of each ray at which it first meets a solid, inf for none, (n,).
 
     A convex solid that holds `start` is not met; the triangles of a mesh are, from either side.
@@ -51,16 +51,16 @@ def first_met(solid: Solid, start: Array, ways: Array) -> Array:
         start: (3,), where the rays begin.
         ways: (n, 3).
     """
-    if is_of_triangles(solid):
+    if is_triangle_surface(solid):
         shares = crossings(solid, start, ways)
         nearest: Array = np.where(shares > 0.0, shares, np.inf).min(axis=1, initial=np.inf)
         return nearest
-    chords = chords_of(solid, start, ways)
+    chords = ray_chords(solid, start, ways)
     met: Array = np.where(chords.held | (chords.enter < 0.0), np.inf, chords.enter)
     return met
 
 
-def chords_of(solid: Solid, starts: Array, ways: Array) -> RayChords:
+def ray_chords(solid: Solid, starts: Array, ways: Array) -> RayChords:
     """The parts of rays that are in a convex solid.
 
     Args:
@@ -81,10 +81,10 @@ def _parts(solid: Solid, starts: Array, ways: Array) -> list[RayChords]:
         case "sphere" | "capsule":
             found = [_quadratic(ways, starts - point, solid.radius) for point in solid.core]
             if solid.type == "capsule":
-                found.append(_cylinder(solid.radius, solid.half, starts, ways))
+                found.append(_cylinder(solid.radius, solid.half_length, starts, ways))
             return found
         case "cylinder":
-            return [_cylinder(solid.disc, solid.half, starts, ways)]
+            return [_cylinder(solid.disc_radius, solid.half_length, starts, ways)]
     assert solid.offsets is not None
     return [_half_spaces(solid.normals, solid.offsets, starts, ways)]
 
@@ -96,7 +96,7 @@ def _half_spaces(normals: Array, offsets: Array, starts: Array, ways: Array) -> 
     enter = np.where(rate < 0.0, share, -np.inf)
     enter[(rate == 0.0) & (room < 0.0)] = np.inf  # along a face, outside of it
     leave = np.where(rate > 0.0, share, np.inf)
-    held = np.asarray((room >= -ROUNDED).all(axis=-1))
+    held = np.asarray((room >= -HIT_TOLERANCE).all(axis=-1))
     return RayChords(held, enter.max(axis=1), leave.min(axis=1))
 
 
@@ -123,7 +123,7 @@ def _quadratic(ways: Array, off: Array, radius: float) -> RayChords:
     enter = np.where(still, np.where(within, -np.inf, np.inf), enter)
     leave = np.where(still, np.where(within, np.inf, -np.inf), leave)
     enter[room < 0.0] = np.inf
-    return RayChords(np.asarray(c <= 2.0 * radius * ROUNDED), enter, leave)
+    return RayChords(np.asarray(c <= 2.0 * radius * HIT_TOLERANCE), enter, leave)
 
 
 def crossings(solid: Solid, starts: Array, ways: Array) -> Array:

@@ -17,9 +17,10 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Geometry, Indices, Triangles, cross
-from ssduck.geometry.surfaces import Surface, enclosed_volume, without_copies
+from ssduck.geometry.arrays import Array, Flags, Indices, Triangles
+from ssduck.geometry.poses import cross
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.surfaces import Surface, enclosed_volume, unique_points
 
 SolidType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
 
@@ -43,36 +44,36 @@ class Solid:
             single corner a sphere of radius 0.
         core: (n, 3) the points whose convex hull, or surface, the core is.
         radius: of the ball that is swept along the core.
-        disc: radius of the disc that is swept along a cylinder's core, else 0.
+        disc_radius: radius of the disc that is swept along a cylinder's core, else 0.
         normals: (m, 3) outward unit normals of the faces of a box, a hull, a cylinder's caps.
         offsets: (m,) of the faces: x is inside if `normals @ x <= offsets`. None of hulls
             without an inside, and of what has round sides.
         faces: (k, 3) triangles of core points, for boxes, hulls and meshes.
-        known: whether the numbers make a shape; relations with others are unknown.
+        is_known: whether the numbers make a shape; relations with others are unknown.
         is_shell: whether a hull was given as a closed mesh, so that rays meet it from within.
         volume: m³; 0 of open meshes and flat hulls, infinite of planes.
         centre, reach: of a sphere around the shape.
         inner_centre, inner_radius: of a sphere in it; radius 0 where none is known.
-        rim: (k, 3) of a mesh, the core points that are corners of its convex hull.
+        hull_corners: (k, 3) of a mesh, the core points that are corners of its convex hull.
         key: equal for solids of equal geometries.
     """
 
     type: SolidType
     core: Array
     radius: float = 0.0
-    disc: float = 0.0
+    disc_radius: float = 0.0
     normals: Array = field(default_factory=lambda: np.zeros((0, 3)))
     offsets: Array | None = None
     faces: Triangles = field(default_factory=lambda: np.zeros((0, 3), np.int32))
-    known: bool = True
+    is_known: bool = True
     is_shell: bool = False
-    closed: bool = True
+    is_closed: bool = True
     volume: float = 0.0
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    reach: float = 0.0
-    inner_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    inner_radius: float = 0.0
-    rim: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    bounding_radius: float = 0.0
+    inscribed_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inscribed_radius: float = 0.0
+    hull_corners: Array = field(default_factory=lambda: np.zeros((0, 3)))
     key: str = ""
 
     @property
@@ -83,10 +84,10 @@ class Solid:
     @property
     def is_empty(self) -> bool:
         """A hull or mesh without points."""
-        return self.known and self.type != "plane" and not len(self.core)
+        return self.is_known and self.type != "plane" and not len(self.core)
 
     @cached_property
-    def half(self) -> float:
+    def half_length(self) -> float:
         """Half the length of a cylinder's or a capsule's core."""
         return float(self.core[1, 2])
 
@@ -94,7 +95,7 @@ class Solid:
     def surface(self) -> Surface:
         """The triangles of the core; of a cylinder those of an inscribed prism."""
         if self.type == "cylinder":
-            return prism(self.disc, self.half, PRISM_SIDES)
+            return prism(self.disc_radius, self.half_length, PRISM_SIDES)
         if self.type in ("sphere", "capsule"):
             return Surface(self.core, np.array([[0, 0, len(self.core) - 1]], np.int32))
         return Surface(self.core, self.faces)
@@ -103,7 +104,7 @@ class Solid:
     def fine_surface(self) -> Surface:
         """The same, but that a cylinder's prism has more sides."""
         if self.type == "cylinder":
-            return prism(self.disc, self.half, FINE_SIDES)
+            return prism(self.disc_radius, self.half_length, FINE_SIDES)
         return self.surface
 
     @cached_property
@@ -111,7 +112,9 @@ class Solid:
         """The same, but that a cylinder's prism has its volume, and sticks out of it."""
         if self.type == "cylinder":
             turn = 2.0 * math.pi / FINE_SIDES
-            return prism(self.disc * math.sqrt(turn / math.sin(turn)), self.half, FINE_SIDES)
+            return prism(
+                self.disc_radius * math.sqrt(turn / math.sin(turn)), self.half_length, FINE_SIDES
+            )
         return self.surface
 
     @cached_property
@@ -131,11 +134,11 @@ class Solid:
         return found
 
     @cached_property
-    def filled(self) -> Surface:
+    def closed_surface(self) -> Surface:
         """A closed surface around it: of what is round, that of a hull."""
         if self.radius:
-            size = self.reach or 1.0  # qhull takes what is very large or small for flat
-            hull = hull_of(self.points / size)
+            size = self.bounding_radius or 1.0  # qhull takes what is very large or small for flat
+            hull = hull_solid(self.points / size)
             return Surface(hull.core * size, hull.faces)
         return self._as_large
 
@@ -203,7 +206,7 @@ _LOCK = RLock()
 
 def _build(geometry: Geometry) -> Solid:
     if not _is_sound(geometry):
-        return Solid(geometry.type, np.zeros((0, 3)), known=False)
+        return Solid(geometry.type, np.zeros((0, 3)), is_known=False)
     a, b, c = geometry.size
     match geometry.type:
         case "sphere":
@@ -222,10 +225,10 @@ def _build(geometry: Geometry) -> Solid:
                 normals=normal[None],
                 offsets=np.zeros(1),
                 volume=math.inf,
-                reach=math.inf,
+                bounding_radius=math.inf,
             )
         case "hull":
-            return hull_of(geometry.vertices)
+            return hull_solid(geometry.vertices)
         case "mesh":
             return _mesh(geometry)
 
@@ -248,8 +251,8 @@ def _round(type: SolidType, core: Array, radius: float) -> Solid:
         core,
         radius=radius,
         volume=math.pi * radius**2 * (4.0 / 3.0 * radius + length),
-        reach=radius + length / 2,
-        inner_radius=radius,
+        bounding_radius=radius + length / 2,
+        inscribed_radius=radius,
     )
 
 
@@ -258,11 +261,11 @@ def _cylinder(radius: float, length: float) -> Solid:
     return Solid(
         "cylinder",
         axis * length / 2,
-        disc=radius,
+        disc_radius=radius,
         normals=axis,
         volume=math.pi * radius**2 * length,
-        reach=math.hypot(radius, length / 2),
-        inner_radius=min(radius, length / 2),
+        bounding_radius=math.hypot(radius, length / 2),
+        inscribed_radius=min(radius, length / 2),
     )
 
 
@@ -278,14 +281,14 @@ def _box(a: float, b: float, c: float) -> Solid:
         offsets=np.concatenate((halves, halves)),
         faces=np.array(faces, np.int32),
         volume=a * b * c,
-        reach=math.hypot(a, b, c) / 2,
-        inner_radius=min(a, b, c) / 2,
+        bounding_radius=math.hypot(a, b, c) / 2,
+        inscribed_radius=min(a, b, c) / 2,
     )
 
 
-def hull_of(points: Array) -> Solid:
+def hull_solid(points: Array) -> Solid:
     """The convex hull of points (n, 3); they may be flat, straight, or one."""
-    points = without_copies(points)
+    points = unique_points(points)
     if len(points) == 0:
         return Solid("hull", points)
     middle = points.mean(axis=0)
@@ -322,9 +325,9 @@ def hull_of(points: Array) -> Solid:
         faces=faces,
         volume=float(found.volume),
         centre=_point(centre),
-        reach=float(np.linalg.norm(corners - centre, axis=1).max()),
-        inner_centre=_point(inside),
-        inner_radius=max(0.0, float((offsets - normals @ inside).min())),
+        bounding_radius=float(np.linalg.norm(corners - centre, axis=1).max()),
+        inscribed_centre=_point(inside),
+        inscribed_radius=max(0.0, float((offsets - normals @ inside).min())),
     )
 
 
@@ -341,37 +344,44 @@ def _flat_hull(points: Array, middle: Array, axes: Array, rank: int) -> Solid:
         from scipy.spatial import ConvexHull, QhullError
 
         try:
-            rim = ConvexHull((points - middle) @ axes[:2].T).vertices
+            hull_corners = ConvexHull((points - middle) @ axes[:2].T).vertices
         except QhullError:
             return _flat_hull(points, middle, axes, 1)
-        corners = points[rim]
-        faces = np.array([[0, n, n + 1] for n in range(1, len(rim) - 1)], np.int32)
+        corners = points[hull_corners]
+        faces = np.array([[0, n, n + 1] for n in range(1, len(hull_corners) - 1)], np.int32)
         edges = np.roll(corners, -1, axis=0) - corners
         up = np.cross(axes[0], axes[1])
         sides = cross(edges, np.repeat(up[None], len(edges), axis=0))
         normals = np.concatenate(([up, -up], _unit(sides)))
-    reach = float(np.linalg.norm(corners - middle, axis=1).max())
-    return Solid("hull", corners, normals=normals, faces=faces, centre=_point(middle), reach=reach)
+    bounding_radius = float(np.linalg.norm(corners - middle, axis=1).max())
+    return Solid(
+        "hull",
+        corners,
+        normals=normals,
+        faces=faces,
+        centre=_point(middle),
+        bounding_radius=bounding_radius,
+    )
 
 
 def _mesh(geometry: Geometry) -> Solid:
     surface = Surface(*_merged(geometry.vertices, geometry.faces)).oriented()
     if not len(surface.faces):
-        return Solid("mesh", np.zeros((0, 3)), closed=False)
+        return Solid("mesh", np.zeros((0, 3)), is_closed=False)
     vertices = surface.vertices
-    hull = hull_of(vertices)
-    volume = enclosed_volume(surface.triangles) if surface.closed else 0.0
-    if surface.closed and volume > 0 and abs(volume - hull.volume) <= 1e-9 * hull.volume:
+    hull = hull_solid(vertices)
+    volume = enclosed_volume(surface.triangles) if surface.is_closed else 0.0
+    if surface.is_closed and volume > 0 and abs(volume - hull.volume) <= 1e-9 * hull.volume:
         return replace(hull, is_shell=True)
     return Solid(
         "mesh",
         vertices,
         faces=surface.faces,
-        closed=surface.closed and volume > 0,
+        is_closed=surface.is_closed and volume > 0,
         volume=volume,
         centre=hull.centre,
-        reach=hull.reach,
-        rim=hull.core,
+        bounding_radius=hull.bounding_radius,
+        hull_corners=hull.core,
     )
 
 
@@ -385,11 +395,11 @@ def _merged(vertices: Array, faces: Triangles) -> tuple[Array, Triangles]:
     return used, merged[(a != b) & (b != c) & (c != a)]
 
 
-def prism(radius: float, half: float, sides: int) -> Surface:
+def prism(radius: float, half_length: float, sides: int) -> Surface:
     """A regular prism along z, with corners at that radius."""
     angles = np.arange(sides) * (2.0 * math.pi / sides)
     ring = np.stack((np.cos(angles), np.sin(angles)), axis=1) * radius
-    heights = np.repeat([-half, half], sides)
+    heights = np.repeat([-half_length, half_length], sides)
     vertices = np.column_stack((np.tile(ring, (2, 1)), heights))
     at, after = np.arange(sides), np.roll(np.arange(sides), -1)
     walls = np.concatenate(

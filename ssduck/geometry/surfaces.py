@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter as Multiset
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices, Triangles, cross
+from ssduck.geometry.arrays import Array, Indices, Triangles
+from ssduck.geometry.broad_phase import meeting_across
+from ssduck.geometry.poses import cross
 
-# Points times boxes of triangles that are looked at together.
-TOGETHER = 20_000
 # How far rays lean, along x and y per z.
 LEAN = np.array([0.2719, 0.1373])
 
@@ -32,18 +31,18 @@ class Surface:
         return self.vertices[self.faces]
 
     @cached_property
-    def tree(self) -> Any:
+    def bvh(self) -> Any:
         """FCL's bounding volume hierarchy. A triangle may be a segment or a point."""
         import fcl
 
-        tree = fcl.BVHModel()
-        tree.beginModel(len(self.vertices), len(self.faces))
-        tree.addSubModel(self.vertices, self.faces)
-        tree.endModel()
-        return tree
+        bvh = fcl.BVHModel()
+        bvh.beginModel(len(self.vertices), len(self.faces))
+        bvh.addSubModel(self.vertices, self.faces)
+        bvh.endModel()
+        return bvh
 
     @cached_property
-    def closed(self) -> bool:
+    def is_closed(self) -> bool:
         """Whether every edge is run through as often one way as the other."""
         edges = self._edges.tolist()
         ways = Multiset((a, b) for a, b in edges)
@@ -63,8 +62,8 @@ class Surface:
         """The same with its faces outward, if it can be closed that way."""
         if not len(self.faces):
             return self
-        surface = self if self.closed else Surface(self.vertices, self._turned())
-        if not surface.closed:
+        surface = self if self.is_closed else Surface(self.vertices, self._turned())
+        if not surface.is_closed:
             return self
         if enclosed_volume(surface.triangles) < 0:
             return Surface(surface.vertices, np.ascontiguousarray(surface.faces[:, ::-1]))
@@ -97,7 +96,7 @@ class Surface:
         return np.array(faces, np.int32)
 
     @cached_property
-    def representatives(self) -> Array:
+    def component_vertices(self) -> Array:
         """A vertex of each connected part."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
@@ -132,7 +131,10 @@ def _windings(points: Array, triangles: Array) -> Indices:
     """
     points, triangles = _leaning(points), _leaning(triangles)
     found = np.zeros(len(points), np.intp)
-    for i, j in _on_rays(points, triangles.min(axis=1), triangles.max(axis=1)):
+    start, end = points.T.copy(), points.T.copy()
+    end[2] = math.inf
+    boxes = triangles.min(axis=1).T.copy(), triangles.max(axis=1).T.copy()
+    for j, i in meeting_across(boxes, (start, end), rims=True):
         to = triangles[j] - points[i][:, None]
         turns = _turns(to)
         volumes = np.einsum("ni,ni->n", to[:, 0], cross(to[:, 1], to[:, 2]))
@@ -146,45 +148,6 @@ def _leaning(points: Array) -> Array:
     leaning = points.copy()
     leaning[..., :2] -= LEAN * points[..., 2:]
     return leaning
-
-
-def _on_rays(points: Array, low: Array, high: Array) -> Iterator[tuple[Indices, Indices]]:
-    """Pairs of a point and a box that is met by the ray along +z from the point.
-
-    The larger of two sets, of points and of boxes that may meet, is halved until there are few
-    pairs.
-    """
-    todo = [(np.arange(len(points)), np.arange(len(low)))]
-    while todo:
-        i, j = todo.pop()
-        if not (len(i) and len(j)):
-            continue
-        j = j[_met(points[i].min(axis=0), points[i].max(axis=0), low[j], high[j])]
-        if not len(j):
-            continue
-        i = i[_met(points[i], points[i], low[j].min(axis=0), high[j].max(axis=0))]
-        if len(i) * len(j) > TOGETHER:
-            if len(i) > len(j):
-                todo += [(half, j) for half in _halves(i, points[i])]
-            else:
-                todo += [(i, half) for half in _halves(j, low[j] + high[j])]
-            continue
-        first, second = np.nonzero(_met(points[i, None], points[i, None], low[j], high[j]))
-        yield i[first], j[second]
-
-
-def _met(least: Array, most: Array, low: Array, high: Array) -> Flags:
-    """Whether rays from points between two corners may meet boxes, their rims included."""
-    beside = (low[..., :2] <= most[..., :2]) & (least[..., :2] <= high[..., :2])
-    met: Flags = beside[..., 0] & beside[..., 1] & (least[..., 2] <= high[..., 2])
-    return met
-
-
-def _halves(some: Indices, places: Array) -> tuple[Indices, Indices]:
-    """Those on either side of the middle one, along x or y, along which places differ more."""
-    middle = len(some) // 2
-    order = places[:, np.ptp(places[:, :2], axis=0).argmax()].argpartition(middle)
-    return some[order[:middle]], some[order[middle:]]
 
 
 def _turns(triangles: Array) -> Indices:
@@ -206,6 +169,6 @@ def enclosed_volume(triangles: Array) -> float:
     return float(np.einsum("ij,ij->", a, cross(b, c)) / 6.0)
 
 
-def without_copies(points: Array) -> Array:
+def unique_points(points: Array) -> Array:
     """Points (n, 3) without equal ones; -0 is 0."""
     return np.unique(points + 0.0, axis=0) if len(points) else points

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from ssduck import validation
 from ssduck.database.database import Database
 from ssduck.errors import (
     ArgumentError,
@@ -21,7 +22,6 @@ from ssduck.errors import (
     SelectScriptError,
     warn,
 )
-from ssduck.formatting import shown
 from ssduck.interpreter.linter import Linter
 from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.planner import Planner
@@ -33,14 +33,13 @@ from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.language.overrides import meant
 from ssduck.language.parser import parse
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
-from ssduck.limits import Limits, Usage
+from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay.past import together as entities_together
 from ssduck.schema import MASSES
 from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import told
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.translator import unknown_function
-from ssduck.validation import seconds_argument
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -82,7 +81,7 @@ class Execution(Namespace, ABC):
             outermost = not self._texts
             if outermost:
                 self._sweep()
-                self._database.connection.meter = Usage(self._limits)
+                self._database.connection.meter = UsageMeter(self._limits)
             self._texts.append(program.text)
             try:
                 yield
@@ -217,14 +216,13 @@ class Execution(Namespace, ABC):
 
         with self._reading(node):
             series = self._over_time.series(node, frame, self._database.record_of, rows)
-            return FORMS[node.name].make(series, None if age is None else seconds_argument(age))
+            return FORMS[node.name].make(series, None if age is None else validation.seconds(age))
 
     def _run_text(self, text: Any, frame: Frame) -> Any:
         """The value of a text in the scope of a frame: it sees the rows that it stands in."""
         if not self._limits.eval:
             raise LimitError("eval is switched off here")
-        if not isinstance(text, str):
-            raise ArgumentError(f"eval takes a text, not {shown(text)}")
+        validation.text(text, "eval takes a text")
         self._texts.append(text)
         try:
             program = parse(text)
@@ -249,14 +247,14 @@ class Execution(Namespace, ABC):
             return None
         given = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].reads, worlds):
+        with self._database.held(RELATIONS[node.name].inputs, worlds):
             for argument, value in zip(node.arguments, together, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()
                     error.span = argument.span
                     raise error
                 moment = value.moment if isinstance(value, Entity) else None
-                if moment is not None and MASSES in RELATIONS[node.name].reads:
+                if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
             return self._planner.relation(query, Frame(self, given=given))
 
@@ -271,7 +269,7 @@ class Execution(Namespace, ABC):
         return LazyList(node, self._texts[-1])
 
     @property
-    def meter(self) -> Usage:
+    def meter(self) -> UsageMeter:
         """How much of its limits the running program has used."""
         return self._database.connection.meter
 

@@ -9,7 +9,6 @@ it is evaluated in Python on the rows that come back (`ssduck.interpreter.query_
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
@@ -19,8 +18,7 @@ from ssduck.adapters.registry import Adapter, find
 from ssduck.adapters.result import Result
 from ssduck.adapters.table_view import MOST_ROWS, TableView
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, UnknownNameError
-from ssduck.formatting import shown
+from ssduck.errors import UnknownNameError
 from ssduck.geometry.queries import Statistics
 from ssduck.interpreter.eval_as import (
     Condition,
@@ -44,7 +42,7 @@ from ssduck.language.overrides import NAMED
 from ssduck.language.parser import parse
 from ssduck.language.tree import Query
 from ssduck.language.value_keys import plain
-from ssduck.limits import Limits, Usage
+from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.spec import Recording
 from ssduck.world.running import run
 from ssduck.world.world import World
@@ -80,18 +78,14 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         strict: bool = False,
         recording: Recording | Literal["default"] | None = "default",
     ) -> None:
-        row_by_row = validation.flag(row_by_row, "Interpreter: row_by_row")
-        strict = validation.flag(strict, "Interpreter: strict")
-        if not isinstance(limits, Limits | None):
-            raise ArgumentError(f"Interpreter: limits: {shown(limits)} is no Limits")
-        if not isinstance(database, str | PathLike):
-            raise ArgumentError(f"Interpreter: database: {shown(database)} is no path")
-        if not isinstance(recording, Recording | None) and recording != "default":
-            raise ArgumentError(f"Interpreter: recording: {shown(recording)} is no Recording")
-        limits = limits or Limits()
-        database = str(database)
+        row_by_row = validation.boolean(row_by_row, "Interpreter: row_by_row")
+        strict = validation.boolean(strict, "Interpreter: strict")
+        validation.instance(limits, Limits, "Interpreter: limits")
+        database = validation.path(database, "Interpreter: database")
         if recording == "default":
             recording = Recording(seconds=KEPT) if database == ":memory:" else Recording()
+        validation.instance(recording, Recording, "Interpreter: recording")
+        limits = limits or Limits()
         super().__init__(
             Database(database, tracer, limits, recording),
             limits,
@@ -160,7 +154,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         Raises:
             SelectScriptError: as `eval` does.
         """
-        rows = validation.whole(rows, "show: rows", least=0)
+        rows = validation.integer(rows, "show: rows", minimum=0)
         return TableView(self.eval(program), rows)
 
     def explain(self, program: str | CompiledProgram) -> str:
@@ -227,8 +221,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         """
         if not isinstance(name, str) or name not in NAMED:
             check_name(name, "a function")
-        if not callable(function):
-            raise ArgumentError(f"{name}: {shown(function)} is no function")
+        validation.function(function, name)
         with self._lock:
             self._adopt(Function.of(name, function, help, hints_of(function)))
             self._functions_changed()
@@ -293,12 +286,11 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             SqlError: DuckDB refuses it.
             ArgumentError: the statement is no text.
         """
-        if not isinstance(text, str):
-            raise ArgumentError(f"sql: a statement is a text, not {shown(text)}")
+        validation.text(text, "sql: a statement is a text")
         with self._lock:
             if not self._texts:
                 self._sweep()
-                self._database.connection.meter = Usage(self._limits)
+                self._database.connection.meter = UsageMeter(self._limits)
             return Result(self._database.table(text, parameters))
 
     def statistics(self) -> dict[str, Statistics]:

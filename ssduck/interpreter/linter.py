@@ -20,7 +20,7 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
     Assignment,
@@ -288,7 +288,9 @@ class Linter:
                 yield ArgumentError(message, span=span)
         for name, span in facts.sources:
             if isinstance(self._variable(name), World | PastTicks | list):
-                message = f"{shown(name)} is a text, and the only element; the variable is {name}"
+                message = (
+                    f"{short_repr(name)} is a text, and the only element; the variable is {name}"
+                )
                 yield ArgumentError(message, span=span)
 
     # -- names of entities ------------------------------------------------------------------
@@ -344,7 +346,7 @@ class Linter:
             known.update(self._recorded(world))
         told = " or ".join(world.name for world in worlds[:3])
         return UnknownNameError(
-            f"no entity of {told} is called {shown(name)}",
+            f"no entity of {told} is called {short_repr(name)}",
             span=span,
             suggestions=nearest(name, known),
         )

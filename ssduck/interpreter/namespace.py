@@ -9,10 +9,11 @@ from dataclasses import replace
 from inspect import unwrap
 from typing import Any
 
+from ssduck import validation
 from ssduck.adapters.registry import tables_of_forms
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.interpreter.output import help_of_forms
 from ssduck.interpreter.sources import within
 from ssduck.interpreter.temporal_functions import FORMS
@@ -30,7 +31,6 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import unknown_function
-from ssduck.validation import seconds_argument
 from ssduck.world.world import World
 
 
@@ -58,8 +58,7 @@ class Namespace:
 
     def variable(self, name: str) -> Any:
         """The value of a variable, or an UnknownNameError with the nearest names."""
-        if not isinstance(name, str):
-            raise ArgumentError(f"the name of a variable is a text, not {shown(name)}")
+        validation.text(name, "the name of a variable is a text")
         if name in self._variables:
             value = self._variables[name]
             return value.last if isinstance(value, ValueHistory) else value
@@ -69,7 +68,7 @@ class Namespace:
             )
         instead = instead_of_name(name)
         raise UnknownNameError(
-            f"there is no variable {shown(name)}" + (f"; {instead}" if instead else ""),
+            f"there is no variable {short_repr(name)}" + (f"; {instead}" if instead else ""),
             suggestions=() if instead else nearest(name, self.names()),
         )
 
@@ -106,7 +105,7 @@ class Namespace:
         self.variable(name)
         held = self._variables[name]
         if isinstance(held, World):
-            seconds = seconds_argument(age[0], "what is in {…}") if age else None
+            seconds = validation.seconds(age[0], "what is in {…}") if age else None
             return past_of(self._database.record_of(held), seconds)
         return aged(name, held, age, self._now)
 
@@ -190,7 +189,7 @@ class Namespace:
         if not is_name or not self.is_users(self.meant(name)):
             own = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
-                f"there is no function {shown(name)} of yours", suggestions=nearest(name, own)
+                f"there is no function {short_repr(name)} of yours", suggestions=nearest(name, own)
             )
         before = self._replaced.pop(name, None)
         if before is None:
@@ -241,7 +240,7 @@ class Namespace:
         described: dict[str, Function | Relation] = {**RELATIONS, **self._functions}
         if not isinstance(name, str) or name not in described:
             raise UnknownNameError(
-                f"there is no function {shown(name)}", suggestions=nearest(name, described)
+                f"there is no function {short_repr(name)}", suggestions=nearest(name, described)
             )
         return f"{name}\n{described[name].help}"
 
@@ -309,8 +308,7 @@ class Namespace:
 
 def check_name(name: str, what: str) -> None:
     """Complain of a name that a variable or a function cannot have."""
-    if not isinstance(name, str) or not name.isidentifier():
-        raise ArgumentError(f"{shown(name)} cannot be {what}'s name: letters, digits and _ only")
+    validation.identifier(name, what)
     if is_reserved(name):
         raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")
 

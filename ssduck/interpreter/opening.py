@@ -67,7 +67,7 @@ def open_record(
         NumberError: the episode is no whole number, 0 or more.
     """
     if episode is not None:
-        episode = validation.whole(episode, "open: episode", least=0)
+        episode = validation.integer(episode, "open: episode", minimum=0)
     interpreter = Interpreter(recording=None)
     database = interpreter._database  # noqa: SLF001  # records are read in it
     try:

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from ssduck.adapters.registry import Adapter, Selection, find, forms
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError, SourceSpan
-from ssduck.formatting import reason
+from ssduck.formatting import error_text
 from ssduck.language.clauses import (
     Rows,
     Selected,
@@ -95,7 +95,7 @@ class AsClause:
             raise
         except Exception as error:
             raise FunctionError(
-                f"AS {self.name}: {type(error).__name__}: {reason(error)}", span=self.span
+                f"AS {self.name}: {type(error).__name__}: {error_text(error)}", span=self.span
             ) from error
 
 

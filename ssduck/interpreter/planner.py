@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from ssduck.database.database import Database
 from ssduck.database.values import tag_of
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
-from ssduck.formatting import kind_of, shown
+from ssduck.formatting import short_repr, type_in_words
 from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
 from ssduck.interpreter.signatures import TypeHints
 from ssduck.interpreter.sources import INLINE, all_elements, beside_past, shapes_of
@@ -150,7 +150,9 @@ class Planner:
             given = [
                 frame.given[part.name] for part in call.arguments if isinstance(part, Placeholder)
             ]
-            told = ", ".join(shown(v) if isinstance(v, float) else kind_of(v) for v in given)
+            told = ", ".join(
+                short_repr(v) if isinstance(v, float) else type_in_words(v) for v in given
+            )
             raise ArgumentError(
                 f"{call.name} does not take ({told}): {RELATIONS[call.name].usage}", span=query.span
             )

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ssduck.errors import ArgumentError
-from ssduck.formatting import shown
+from ssduck import validation
 from ssduck.language.parser import parse
 from ssduck.language.tree import Program
 
@@ -45,6 +44,4 @@ def tree_of(program: str | CompiledProgram) -> Program:
     """
     if isinstance(program, CompiledProgram):
         return program.tree
-    if not isinstance(program, str):
-        raise ArgumentError(f"a program is a text or what compile gave, not {shown(program)}")
-    return parse(program)
+    return parse(validation.text(program, "a program is a text or what compile gave"))

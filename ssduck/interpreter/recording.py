@@ -8,9 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from ssduck import validation
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, EvaluationError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.recording.paths import given_path
@@ -18,7 +19,6 @@ from ssduck.recording.replay.past import PastTicks, past_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.schema import RECORDABLE
-from ssduck.validation import seconds_argument
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -53,7 +53,7 @@ class RecordingMethods(ABC):
             UnsupportedError: it is a record itself.
         """
         if not isinstance(recording, Recording | None):
-            raise ArgumentError(f"what is kept is told by a Recording, not {shown(recording)}")
+            raise ArgumentError(f"what is kept is told by a Recording, not {short_repr(recording)}")
         with self._lock:
             self._database.record(self._world(world), recording)
             self._planner.forget()
@@ -72,7 +72,7 @@ class RecordingMethods(ABC):
         """
         with self._lock:
             chosen = self._world(world)
-            seconds = None if age is None else seconds_argument(age)
+            seconds = None if age is None else validation.seconds(age)
             return past_of(self._database.record_of(chosen), seconds)
 
     def record_to(
@@ -137,7 +137,7 @@ class RecordingMethods(ABC):
         """
         chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
         names = None if chosen is None else _names(chosen)
-        start, end = (None if time is None else seconds_argument(time) for time in (start, end))
+        start, end = (None if time is None else validation.seconds(time) for time in (start, end))
         with self._lock:
             worlds = (
                 [w for w in self._database.worlds.values() if self._database.keeps(w)]
@@ -167,7 +167,7 @@ class RecordingMethods(ABC):
     def _world(self, world: str | World) -> World:
         found = self.variable(world) if isinstance(world, str) else world
         if not isinstance(found, World) or found not in self._database.worlds.values():
-            raise ArgumentError(f"{shown(world)} is no world of this interpreter")
+            raise ArgumentError(f"{short_repr(world)} is no world of this interpreter")
         return found
 
 
@@ -176,7 +176,7 @@ def _names(entities: Iterable[str | Entity]) -> tuple[str, ...]:
     found = []
     for entity in entities:
         if not isinstance(entity, str | Entity):
-            raise ArgumentError(f"entities are to be names or entities, not {shown(entity)}")
+            raise ArgumentError(f"entities are to be names or entities, not {short_repr(entity)}")
         found.append(entity if isinstance(entity, str) else entity.name)
     if not found:
         raise ArgumentError("there are no entities to be written")

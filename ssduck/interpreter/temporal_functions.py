@@ -14,7 +14,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import ArgumentError, UnsupportedError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import changes_of, intervals_of
@@ -131,7 +131,7 @@ def _least(series: TickSeries, age: Any) -> list[Any] | None:
     known = [(value, time) for time, value in zip(times, values, strict=True) if _is_number(value)]
     others = [v for v in values if v is not None and not isinstance(v, int | float)]
     if others:
-        raise ArgumentError(f"least takes an expression of numbers, not {shown(others[0])}")
+        raise ArgumentError(f"least takes an expression of numbers, not {short_repr(others[0])}")
     if not known:
         return None
     value, time = min(known, key=lambda entry: entry[0])

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from ssduck.errors import ArgumentError
-from ssduck.formatting import kind_of
+from ssduck.formatting import type_in_words
 from ssduck.language.analysis import free_aliases
 from ssduck.language.builtins import AGGREGATES
 from ssduck.language.tree import Call, Query
@@ -33,7 +33,7 @@ def argument_check(call: Call, query: Query | None) -> Callable[[Sequence[Any]],
         if isinstance(value, Iterable) and not (is_of_row and isinstance(value, str)):
             return
         raise ArgumentError(
-            f"{call.name} takes a list, not {kind_of(value)}",
+            f"{call.name} takes a list, not {type_in_words(value)}",
             span=call.span,
             instead=None if query is None or not query.sources else _over_rows(call, query),
         )

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.formatting import kind_of
+from ssduck.formatting import type_in_words
 from ssduck.language.analysis import aliases_of, free_aliases, known
 from ssduck.language.builtins import AGGREGATES
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk
@@ -150,7 +150,7 @@ def _nothing() -> None:
 
 
 def _refusal(name: str, values: Sequence[Any]) -> str:
-    kinds = list(dict.fromkeys(map(kind_of, values)))
+    kinds = list(dict.fromkeys(map(type_in_words, values)))
     told = f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
     if any(value is None for value in values):
         told += "; leave out the rows without a value: WHERE … IS NOT NULL"

@@ -11,7 +11,7 @@ from functools import partial, wraps
 from typing import Any
 
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
-from ssduck.formatting import bounded, described, reason
+from ssduck.formatting import argument_in_words, error_text, first_line
 from ssduck.language.operators import apply, apply_unary
 from ssduck.language.overrides import NAMES
 from ssduck.language.value_keys import ATOMS, NUMPYS, hashable
@@ -75,15 +75,15 @@ class Function:
                 raise ArgumentError(f"{self.name}: {error.message}") from error
             if self.builtin:
                 raise
-            raise self._failed(error, bounded(error.message)) from error
+            raise self._failed(error, first_line(error.message)) from error
         except Exception as error:
             if self.builtin:
                 raise ArgumentError(self._refused(arguments)) from error
-            raise self._failed(error, reason(error)) from error
+            raise self._failed(error, error_text(error)) from error
 
     def _refused(self, arguments: Sequence[Any]) -> str:
         """What the language's own function did not take, and what it takes."""
-        given = ", ".join(map(described, arguments)) or "no arguments"
+        given = ", ".join(map(argument_in_words, arguments)) or "no arguments"
         usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
         return f"{self.name} does not take {given}: it is {usage}"
 

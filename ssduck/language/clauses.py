@@ -14,7 +14,7 @@ from itertools import islice, product
 from typing import Any, TypeAlias
 
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
-from ssduck.formatting import shown, unusable
+from ssduck.formatting import as_evaluation_error, short_repr
 from ssduck.language.aggregates import GroupFunction, over_rows
 from ssduck.language.evaluator import ExpressionCompiler, Frame
 from ssduck.language.operators import apply, truth
@@ -305,7 +305,9 @@ def checked_count(value: Any, what: str, node: Node) -> int:
         EvaluationError: it is none.
     """
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise EvaluationError(f"{what} takes a whole number, not {shown(value)}", span=node.span)
+        raise EvaluationError(
+            f"{what} takes a whole number, not {short_repr(value)}", span=node.span
+        )
     return min(value, sys.maxsize)  # there is nothing of which there are more
 
 
@@ -323,7 +325,7 @@ def printed(value: Any, node: Node) -> str:
     except (SelectScriptError, RecursionError):
         raise
     except Exception as error:
-        raise unusable(error, node.span) from error
+        raise as_evaluation_error(error, node.span) from error
 
 
 def _unsigned(value: Any) -> Any:

@@ -18,7 +18,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.formatting import shown, unusable
+from ssduck.formatting import as_evaluation_error, short_repr
 from ssduck.language.aggregate_arguments import argument_check
 from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
 from ssduck.language.deferred import LazyList
@@ -48,7 +48,7 @@ from ssduck.language.tree import (
 )
 from ssduck.language.value_history import horizon_of
 from ssduck.language.value_keys import NUMPYS, written
-from ssduck.limits import Usage
+from ssduck.limits import UsageMeter
 
 # A longer list is looked at for its size as it is made.
 FEW = 4
@@ -105,7 +105,7 @@ class EvaluationScope(Protocol):
         """A list of the running program for the query that uses it."""
 
     @property
-    def meter(self) -> Usage:
+    def meter(self) -> UsageMeter:
         """How much of its limits the running program has used."""
 
 
@@ -413,7 +413,7 @@ class ExpressionCompiler:
                 error.span = error.span or node.span
                 raise
             except (ValueError, ArithmeticError, MemoryError) as error:
-                raise unusable(error, node.span) from error
+                raise as_evaluation_error(error, node.span) from error
 
         return call
 
@@ -479,7 +479,7 @@ class ExpressionCompiler:
         def assign(frame: Frame) -> Any:
             if node.is_bare and name not in frame.local and not frame.scope.has_variable(name):
                 raise UnknownNameError(
-                    f"there is no variable {shown(name)} that could be assigned here: "
+                    f"there is no variable {short_repr(name)} that could be assigned here: "
                     "write == to compare, or assign it before the query",
                     span=node.span,
                 )
@@ -523,7 +523,7 @@ def _placed(node: Node, thunk: Thunk) -> Thunk:
             error.span = error.span or node.span
             raise
         except (ValueError, ArithmeticError, MemoryError) as error:
-            raise unusable(error, node.span) from error
+            raise as_evaluation_error(error, node.span) from error
 
     return placed
 

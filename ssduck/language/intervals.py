@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import Any, TypeAlias
 
 from ssduck.errors import ArgumentError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language.builtins import Function
 
 Interval: TypeAlias = list[float]
@@ -58,7 +58,7 @@ def _ends(value: Any) -> tuple[float, float]:
     match value:
         case [int() | float() as start, int() | float() as end] if start <= end:
             return start, end
-    raise ArgumentError(f"an interval is [start, end] in seconds, not {shown(value)}")
+    raise ArgumentError(f"an interval is [start, end] in seconds, not {short_repr(value)}")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownNameError, nearest
-from ssduck.formatting import bounded, shown
+from ssduck.formatting import first_line, short_repr
 
 
 def no_element(
@@ -16,7 +16,7 @@ def no_element(
     names = [name for name in elements if name is not None]
     if alias is not None:
         return UnknownNameError(
-            f"there is no source {shown(alias)} here",
+            f"there is no source {short_repr(alias)} here",
             span=span,
             suggestions=nearest(alias, names) or names[:3],
         )
@@ -32,11 +32,13 @@ def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownName
     """The error for a bare name that the current element, a dict, has no key of."""
     texts = [key for key in keys if isinstance(key, str)]
     return UnknownNameError(
-        f"there is no key, variable or function {shown(name)}",
+        f"there is no key, variable or function {short_repr(name)}",
         suggestions=nearest(name, [*texts, *known]),
     )
 
 
 def is_a_key(name: str) -> UnknownNameError:
     """The error for a variable that is not there, where the current element has such a key."""
-    return UnknownNameError(f"there is no variable {shown(name)}; write this.{bounded(name)}")
+    return UnknownNameError(
+        f"there is no variable {short_repr(name)}; write this.{first_line(name)}"
+    )

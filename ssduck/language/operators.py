@@ -10,7 +10,7 @@ from itertools import islice
 from typing import Any
 
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SourceSpan, nearest
-from ssduck.formatting import MOST_KEYS, kind_of, reason, shown, unusable
+from ssduck.formatting import MOST_KEYS, as_evaluation_error, error_text, short_repr, type_in_words
 from ssduck.language.tree import Node
 
 # Larger results are refused: they are mistakes, and nothing could stop them.
@@ -83,12 +83,12 @@ def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> A
         raise EvaluationError(f"the result of {sign} is too large", span=span) from error
     except TypeError as error:
         raise ArgumentError(
-            f"{sign} does not take {kind_of(left)} and {kind_of(right)}", span=span
+            f"{sign} does not take {type_in_words(left)} and {type_in_words(right)}", span=span
         ) from error
     except SelectScriptError:
         raise
     except Exception as error:
-        raise unusable(error, span) from error
+        raise as_evaluation_error(error, span) from error
     if isinstance(value, complex):
         raise EvaluationError(f"{sign} of these has no real value", span=span)
     return value
@@ -144,11 +144,11 @@ def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
     try:
         return _UNARY[sign](value)
     except TypeError as error:
-        raise ArgumentError(f"{sign} does not take {kind_of(value)}", span=span) from error
+        raise ArgumentError(f"{sign} does not take {type_in_words(value)}", span=span) from error
     except (SelectScriptError, RecursionError):
         raise
     except Exception as error:
-        raise unusable(error, span) from error
+        raise as_evaluation_error(error, span) from error
 
 
 def truth(value: Any, node: Node) -> bool:
@@ -162,7 +162,7 @@ def truth(value: Any, node: Node) -> bool:
     except (SelectScriptError, RecursionError):
         raise
     except Exception as error:
-        raise unusable(error, node.span) from error
+        raise as_evaluation_error(error, node.span) from error
 
 
 def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
@@ -182,26 +182,26 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
     except (IndexError, KeyError) as error:
         raise _no_such(value, index, span, error) from error
     except TypeError as error:
-        told = f"{kind_of(value)} has no element {shown(index)}"
+        told = f"{type_in_words(value)} has no element {short_repr(index)}"
         hint = getattr(type(value), "KEY_HINT", None)
         if hint is not None and isinstance(index, str):
             told += f"; {hint}"
         raise ArgumentError(told, span=span) from error
     except Exception as error:
-        raise unusable(error, span) from error
+        raise as_evaluation_error(error, span) from error
 
 
 def _no_such(value: Any, index: Any, span: SourceSpan, error: Exception) -> EvaluationError:
     """Of an element that is not there, with what is there."""
-    missing = f"no element {shown(index)}"
+    missing = f"no element {short_repr(index)}"
     if isinstance(value, dict):
         keys = list(islice(value, MOST_KEYS))
         more = ", …" if len(value) > MOST_KEYS else ""
-        told = ", ".join(map(shown, keys))
+        told = ", ".join(map(short_repr, keys))
         near = nearest(index, map(str, keys))
         return EvaluationError(
             f"{missing}: there are keys [{told}{more}]", span=span, suggestions=near
         )
     if isinstance(value, list | tuple | str):
         return EvaluationError(f"{missing}: there are {len(value)} elements", span=span)
-    return EvaluationError(f"{missing}: {reason(error)}", span=span)
+    return EvaluationError(f"{missing}: {error_text(error)}", span=span)

@@ -1,7 +1,7 @@
 """SelectScript text to a tree.
 
 The tokenizer is sqlglot's with SelectScript's quotes and comments; the parser is a recursive
-descent over its tokens, one method a precedence level (the grammar is in docs/language.md).
+descent over its tokens, one method a precedence level. docs/reference/language.md has the grammar.
 The tree is made of frozen nodes that know their place in the text. It knows no simulator,
 no database and no variable: names are looked up when a program runs.
 """

@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
+from ssduck import validation
 from ssduck.errors import ArgumentError, EvaluationError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language.deferred import LazyList
-from ssduck.validation import seconds_argument
 
 # Simulated times are products of a step and rounded: so near to each other, in seconds, two are
 # one. 0.7 s is the 168th step of 1/240 s.
@@ -175,7 +175,7 @@ def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -
     present = now()
     if not age:
         return [value for _, value in history.within(math.inf, present)]
-    seconds = seconds_argument(age[0], "what is in {…}")
+    seconds = validation.seconds(age[0], "what is in {…}")
     if seconds < 0:
         return [value for _, value in history.within(-seconds, present)]
     try:
@@ -203,9 +203,9 @@ def horizon_of(value: Any) -> float:
     Raises:
         ArgumentError: it is no finite number, or less than 0.
     """
-    seconds = seconds_argument(value, "a horizon")
+    seconds = validation.seconds(value, "a horizon")
     if seconds < 0:
-        raise ArgumentError(f"a horizon is not less than 0 s, as {shown(value)} is")
+        raise ArgumentError(f"a horizon is not less than 0 s, as {short_repr(value)} is")
     return seconds
 
 

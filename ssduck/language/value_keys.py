@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from ssduck.errors import ArgumentError, SourceSpan
-from ssduck.formatting import kind_of
+from ssduck.formatting import type_in_words
 from ssduck.language.tree import Node, Query
 
 
@@ -70,7 +70,7 @@ def hashable(value: Any) -> Any:
         hash(value)
     except TypeError as error:
         raise ArgumentError(
-            f"{kind_of(value)} cannot be told apart from others: {error}"
+            f"{type_in_words(value)} cannot be told apart from others: {error}"
         ) from error
     return cast("Any", value)
 
@@ -107,7 +107,7 @@ def _told_apart(value: Any) -> str:
     try:
         return repr(value)
     except Exception as error:
-        raise ArgumentError(f"{kind_of(value)} cannot be told apart from others") from error
+        raise ArgumentError(f"{type_in_words(value)} cannot be told apart from others") from error
 
 
 class ValueKeys:

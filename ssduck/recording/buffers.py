@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.schema import RECORDED
 
 # So many rows of a table wait at most to be stored.

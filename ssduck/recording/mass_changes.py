@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from ssduck.errors import SimulatorError, warn
-from ssduck.formatting import listed
+from ssduck.formatting import joined_names
 from ssduck.schema import MASSES
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ class MassChanges:
         self._warned += len(new)
         if new:
             warn(
-                f"{world.name}: {listed(new)}: the mass was changed while it is recorded; recorded "
+                f"{world.name}: {joined_names(new)}: the mass was changed while it is recorded; "
+                "recorded "
                 "ticks tell the mass that a body had when it was first recorded",
             )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Indices
+from ssduck.geometry.arrays import Indices
 from ssduck.recording.buffers import RowBuffer
 from ssduck.recording.spec import chosen_members
 from ssduck.schema import FRAMES, TABLES

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, NumberError, nearest
-from ssduck.formatting import shown
+from ssduck.errors import ArgumentError, nearest
+from ssduck.formatting import short_repr
 from ssduck.schema import RECORDABLE
 from ssduck.world.layout import EntityInfo
 
@@ -53,13 +52,13 @@ class Recording:
             value = getattr(self, name)
             is_list = isinstance(value, list | tuple | set | frozenset)
             if value is not None and not (is_list and all(isinstance(v, str) for v in value)):
-                raise ArgumentError(f"{name} is to be a list of names, not {shown(value)}")
+                raise ArgumentError(f"{name} is to be a list of names, not {short_repr(value)}")
             if value is not None:
                 object.__setattr__(self, name, tuple(value))
         for table in self.tables:
             if table not in RECORDABLE:
                 raise ArgumentError(
-                    f"there is no table {shown(table)} to be recorded",
+                    f"there is no table {short_repr(table)} to be recorded",
                     suggestions=nearest(table, RECORDABLE),
                 )
         if "entities" not in self.tables:
@@ -68,15 +67,12 @@ class Recording:
             value = getattr(self, name)
             if value is None and name == "ticks":
                 continue
-            if not validation.is_whole(value) or value < 1:
-                raise NumberError(f"{name} is to be a whole number above 0, not {shown(value)}")
-            object.__setattr__(self, name, int(value))
+            rule = f"{name} is to be a whole number above 0"
+            object.__setattr__(self, name, validation.integer_above_0(value, rule))
         if self.seconds is not None:
-            seconds = validation.as_float(self.seconds)
-            if seconds is None or not 0.0 < seconds < math.inf:
-                raise NumberError(f"seconds is to be a number above 0, not {shown(self.seconds)}")
+            seconds = validation.number_above_0(self.seconds, "seconds is to be a number above 0")
             object.__setattr__(self, "seconds", seconds)
-        object.__setattr__(self, "changed", validation.flag(self.changed, "changed"))
+        object.__setattr__(self, "changed", validation.boolean(self.changed, "changed"))
 
     @property
     def is_bounded(self) -> bool:
@@ -100,7 +96,8 @@ def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
     for name in recording.entities or ():
         if name not in known:
             raise ArgumentError(
-                f"there is no entity {shown(name)} to be recorded", suggestions=nearest(name, known)
+                f"there is no entity {short_repr(name)} to be recorded",
+                suggestions=nearest(name, known),
             )
 
 

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
 
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import Body, Kind, LinkPoses, Simulator
 from ssduck.simulators.scenes import Scene
 

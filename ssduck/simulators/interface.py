@@ -15,13 +15,15 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices, PlacedGeometry, cross
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import cross
+from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.scenes import Camera
 
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
 # The types of joints whose position is one number.
-SETTABLE = ("revolute", "prismatic")
+SCALAR_JOINTS = ("revolute", "prismatic")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ssduck.errors import UnknownNameError, nearest
-from ssduck.simulators.interface import SETTABLE, Joint
+from ssduck.simulators.interface import SCALAR_JOINTS, Joint
 
 # What is open, and what is closed, if no share is given.
 OPEN, CLOSED = 0.5, 0.05
@@ -49,7 +49,7 @@ def openness(joint: HasLimits, position: float) -> float | None:
         position: where it is, rad or m; of NaN comes NaN.
     """
     lower, upper = joint.lower, joint.upper
-    if joint.type not in SETTABLE or lower is None or upper is None:
+    if joint.type not in SCALAR_JOINTS or lower is None or upper is None:
         return None
     if not (math.isfinite(upper - lower) and lower < upper):
         return None
@@ -78,10 +78,10 @@ class EntityJoints:
             JointError: there is no such joint, or its position is not one number.
         """
         joint, position = self._named(name)
-        if joint.type not in SETTABLE:
+        if joint.type not in SCALAR_JOINTS:
             raise JointError(
                 f"{self.entity}: joint {name!r} is {joint.type}; a position of one number has "
-                f"what is {' or '.join(SETTABLE)}"
+                f"what is {' or '.join(SCALAR_JOINTS)}"
             )
         return None if math.isnan(position) else position
 

@@ -15,30 +15,22 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError, UnknownNameError, nearest
-from ssduck.formatting import shown
-from ssduck.geometry.shapes import (
-    Array,
-    Indices,
-    compose,
-    cross,
-    invert,
-    multiply,
-    rotate,
-    rotation_matrices,
-)
-from ssduck.simulators.interface import SETTABLE, Body, Joint, LinkPoses, MotorTarget
+from ssduck.formatting import short_repr
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import compose, cross, invert, multiply, rotate, rotation_matrices
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, LinkPoses, MotorTarget
 
 Pose: TypeAlias = tuple[Array, Array]
 JointValues: TypeAlias = Mapping[str, float] | Sequence[float]
 
 # How far beyond its limit a joint may be put, rad or m: solvers leave them there.
-SLACK = 1e-3
+LIMIT_TOLERANCE = 1e-3
 
 
 # -- what may be asked for ----------------------------------------------------------------------
 
 
-def pose_of(values: Sequence[float], of: str) -> Pose:
+def parse_pose(values: Sequence[float], of: str) -> Pose:
     """A pose from w, x, y, z, x, y, z; the orientation is made of unit length.
 
     Raises:
@@ -62,7 +54,7 @@ def unit(orientation: Array, of: str) -> Array:
     return scaled / float(np.linalg.norm(scaled))
 
 
-def positions_of(values: JointValues, body: Body, name: str) -> dict[int, float]:
+def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, float]:
     """Joints' positions, rad or m, by the numbers of the links that they move.
 
     Args:
@@ -78,7 +70,7 @@ def positions_of(values: JointValues, body: Body, name: str) -> dict[int, float]
     joints = {joint.name: joint for joint in body.joints}
     if not isinstance(values, Mapping):
         _check_sequence(values, name)
-        settable = [joint.name for joint in body.joints if joint.type in SETTABLE]
+        settable = [joint.name for joint in body.joints if joint.type in SCALAR_JOINTS]
         if len(values) != len(settable):
             raise ArgumentError(
                 f"{name} takes {len(settable)} joint values ({', '.join(settable) or 'none'}), "
@@ -91,7 +83,7 @@ def positions_of(values: JointValues, body: Body, name: str) -> dict[int, float]
     }
 
 
-def motors_of(
+def motor_targets(
     positions: JointValues | None,
     velocities: Mapping[str, float] | None,
     efforts: Mapping[str, float] | None,
@@ -100,12 +92,9 @@ def motors_of(
 ) -> dict[int, MotorTarget]:
     """What motors are to do, by the numbers of the links that they move; see `Entity.drive`."""
     for values, what in ((velocities, "velocities"), (efforts, "efforts")):
-        if not isinstance(values, Mapping | None):
-            raise ArgumentError(
-                f"{name}: {what} are given by the joints' names, in a dict, not as {shown(values)}"
-            )
+        validation.mapping(values, f"{name}: {what} are given by the joints' names, in a dict")
     joints = {joint.name: joint for joint in body.joints}
-    places = positions_of(positions, body, name) if positions is not None else {}
+    places = joint_positions(positions, body, name) if positions is not None else {}
     speeds = {
         _named(key, joints, name).link: _bounded(value, joints[key], "velocity", name)
         for key, value in (velocities or {}).items()
@@ -137,7 +126,7 @@ def _check_sequence(values: Any, name: str) -> None:
     if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
         raise ArgumentError(
             f"{name}: joint values are given in a list, or by the joints' names in a dict, not as "
-            f"{shown(values)}"
+            f"{short_repr(values)}"
         )
 
 
@@ -154,7 +143,7 @@ def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
     return given
 
 
-def link_of(body: Body, link: str, name: str) -> int:
+def link_index(body: Body, link: str, name: str) -> int:
     """The number of a link by its name.
 
     Raises:
@@ -166,7 +155,7 @@ def link_of(body: Body, link: str, name: str) -> int:
     return names.index(link)
 
 
-def links_beyond(body: Body, link: int) -> set[int]:
+def descendant_links(body: Body, link: int) -> set[int]:
     """The numbers of a link and of all that hang on it."""
     found = {link}
     for number, one in enumerate(body.links):  # parents come first
@@ -178,10 +167,10 @@ def links_beyond(body: Body, link: int) -> set[int]:
 def _named(key: str, joints: Mapping[str, Joint], name: str) -> Joint:
     if key not in joints:
         raise UnknownNameError(f"{name} has no joint {key!r}", suggestions=nearest(key, joints))
-    if joints[key].type not in SETTABLE:
+    if joints[key].type not in SCALAR_JOINTS:
         raise ArgumentError(
             f"{name}: joint {key!r} is {joints[key].type}; what can be set has one number for a "
-            f"position: {' or '.join(SETTABLE)}"
+            f"position: {' or '.join(SCALAR_JOINTS)}"
         )
     return joints[key]
 
@@ -190,7 +179,7 @@ def _position(value: float, joint: Joint, name: str) -> float:
     position = float(validation.finite_array([value], 1, f"{name}: joint {joint.name!r}")[0])
     low = -math.inf if joint.lower is None else joint.lower
     high = math.inf if joint.upper is None else joint.upper
-    if not low - SLACK <= position <= high + SLACK:
+    if not low - LIMIT_TOLERANCE <= position <= high + LIMIT_TOLERANCE:
         raise StateError(
             f"{name}: joint {joint.name!r}: {position:g} is not from {low:g} to {high:g}, "
             "the joint's limits"
@@ -201,7 +190,7 @@ def _position(value: float, joint: Joint, name: str) -> float:
 # -- where the links are then -------------------------------------------------------------------
 
 
-def moved(
+def moved_link_poses(
     body: Body, frames: LinkPoses, base: Pose | None, joints: Mapping[int, float]
 ) -> LinkPoses:
     """A body's frames if its base is put elsewhere, and some joints have moved, all at rest.

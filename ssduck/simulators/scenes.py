@@ -1,6 +1,6 @@
 """Scene descriptions: a small TOML format that names bodies, models, poses and sensors.
 
-The format is documented in docs/scenes.md. Reading one checks all of it, so that what is
+The format is documented in docs/reference/scenes.md. Reading one checks all of it, so that what is
 wrong is said with file, key and reason before a simulator is started.
 """
 

@@ -18,8 +18,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array, Flags
 
 Settings: TypeAlias = Mapping[str, float]
 

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ssduck.errors import UnsupportedError
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Body, Contact, LinkPoses
 

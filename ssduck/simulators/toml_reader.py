@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+from ssduck import validation
 from ssduck.errors import SceneError, nearest
 
 # What a key's default is if it must be there.
@@ -119,6 +120,6 @@ class TomlTable:
         return value
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: Any) -> bool:
     # By comparison: math.isfinite cannot take an integer of 400 digits.
-    return isinstance(value, int | float) and not isinstance(value, bool) and -1e300 < value < 1e300
+    return validation.is_number(value) and -1e300 < value < 1e300

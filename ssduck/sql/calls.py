@@ -93,12 +93,12 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     if relation.tables:
         formula = looked_up(relation, formula, values)
     found = expanded(formula, values)
-    extent = FloatDomain.INFINITE if relation.is_unbounded else FloatDomain.FINITE
+    extent = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
     if isinstance(found, exp.Array):
         elements = tuple(SqlValue(part, REAL, extent=extent) for part in found.expressions)
         length = 3 if len(elements) == 3 else None
         return SqlValue(found, SqlType("list", REAL, length), elements=elements, extent=extent)
-    tag = SqlType(relation.yields(count))
+    tag = SqlType(relation.result_type(count))
     if tag.type == "list":
         element = SqlType(relation.element)
         tag = SqlType("list", SqlType("list", REAL) if relation.element == "list" else element)

@@ -10,7 +10,7 @@ from sqlglot import exp
 from sqlglot.errors import UnsupportedError as SqlglotError
 
 from ssduck.errors import UnknownNameError, UnsupportedError, nearest
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language.tree import Query
 from ssduck.sql.plan import Plan
 from ssduck.sql.sql_values import written
@@ -44,7 +44,7 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     known = {name for name in sqlglot.Dialect.classes if name}
     if not isinstance(dialect, str) or dialect not in known:
         raise UnknownNameError(
-            f"there is no SQL dialect {shown(dialect)}", suggestions=nearest(dialect, known)
+            f"there is no SQL dialect {short_repr(dialect)}", suggestions=nearest(dialect, known)
         )
     if plan is None:
         raise UnsupportedError("this query runs row by row in Python", span=query.span)

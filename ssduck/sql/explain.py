@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-from ssduck.formatting import listed
+from ssduck.formatting import joined_names
 from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, UnresolvedName
 from ssduck.sql.plan import Plan
 from ssduck.sql.relations.registry import RELATIONS
@@ -67,8 +67,12 @@ def _told(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> st
 def _narrow(query: Query) -> list[str]:
     """What the shapes themselves are asked for, relation by relation."""
     names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, Call))
-    asked = {name: RELATIONS[name].asked for name in names if name in RELATIONS}
-    return [f"-- the narrow phase: {name}, {pairs}" for name, pairs in asked.items() if pairs]
+    queries = {name: RELATIONS[name].geometry for name in names if name in RELATIONS}
+    return [
+        f"-- the narrow phase: {name}, {geometry.pairs}"
+        for name, geometry in queries.items()
+        if geometry is not None and geometry.pairs
+    ]
 
 
 def _named(node: Node) -> str:
@@ -84,12 +88,12 @@ def _named(node: Node) -> str:
 def _inexact(query: Query, stand_ins: StandIns) -> list[str]:
     """Of which entities boxes stand in for the shapes that relations ask."""
     calls = (_named(node) for node in query.walk())
-    names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].is_of_shapes]
+    names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].depends_on_shapes]
     if not names:
         return []
     return [
         f"-- not exact: {', '.join(names)} where boxes stand in for shapes: "
-        f"{listed(entities)} of {world}"
+        f"{joined_names(entities)} of {world}"
         for world, entities in stand_ins.items()
         if entities
     ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from sqlglot import exp
 
 from ssduck.schema import MOST_IDS
-from ssduck.sql.relations.relation import CandidatePairs
+from ssduck.sql.relations.geometry_query import PairSearch
 from ssduck.sql.sql_values import NotSqlError, SqlValue
 from ssduck.sql.types import ANY, FLAG, IDS, SqlType
 
@@ -133,8 +133,8 @@ def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEnti
 
 
 def pairs_then(
-    candidates: CandidatePairs,
-    apart: exp.Expr,
+    search: PairSearch,
+    distance: exp.Expr,
     row: TickRange,
     ids: tuple[exp.Expr, exp.Expr],
     columns: tuple[exp.Expr, exp.Expr],
@@ -143,8 +143,8 @@ def pairs_then(
     """Whether a relation holds of two entities at the tick of a row: all ticks asked at once.
 
     Args:
-        candidates: whose pairs: those that collide, touch, or are within a distance.
-        apart: that distance, or the depth.
+        search: finds the pairs: those that collide, touch, or are within a distance.
+        distance: that distance, or the depth.
         row: the ticks, and that of the row.
         ids: of the entities, as far as they are the same at each tick.
         columns: their ids at the row.
@@ -156,10 +156,10 @@ def pairs_then(
         row.last.copy(),
         *(exp.Literal.number(0) if isinstance(id, exp.Column) else id.copy() for id in ids),
     ]
-    called = f"then {candidates.of}"
-    if candidates.take_distance:
-        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
-    found = exp.Anonymous(this=exp.to_identifier(called, quoted=True), expressions=arguments)
+    if search.takes_distance:
+        arguments.append(exp.cast(distance.copy(), "DOUBLE"))
+    called = exp.to_identifier(search.name_over_ticks, quoted=True)
+    found = exp.Anonymous(this=called, expressions=arguments)
     each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
     parts = [
         exp.alias_(exp.func("struct_extract", exp.column("p"), exp.Literal.string(part)), part)
@@ -234,12 +234,12 @@ class PairTable:
     position: exp.Ordered
 
 
-def pairs_of(candidates: CandidatePairs, apart: exp.Expr, schema: str, name: str) -> PairTable:
-    """All pairs of entities of a world of which a relation may hold."""
-    called = exp.to_identifier(f"narrow all_{candidates.of}", quoted=True)
+def pairs_of(search: PairSearch, distance: exp.Expr, schema: str, name: str) -> PairTable:
+    """The pairs of entities of a world that a search finds."""
+    called = exp.to_identifier(search.name, quoted=True)
     arguments: list[exp.Expr] = [exp.Literal.string(schema)]
-    if candidates.take_distance:
-        arguments.append(exp.cast(apart.copy(), "DOUBLE"))
+    if search.takes_distance:
+        arguments.append(exp.cast(distance.copy(), "DOUBLE"))
     numbers = exp.func("unnest", exp.Anonymous(this=called, expressions=arguments))
     number, many = exp.column("n"), exp.Literal.number(MOST_IDS)
     table = (

@@ -43,7 +43,7 @@ def sides_of(node: Node) -> tuple[This, This] | None:
     match node:
         case Call(name=name, arguments=(This() as a, This() as b, *_)) if a.alias != b.alias:
             relation = RELATIONS.get(name)
-            return (a, b) if relation is not None and relation.candidates is not None else None
+            return (a, b) if relation is not None and relation.candidate_pairs is not None else None
     return None
 
 
@@ -57,7 +57,7 @@ def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) 
         schema: the world that both sources are.
     """
     relation, others = RELATIONS[node.name], node.arguments[2:]
-    assert relation.candidates is not None
+    assert relation.candidate_pairs is not None
     if not all(map(sql.is_constant, others)):
         return None
     try:
@@ -66,13 +66,14 @@ def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) 
         known = dict(zip(names, map(sql.value, others), strict=True))
     except NotSqlError:
         return None
-    apart = expanded(relation.apart_of(len(node.arguments)), known)
-    pairs = pairs_of(relation.candidates, apart, schema, sql.context.alias("pairs"))
+    distance = expanded(relation.candidate_distance(len(node.arguments)), known)
+    search = relation.candidate_pairs.search
+    pairs = pairs_of(search, distance, schema, sql.context.alias("pairs"))
     found = [
         exp.EQ(this=sql.value(side).sql, expression=column)
         for side, column in zip(sides, pairs.columns, strict=True)
     ]
-    exact = () if relation.candidates.are_exact else (holds,)
+    exact = () if search.is_exact else (holds,)
     return PairJoin(pairs.table, exp.and_(*found, *exact), pairs.position)
 
 
@@ -86,17 +87,18 @@ def implied(sql: Expressions, node: Node) -> exp.Expr | None:
         case _:
             return None
     relation = RELATIONS.get(call.name)
-    if relation is None or relation.far not in ("more", "nothing"):
+    geometry = None if relation is None else relation.geometry
+    if geometry is None or not sql.is_constant(limit):
         return None
-    if is_less != (relation.far == "more") or not sql.is_constant(limit):
+    if not (geometry.is_at_least_gap if is_less else geometry.is_zero_apart):
         return None
-    apart: Node = limit
+    distance: Node = limit
     if not is_less:
         is_strict = sign in ("<", ">")
         if not _is_positive(limit, or_zero=is_strict):
             return None
-        apart = tree.Literal(limit.span, 0)
-    values: Mapping[str, Node] = dict(zip("abd", (*call.arguments[:2], apart), strict=True))
+        distance = tree.Literal(limit.span, 0)
+    values: Mapping[str, Node] = dict(zip("abd", (*call.arguments[:2], distance), strict=True))
     try:
         return expanded(BOXES_WITHIN, {name: sql.value(value) for name, value in values.items()})
     except NotSqlError:

@@ -72,8 +72,8 @@ class QueryTicks:
         self, relation: Relation, values: Mapping[str, SqlValue], count: int
     ) -> SqlValue | None:
         """A relation of shapes at all ticks of a window at once; None where there are none."""
-        candidates = relation.candidates
-        if candidates is None or not candidates.are_of_many_ticks:
+        candidates = relation.candidate_pairs
+        if candidates is None or candidates.search.predicate is None:
             return None
         a, b, *others = values.values()
         if not (a.tag.past and b.tag.past):
@@ -87,13 +87,13 @@ class QueryTicks:
         if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in others):
             return None
         known = dict(zip(list(values)[2:], others, strict=True))
-        apart = expanded(relation.apart_of(count), known)
+        distance = expanded(relation.candidate_distance(count), known)
         ids = self._id_of(a), self._id_of(b)
-        key = (relation.name, apart.sql(), span.tick.sql(), *(id.sql() for id in ids))
+        key = (relation.name, distance.sql(), span.tick.sql(), *(id.sql() for id in ids))
         if key not in self.followers:
             name = self._context.alias("pairs then")
             columns = self._id_at_row(a), self._id_at_row(b)
-            self.followers[key] = pairs_then(candidates, apart, span, ids, columns, name)
+            self.followers[key] = pairs_then(candidates.search, distance, span, ids, columns, name)
         return self.followers[key].value
 
     def note_only(self, alias: str, other: Callable[[], SqlValue]) -> None:

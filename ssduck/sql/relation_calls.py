@@ -47,7 +47,7 @@ def looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlVal
     if None in schemas:
         raise NotSqlError
     if len(schemas) > 1:
-        return relation.when_apart
+        return relation.across_worlds_expression
     schema = str(schemas.pop())
     past = [value.column("tick") for value in values.values() if value.tag.past and value.column]
     if past:

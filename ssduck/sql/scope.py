@@ -9,7 +9,7 @@ from typing import Self
 from sqlglot import exp
 
 from ssduck.errors import UnknownNameError, nearest
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language.analysis import IMPURE, OVER_TIME, free_aliases, is_impure
 from ssduck.language.tree import (
     Assignment,
@@ -107,7 +107,7 @@ class ExpressionScope(ABC):
         if not self.names.has_source(node.alias):
             known = list(self.rows)
             raise UnknownNameError(
-                f"there is no source {shown(node.alias)} here",
+                f"there is no source {short_repr(node.alias)} here",
                 span=node.span,
                 suggestions=nearest(node.alias, known) or known[:3],
             )

@@ -14,5 +14,5 @@ def tables_of(node: Node) -> frozenset[str]:
     # A name may be a relation of the only source, a key one of a source.
     name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
     if isinstance(node, Call | UnresolvedName | Name | QualifiedName) and name in RELATIONS:
-        own = RELATIONS[name].reads
+        own = RELATIONS[name].inputs
     return own.union(*map(tables_of, node.children()))

@@ -16,7 +16,7 @@ from typing import Literal
 from sqlglot import exp
 
 from ssduck.errors import UnknownNameError, nearest
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.language import tree
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group, over_rows
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
@@ -480,7 +480,7 @@ def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
     near = nearest(node.name, known)
     is_same = any(name.casefold() == node.name.casefold() for name in near)
     return UnknownNameError(
-        f"there is no function {shown(node.name)}" + (f"; {instead}" if instead else ""),
+        f"there is no function {short_repr(node.name)}" + (f"; {instead}" if instead else ""),
         span=node.name_span,
         suggestions=near if is_same or not instead else (),
     )

@@ -16,7 +16,7 @@ from ssduck.errors import (
     RemovedEntityError,
     SelectScriptError,
 )
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import MASSES
 from ssduck.simulators.interface import Body, Kind
 from ssduck.simulators.joints import openness

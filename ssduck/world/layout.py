@@ -14,17 +14,10 @@ from itertools import accumulate
 
 import numpy as np
 
-from ssduck.geometry.shapes import (
-    IDENTITY,
-    Array,
-    Boxer,
-    Geometry,
-    Indices,
-    PlacedGeometry,
-    compose,
-    multiply,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.geometry.poses import IDENTITY, compose, multiply, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
 
@@ -209,23 +202,23 @@ class BodyGroup:
         block[:, self._shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
 
     @cached_property
-    def _entity_boxer(self) -> Boxer:
+    def _entity_boxer(self) -> BoundingBoxes:
         bare = [index for index, body in enumerate(self.bodies) if not body.shapes]
         points = [_point(frame) for frame in self._bases[bare].tolist()]
         count = len(self.bodies) + len(self._mounts)
         groups = [*self._owners, *bare, *range(len(self.bodies), count)]
-        return Boxer(self._shapes + points + self._mounts, groups, count)
+        return BoundingBoxes(self._shapes + points + self._mounts, groups, count)
 
     @cached_property
-    def _link_boxer(self) -> Boxer:
+    def _link_boxer(self) -> BoundingBoxes:
         owners = [shape.frame for shape in self._shapes]
         bare = sorted(set(range(len(self._link_rows))) - set(owners))
         points = [_point(frame) for frame in bare]
-        return Boxer(self._shapes + points, owners + bare, len(self._link_rows))
+        return BoundingBoxes(self._shapes + points, owners + bare, len(self._link_rows))
 
     @cached_property
-    def _shape_boxer(self) -> Boxer:
-        return Boxer(self._shapes, range(len(self._shapes)), len(self._shapes))
+    def _shape_boxer(self) -> BoundingBoxes:
+        return BoundingBoxes(self._shapes, range(len(self._shapes)), len(self._shapes))
 
 
 _POINT = Geometry.primitive("sphere", (0, 0, 0))

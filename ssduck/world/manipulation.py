@@ -12,10 +12,10 @@ from ssduck.simulators.interface import Body
 from ssduck.simulators.kinematics import (
     JointValues,
     Pose,
-    link_of,
-    links_beyond,
-    motors_of,
-    positions_of,
+    descendant_links,
+    joint_positions,
+    link_index,
+    motor_targets,
 )
 from ssduck.world.entities import Entity
 from ssduck.world.ticking import SteppedSimulation
@@ -28,7 +28,7 @@ class ManipulableSimulation(SteppedSimulation):
         """Put a body's link frame and its joints there and take a tick; see `Entity.move`."""
 
         def put(body: Body) -> None:
-            values = {} if joints is None else positions_of(joints, body, entity.name)
+            values = {} if joints is None else joint_positions(joints, body, entity.name)
             if pose is not None:
                 self._simulator.place(body, *pose)
             if values:
@@ -47,23 +47,23 @@ class ManipulableSimulation(SteppedSimulation):
         with self.lock:
             self._check_not_held()
             body = self._present(entity, "drive")
-            motors = motors_of(positions, velocities, efforts, body, entity.name)
+            motors = motor_targets(positions, velocities, efforts, body, entity.name)
             self._simulator.drive(body, motors)
 
     def hold(self, entity: Entity, other: Entity, link: str | None, touching: int) -> None:
         """Tie a body to a link that touches it, and take a tick; see `Entity.hold`."""
         with self.lock:
             self._check_not_held()
-            touching = validation.whole(touching, "hold: touching", least=1)
+            touching = validation.integer(touching, "hold: touching", minimum=1)
             body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
-            number = 0 if link is None else link_of(body, link, entity.name)
+            number = 0 if link is None else link_index(body, link, entity.name)
             if self._simulator.are_tied(body, held):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
             with self.held(("shapes", MARGINS)):
                 shapes = self.snapshot.shapes().shapes_touching(entity.id, other.id, TOUCHES)
             touch = {body.shapes[shape].frame for shape in shapes}
-            count = len(touch & links_beyond(body, number))
+            count = len(touch & descendant_links(body, number))
             if count < touching:
                 raise StateError(
                     f"{entity.name} cannot hold {other.name}: {count} links of "
@@ -93,12 +93,12 @@ class ManipulableSimulation(SteppedSimulation):
 
     def enable(self, entity: Entity, on: bool) -> None:
         """Let a body take part in collisions, or not, and take a tick."""
-        on = validation.flag(on, "enabled")
+        on = validation.boolean(on, "enabled")
         self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
 
     def show(self, entity: Entity, on: bool) -> None:
         """Let a body be drawn, or not, and take a tick."""
-        on = validation.flag(on, "visible")
+        on = validation.boolean(on, "visible")
         self._change(entity, "show", lambda body: self._simulator.show(body, on))
 
     def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:

@@ -16,10 +16,11 @@ import numpy.typing as npt
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
-from ssduck.formatting import shown
-from ssduck.geometry.shapes import Array, quaternion_of, rotation_matrices
-from ssduck.simulators.interface import SETTABLE
-from ssduck.simulators.kinematics import pose_of
+from ssduck.formatting import short_repr
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import quaternion_from_matrix, rotation_matrices
+from ssduck.simulators.interface import SCALAR_JOINTS
+from ssduck.simulators.kinematics import parse_pose
 
 if TYPE_CHECKING:
     from ssduck.world.entities import Entity, JointState
@@ -83,7 +84,7 @@ class OpenRaveEntity:
         if given.shape == (4, 4):
             self.move(given[:3, 3], _quaternion(given[:3, :3], self.name))
         else:
-            position, orientation = pose_of(cast("Sequence[float]", transform), self.name)
+            position, orientation = parse_pose(cast("Sequence[float]", transform), self.name)
             self.move(position, orientation)
 
     def GetDOFValues(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
@@ -101,16 +102,17 @@ class OpenRaveEntity:
         if dofindices is None:
             self.move(joints=values)
             return
-        if not (validation.numbers(values) and validation.numbers(dofindices)):
-            told = f"{shown(dofindices)} and {shown(values)}"
+        if not (validation.are_numbers(values) and validation.are_numbers(dofindices)):
+            told = f"{short_repr(dofindices)} and {short_repr(values)}"
             raise ArgumentError(f"{self.name}: indices and values are numbers in lists, not {told}")
         names = [joint.name for joint in _settable(self)]
         if len(dofindices) != len(values):
             raise ArgumentError(f"{self.name}: {len(dofindices)} indices, {len(values)} values")
         for index in dofindices:
-            if not validation.is_whole(index) or not 0 <= index < len(names):
+            if not validation.is_integer(index) or not 0 <= index < len(names):
                 raise ArgumentError(
-                    f"{self.name} has no joint {shown(index)}; it has {len(names)}, counted from 0"
+                    f"{self.name} has no joint {short_repr(index)}; it has {len(names)}, counted "
+                    "from 0"
                 )
         self.move(joints={names[i]: value for i, value in zip(dofindices, values, strict=True)})
 
@@ -191,7 +193,7 @@ class OpenRaveWorld:
 
     def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
         """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
-        options = validation.whole(options, "CloneSelf: options", least=0)
+        options = validation.integer(options, "CloneSelf: options", minimum=0)
         world: World = self.excerpt(self if options & CLONE_BODIES else ())
         return world
 
@@ -206,14 +208,14 @@ class OpenRaveWorld:
 
 
 def _settable(entity: Entity) -> list[JointState]:
-    return [joint for joint in entity.joints if joint.type in SETTABLE]
+    return [joint for joint in entity.joints if joint.type in SCALAR_JOINTS]
 
 
 def _quaternion(matrix: Array, name: str) -> Array:
     """A rotation matrix as w, x, y, z."""
     if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 0.0:
         raise StateError(f"{name}: the matrix turns nothing: {matrix.tolist()}")
-    return quaternion_of(matrix)
+    return quaternion_from_matrix(matrix)
 
 
 def _named(world: World, name: str, *kinds: str) -> Entity | None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.errors import ArgumentError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.world.ticking import SteppedSimulation
 
 # Is told how many simulated seconds were run.
@@ -37,10 +37,12 @@ def run(
     every: int | None = None,
 ) -> None:
     """Run worlds for so much simulated time; the arguments are those of `World.run`."""
-    seconds = validation.seconds(seconds, "run: seconds")
+    seconds = validation.duration(seconds, "run: seconds")
     speed = _speed(realtime)
     if every is not None:
-        every = validation.whole(every, "run: every", least=1, kind="number of steps; 1 or more")
+        every = validation.integer(
+            every, "run: every", minimum=1, expected="number of steps; 1 or more"
+        )
     period = every if speed is None or every is not None else speed / PICTURES
     lanes = [_Lane(world, seconds, period) for world in worlds]
     began = time.monotonic()
@@ -99,15 +101,16 @@ def _speed(realtime: Any) -> float | None:
     """How many times as fast as the clock; None for as fast as can be."""
     if isinstance(realtime, bool | np.bool_):
         return 1.0 if realtime else None
-    return validation.positive(realtime, "run: realtime", "speed; True, or a number above 0")
+    return validation.positive_number(realtime, "run: realtime", "speed; True, or a number above 0")
 
 
 @contextmanager
 def _bar(seconds: float, lanes: int, progress: bool | str) -> Iterator[Watch | None]:
     """A bar on standard error, and who is to be told of seconds that were run; or nobody."""
-    is_flag = validation.is_whole(progress) and progress in (0, 1)
-    if not is_flag and not isinstance(progress, bool | np.bool_) and progress != "always":
-        raise ArgumentError(f"run: progress: {shown(progress)} is none of True, False, 'always'")
+    if not validation.is_boolean(progress) and progress != "always":
+        raise ArgumentError(
+            f"run: progress: {short_repr(progress)} is none of True, False, 'always'"
+        )
     if not progress:
         yield None
         return

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
 from ssduck.simulators.interface import CameraView, Contact, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES

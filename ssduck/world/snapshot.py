@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.batch import ShapeTable
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.geometry.shapes import Array, Geometry, Indices
+from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, TABLES
 from ssduck.simulators.interface import Body, Contact, LinkPoses, Simulator

@@ -119,9 +119,11 @@ class SteppedSimulation(Observable):
         if steps is not None and time is not None:
             raise ArgumentError("tick: steps and time exclude each other")
         if time is None:
-            count = 1 if steps is None else validation.steps(steps, "tick: steps", "tick(time=…)")
+            count = (
+                1 if steps is None else validation.step_count(steps, "tick: steps", "tick(time=…)")
+            )
             return clock.after(count, timestep)
-        given = validation.finite(time, "tick: time", "seconds")
+        given = validation.finite_number(time, "tick: time", "seconds")
         if given < clock.time - self.slack:
             raise NumberError(
                 f"tick: time: {given:g} s is before the last tick, {clock.time:g} s; time does "
@@ -146,7 +148,7 @@ class SteppedSimulation(Observable):
             SimulatorError: the simulator does not answer; the last tick stays.
             UnsupportedError: it is a what-if world.
         """
-        left = validation.steps(count, "step", "run({})")
+        left = validation.step_count(count, "step", "run({})")
         while True:
             run = int(min(left, self.steps_to_due()))
             self.advance(run)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import Body, LinkPoses
-from ssduck.simulators.kinematics import Pose, moved
+from ssduck.simulators.kinematics import Pose, moved_link_poses
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.layout import BodyGroup
 from ssduck.world.snapshot import Snapshot
@@ -71,7 +71,7 @@ def _changed(
     for body in bodies:
         run = part.runs[body]
         own = LinkPoses(positions[run], matrices[run], states[run])
-        new = moved(body, own, places.get(body), further.get(body, {}))
+        new = moved_link_poses(body, own, places.get(body), further.get(body, {}))
         positions[run], matrices[run], states[run] = new.positions, new.matrices, new.states
     return LinkPoses(positions, matrices, states)
 

@@ -23,15 +23,15 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import shown
-from ssduck.geometry.shapes import Indices
+from ssduck.formatting import short_repr
+from ssduck.geometry.arrays import Indices
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.simulators.interface import Body, Kind, Simulator
 from ssduck.simulators.kinematics import (
     JointValues,
-    pose_of,
-    positions_of,
+    joint_positions,
+    parse_pose,
 )
 from ssduck.simulators.scenes import Camera, Scene, SensorSpec, variable_name
 from ssduck.world.entities import HANDLES, Entity, Sensor
@@ -208,7 +208,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             UnsupportedError: it is a what-if world, or a recorded one.
         """
         width, height = validation.picture_size(width, height, "render")
-        shadow = validation.flag(shadow, "render: shadow")
+        shadow = validation.boolean(shadow, "render: shadow")
         with self.lock:
             return self._simulator.render(camera or self.camera, width, height, shadow=shadow)
 
@@ -257,10 +257,10 @@ class World(ManipulableSimulation, OpenRaveWorld):
         has_links = any(m.body and m.body.joints for m in self.snapshot.members)
         with self.held((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
             places = {
-                body: pose_of(pose, name) for name, body, pose in self._bodies_of(poses or {})
+                body: parse_pose(pose, name) for name, body, pose in self._bodies_of(poses or {})
             }
             positions = {
-                body: positions_of(values, body, name)
+                body: joint_positions(values, body, name)
                 for name, body, values in self._bodies_of(joints or {})
             }
             posed, snapshot = imagined(self.snapshot, places, positions)
@@ -306,7 +306,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
         It is in a PyBullet simulation of its own, and begins at the same time; its entities have
         the same names. What is carried over, and what PyBullet does not tell, is listed in
-        docs/adapters.md.
+        docs/reference/result-forms.md.
 
         Args:
             entities: entities of this world, or their names; a sensor brings the body that it
@@ -406,9 +406,9 @@ class World(ManipulableSimulation, OpenRaveWorld):
         Raises:
             UnknownNameError: there is none of that id.
         """
-        row = self.snapshot.rows.get(id) if validation.is_whole(id) else None
+        row = self.snapshot.rows.get(id) if validation.is_integer(id) else None
         if row is None:
-            raise UnknownNameError(f"world {self.name!r} has no entity of the id {shown(id)}")
+            raise UnknownNameError(f"world {self.name!r} has no entity of the id {short_repr(id)}")
         member = self.snapshot.members[row]
         return HANDLES[member.kind](self, id, member.name, member.kind)
 
@@ -488,7 +488,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             self._check_not_held()
             if sensor not in self:
                 raise sensor.removed()
-            on = validation.flag(on, "power: on")
+            on = validation.boolean(on, "power: on")
             if on != self.snapshot.sensing.is_on(sensor.id):
                 self.snapshot.switch(sensor.id, on=on)
 

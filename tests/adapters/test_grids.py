@@ -346,11 +346,11 @@ def pixels(path):
 
 @pytest.mark.slow
 def test_the_manuals_pictures_are_up_to_date(pictures):
-    page = (ROOT / "docs" / "adapters.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "result-forms.md").read_text(encoding="utf-8")
     assert len(pictures) == 9
     for name, drawn in pictures.items():
-        path = ROOT / "docs" / f"{name}.png"
-        assert f"({name}.png)" in page
+        path = ROOT / "docs" / "images" / f"{name}.png"
+        assert f"(../images/{name}.png)" in page
         assert path.stat().st_size < 100_000
         stored = pixels(path)
         assert stored.shape == drawn.shape, f"{name}: run tools/draw_forms.py"

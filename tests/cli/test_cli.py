@@ -29,7 +29,7 @@ from ssduck.interpreter import opening
 from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="signals and devices of Linux")
 
 BOX = """\

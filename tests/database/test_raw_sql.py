@@ -227,11 +227,11 @@ def test_the_contacts_have_second_names():
     assert not any(TABLES[table].second_names for table in RECORDABLE if table != "contacts")
 
 
-@pytest.mark.parametrize("name", [r.name for r in RELATIONS.values() if not r.second_of])
+@pytest.mark.parametrize("name", [r.name for r in RELATIONS.values() if not r.alias_of])
 @pytest.mark.parametrize("schema", ["", "sim"])
 def test_every_relation_has_a_name_that_needs_no_quotes(one, name, schema):
     relation = RELATIONS[name]
-    relation = RELATIONS[relation.also[0]] if relation.also else relation
+    relation = RELATIONS[relation.aliases[0]] if relation.aliases else relation
     call = called(relation)
     before = f"{schema}." if schema else ""
     one.sql(f"SELECT {before}{call} FROM entities a, entities b WHERE {before}{call} IS NOT NULL")
@@ -242,10 +242,10 @@ def test_every_relation_has_a_name_that_needs_no_quotes(one, name, schema):
 )
 def test_second_names_mean_the_same(first, second, one):
     relation = RELATIONS[first]
-    assert RELATIONS[second].second_of == first
+    assert RELATIONS[second].alias_of == first
     assert f"Also called {second}" in one.eval(f"help('{first}');")
     assert f"same as {first}" in one.eval(f"help('{second}');")
-    more = "a.this, b.this" if relation.required == 2 else "a.this"
+    more = "a.this, b.this" if relation.required_count == 2 else "a.this"
     for row_by_row in (False, True):
         ss = ssduck.Interpreter(row_by_row=row_by_row)
         ss.add_variable("sim", one.call_variable("sim").what_if({}))

@@ -17,7 +17,9 @@ from ssduck.language.parser import parse
 from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+NAMES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+PAGES = [path for name in NAMES if (path := ROOT / name).exists()]
+PAGES += sorted((ROOT / "docs").rglob("*.md"))
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -31,7 +33,7 @@ def blocks(language):
             if name == language
         ]
         if texts:
-            found[page.name] = texts
+            found[page.relative_to(ROOT).as_posix()] = texts
     return found
 
 
@@ -189,21 +191,58 @@ def test_what_is_generated_is_up_to_date(tool):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def anchors(page):
+    """The anchors of a page's headings, as GitHub makes them."""
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", text):
         if not target.startswith("https://"):
-            assert (page.parent / target).exists(), target
+            path = page.parent / target if target else page
+            assert path.exists(), target
+            assert not anchor or anchor in anchors(path), f"{target}#{anchor}"
 
 
-def test_every_module_is_in_the_manual():
-    page = (ROOT / "docs" / "how-it-works.md").read_text(encoding="utf-8")
-    package = ROOT / "ssduck"
-    paths = {path.relative_to(package).as_posix() for path in package.rglob("*.py")}
-    modules = {path for path in paths if "__" not in path}
-    assert len(modules) > 100
-    # What is added to by a module each is in the manual as a folder.
-    families = ("adapters/", "demos/", "simulators/pybullet/", "sql/relations/")
-    assert all(f"`{folder}`" in page for folder in families)
-    missing = {name for name in modules if f"`{name}`" not in page}
-    assert {name for name in missing if not name.startswith(families)} <= {"errors.py"}
+CODE = [path for top in ("ssduck", "tools", "benchmarks") for path in (ROOT / top).rglob("*.py")]
+MENTION = re.compile(r"\bdocs/[\w/.-]*\.(?:md|png)\b")
+
+
+def test_pages_that_the_code_mentions_exist():
+    mentions = {
+        (path.relative_to(ROOT).as_posix(), name)
+        for path in [*CODE, ROOT / "Makefile", ROOT / "pyproject.toml"]
+        for name in MENTION.findall(path.read_text(encoding="utf-8"))
+    }
+    assert mentions
+    assert [mention for mention in mentions if not (ROOT / mention[1]).exists()] == []
+
+
+@pytest.mark.parametrize(
+    "page",
+    sorted((ROOT / "docs").rglob("*.md")),
+    ids=lambda page: page.relative_to(ROOT).as_posix(),
+)
+def test_every_page_can_be_reached(page):
+    """From the README, by links of its pages."""
+    reached, waiting = set(), [ROOT / "README.md"]
+    while waiting:
+        path = waiting.pop()
+        if path not in reached and path.suffix == ".md":
+            reached.add(path)
+            links = re.findall(r"\]\(([^)#\s]+)", path.read_text(encoding="utf-8"))
+            waiting += [
+                (path.parent / link).resolve() for link in links if not link.startswith("https://")
+            ]
+    assert page in reached
+
+
+def test_every_package_is_in_the_manual():
+    page = (ROOT / "docs" / "explanation" / "how-it-works.md").read_text(encoding="utf-8")
+    packages = {path.parent.name for path in (ROOT / "ssduck").glob("*/__init__.py")}
+    assert len(packages) > 8
+    assert {name for name in packages if f"`{name}" not in page} == set()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ssduck.geometry import broad_phase as broad
-from ssduck.geometry.broad_phase import meeting
+from ssduck.geometry.broad_phase import overlapping_pairs
 
 
 def brute(boxes, apart=0.0):
@@ -21,7 +21,7 @@ def brute(boxes, apart=0.0):
 
 
 def found(boxes, apart=0.0):
-    pairs = zip(*(side.tolist() for side in meeting(boxes, apart)), strict=True)
+    pairs = zip(*(side.tolist() for side in overlapping_pairs(boxes, apart)), strict=True)
     return sorted((min(pair), max(pair)) for pair in pairs)
 
 
@@ -179,7 +179,7 @@ def compared(monkeypatch, boxes, apart=0.0):
     counts = []
     met = broad._met
     monkeypatch.setattr(broad, "_met", lambda *args: (counts.append(len(args[2])), met(*args))[1])
-    meeting(boxes, apart)
+    overlapping_pairs(boxes, apart)
     return counts
 
 

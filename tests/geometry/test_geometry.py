@@ -12,21 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry import shapes as geometry
-from ssduck.geometry.shapes import (
+from ssduck.geometry import mesh_files
+from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.geometry.mesh_files import load_hulls, load_mesh
+from ssduck.geometry.poses import (
     IDENTITY,
-    Boxer,
-    Geometry,
-    PlacedGeometry,
     compose,
     cross,
     invert,
-    load_hulls,
-    load_mesh,
     multiply,
     rotate,
     rotation_matrices,
 )
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from tests.support.urdf import box_obj
 
 coordinates = st.floats(-50.0, 50.0)
@@ -157,7 +155,7 @@ def coarseness(shape):
 
 def boxed(shapes, groups, count, positions, orientations):
     """The boxes as (groups, 2, 3): lower and upper corners."""
-    boxes = Boxer(shapes, groups, count).boxes(positions, rotation_matrices(orientations))
+    boxes = BoundingBoxes(shapes, groups, count).boxes(positions, rotation_matrices(orientations))
     return boxes.T.reshape(-1, 2, 3)
 
 
@@ -233,9 +231,9 @@ def test_box_of_a_group_is_that_of_its_shapes(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_same_boxes_for_one_pose_after_another(seed):
-    """What a Boxer works out once does not depend on the poses it saw."""
+    """The results of a `BoundingBoxes` do not depend on the poses that it saw before."""
     shapes, groups, positions, orientations = scattered(seed)
-    boxer = Boxer(shapes, groups, 5)
+    boxer = BoundingBoxes(shapes, groups, 5)
     boxer.boxes(positions + 7.0, rotation_matrices(turned(9, 3)))
     again = boxer.boxes(positions, rotation_matrices(orientations)).T.reshape(-1, 2, 3)
     assert again.tolist() == boxed(shapes, groups, 5, positions, orientations).tolist()
@@ -486,6 +484,6 @@ def test_a_file_is_read_once_until_it_is_written_anew(write):
 
 def test_no_more_files_are_kept_than_a_scene_has(write):
     path = write("a.obj", TETRAHEDRON)
-    for size in range(1, geometry.CACHED_FILES + 20):
+    for size in range(1, mesh_files.CACHED_FILES + 20):
         load_hulls(path, (float(size), 1.0, 1.0))
-    assert geometry._hulls.cache_info().currsize == geometry.CACHED_FILES
+    assert mesh_files._hulls.cache_info().currsize == mesh_files.CACHED_FILES

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ssduck.geometry import gjk
 from ssduck.geometry.batch import PairPredicate, box_depths
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, compare
+from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.narrow_phase import COLLIDES
 from ssduck.geometry.queries import FEW, ShapeQueries
 from ssduck.geometry.shapes import Geometry
@@ -40,7 +40,7 @@ BOUNDS = (-COLLIDES, 0.0, 1e-3, 0.05, 0.3)
 
 def undecided(two, bounds=BOUNDS):
     """The gaps less the bounds where nothing is decided; what is decided is right."""
-    gaps = np.array([pairs.gap(*pair).gap for pair in two])
+    gaps = np.array([pairs.gap(*pair).distance for pair in two])
     left = []
     for bound in bounds:
         assert pairs.wrong_verdicts(two, gaps, bound) == []
@@ -128,7 +128,7 @@ def test_sizes_from_a_millimetre_to_a_kilometre(seed):
     for kinds in COMBINATIONS * 3:
         first, second = map(any_size, kinds)
         way = random.normal(size=3)
-        apart = random.uniform() * sum(solid_of(one).reach for one in (first, second))
+        apart = random.uniform() * sum(solid_of(one).bounding_radius for one in (first, second))
         far = random.normal(size=3) * random.choice([0, 1e4])
         turned = [random.normal(size=4) for _ in range(2)]
         place = far + way / np.linalg.norm(way) * apart
@@ -157,7 +157,9 @@ def test_hulls_of_any_number_of_points(count):
 
 
 def test_no_pairs():
-    assert not len(compare(pairs.bodies([at(box(), (0, 0, 0))]), *np.zeros((2, 0), np.intp), 0.0))
+    assert not len(
+        classify_gaps(pairs.bodies([at(box(), (0, 0, 0))]), *np.zeros((2, 0), np.intp), 0.0)
+    )
 
 
 @pytest.mark.parametrize("apart", [0.3, 1e-4, -1e-4, -0.3])

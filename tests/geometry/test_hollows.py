@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from ssduck.geometry.batch import PairPredicate, entities_of, pair_number
+from ssduck.geometry.batch import PairPredicate, matching_pairs, pair_number
 from ssduck.geometry.narrow_phase import COLLIDES
 from tests.support import hollows, pairs
 from tests.support.solids import narrow, sorts_of
@@ -67,12 +67,16 @@ def asked_alone(shapes, pair, gap):
 def test_all_forms_agree_on_what_is_in_holes(seed):
     shapes = hollows.scene(seed)
     every = list(itertools.combinations(range(len(shapes)), 2))
-    gaps = {pair: tick_of(shapes).separation(*pair).gap for pair in every}
+    gaps = {pair: tick_of(shapes).signed_distance(*pair).distance for pair in every}
     for (i, j), gap in gaps.items():
         # Neither in which order they are, nor what else is there, changes a bit.
         two = [shapes[j], shapes[i]]
-        assert gap == tick_of(shapes).separation(j, i).gap == tick_of(two).separation(0, 1).gap
-        assert gap == pytest.approx(pairs.gap(shapes[i], shapes[j]).gap, abs=1e-6)
+        assert (
+            gap
+            == tick_of(shapes).signed_distance(j, i).distance
+            == tick_of(two).signed_distance(0, 1).distance
+        )
+        assert gap == pytest.approx(pairs.gap(shapes[i], shapes[j]).distance, abs=1e-6)
         asked_alone(shapes, (i, j), gap)
         asked_alone(shapes, (j, i), gap)
     together = tick_of(shapes)
@@ -104,6 +108,6 @@ def many_ticks(shapes, every, question):
     def answer(s, t):
         return tick_of([shapes[s], shapes[t]]).answer(0, 1, question)
 
-    found = entities_of(scene, question, answer, tuple(np.array(every, np.intp).T))
+    found = matching_pairs(scene, question, answer, tuple(np.array(every, np.intp).T))
     assert set(found.compared.tolist()) == {pair_number(*one) for one in every}
     return found.pairs

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, QhullError
 
+from ssduck.geometry import broad_phase, surfaces
 from ssduck.geometry import common_volume as volumes
 from ssduck.geometry import containment as overlap
-from ssduck.geometry import surfaces
-from ssduck.geometry.containment import hull_around, share_inside
+from ssduck.geometry.containment import fraction_inside, world_hull
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.mesh_distance import triangle_depths
 from ssduck.geometry.narrow_phase import NarrowPhase
@@ -51,7 +51,7 @@ def shape(geometry, position=ORIGIN, turn=STRAIGHT):
 
 def gap(a, b, at=ORIGIN, turn=STRAIGHT):
     """The gap of one geometry at a place over another at the origin."""
-    return pairs.gap(shape(a, at, turn), shape(b)).gap
+    return pairs.gap(shape(a, at, turn), shape(b)).distance
 
 
 def two(a, b, at=ORIGIN, turn=STRAIGHT):
@@ -75,7 +75,7 @@ def test_a_gap_is_what_the_oracle_says(kinds):
 def test_a_gap_is_symmetric(kinds, seed):
     a, b = pairs.pair(kinds, seed)
     one, other = pairs.gap(a, b), pairs.gap(b, a)
-    assert one.gap == pytest.approx(other.gap, abs=2e-7)
+    assert one.distance == pytest.approx(other.distance, abs=2e-7)
 
 
 @given(
@@ -89,7 +89,7 @@ def test_a_gap_stays_if_the_world_moves(kinds, seed, shift, turn):
     a, b = pairs.pair(kinds, seed)
     turn = np.array(turn) / np.linalg.norm(turn)
     moved = [pairs.moved(one, np.array(shift), turn) for one in (a, b)]
-    assert pairs.gap(*moved).gap == pytest.approx(pairs.gap(a, b).gap, abs=2e-7)
+    assert pairs.gap(*moved).distance == pytest.approx(pairs.gap(a, b).distance, abs=2e-7)
 
 
 @given(
@@ -133,7 +133,7 @@ def test_formulas_agree_with_fcl(kinds):
             for one in (a, b)
         ]
         distance = fcl.distance(*objects, fcl.DistanceRequest(), fcl.DistanceResult())
-        found = pairs.gap(a, b).gap
+        found = pairs.gap(a, b).distance
         assert max(0.0, found) == pytest.approx(max(0.0, distance), abs=2e-3)
 
 
@@ -164,7 +164,7 @@ def test_gaps_agree_with_pybullet(client, kinds):
             Shape(k, pairs.geometry(k, random, is_round=False), *pairs.pose(random, is_round=False))
             for k in kinds
         )
-        found = pairs.gap(a, b).gap
+        found = pairs.gap(a, b).distance
         if found > 0.01:
             bodies = body(a), body(b)
             points = pybullet.getClosestPoints(*bodies, 10.0, physicsClientId=client)
@@ -212,7 +212,7 @@ def test_at_the_surface(over, under, height):
         expected = max(0.0, height) <= within
         if abs(max(0.0, height) - within) > 5e-9:
             assert (tick.clearance(0, 1, upto=within) <= within) is expected
-    normal = tick.separation(1, 0).normal
+    normal = tick.signed_distance(1, 0).normal
     assert normal == pytest.approx((0, 0, 1), abs=1e-4)
 
 
@@ -224,10 +224,10 @@ def test_the_same_place_and_parallel_edges(a, b):
         if a == b == "box":
             outside = [max(0.0, c - 1.0) for c in (x, y, z)]
             expected = math.hypot(*outside) if any(outside) else max(x, y, z) - 1.0
-            assert found.gap == pytest.approx(expected, abs=1e-9)
-        assert math.isfinite(found.gap)
+            assert found.distance == pytest.approx(expected, abs=1e-9)
+        assert math.isfinite(found.distance)
         way = np.array(found.point_a) - found.point_b
-        assert way == pytest.approx(found.gap * np.array(found.normal), abs=1e-9)
+        assert way == pytest.approx(found.distance * np.array(found.normal), abs=1e-9)
 
 
 # -- what FCL does wrong -------------------------------------------------------------------
@@ -261,7 +261,7 @@ HALF_SPACES = [
 @pytest.mark.parametrize(("n", "p", "m", "q", "expected"), HALF_SPACES)
 def test_two_half_spaces(n, p, m, q, expected):
     found = pairs.gap(shape(plane(n), p), shape(plane(m), q))
-    assert found.gap == expected
+    assert found.distance == expected
     for point in (found.point_a, found.point_b):
         assert np.isfinite(point).all()
     if found.normal is None:
@@ -407,7 +407,7 @@ def test_faces_that_do_not_agree_are_turned():
     faces = whole.faces.copy()
     faces[::3] = faces[::3, ::-1]
     solid = solid_of(Geometry("mesh", (0, 0, 0), whole.vertices, faces))
-    assert solid.closed
+    assert solid.is_closed
     assert solid.volume == pytest.approx(0.75)
 
 
@@ -419,8 +419,8 @@ def test_copies_of_vertices_do_not_open_a_mesh():
         whole.vertices[whole.faces].reshape(-1, 3),
         np.arange(60, dtype=np.int32).reshape(-1, 3),
     )
-    assert solid_of(apart).closed
-    assert not solid_of(Geometry("mesh", (0, 0, 0), whole.vertices, whole.faces[1:])).closed
+    assert solid_of(apart).is_closed
+    assert not solid_of(Geometry("mesh", (0, 0, 0), whole.vertices, whole.faces[1:])).is_closed
 
 
 def test_a_convex_closed_mesh_is_a_hull():
@@ -432,7 +432,7 @@ def test_a_mesh_with_faces_without_an_area():
     whole = ell(1.0, 1.0, 1.0)
     faces = np.concatenate((whole.faces, [[0, 0, 1], [2, 2, 2]])).astype(np.int32)
     solid = solid_of(Geometry("mesh", (0, 0, 0), whole.vertices, faces))
-    assert solid.closed
+    assert solid.is_closed
     flat = Geometry(
         "mesh",
         (0, 0, 0),
@@ -513,7 +513,7 @@ def test_the_depth_of_meshes_is_that_of_all_corners_and_triangles(seed):
     i, j = np.array(sorted(pairs.crossings(s, t))).reshape(-1, 2).T
     depths += triangle_depths(s[i], t[j])[0].tolist()
     assert depths
-    assert pairs.gap(a, b).gap == pytest.approx(-max(depths), abs=1e-9)
+    assert pairs.gap(a, b).distance == pytest.approx(-max(depths), abs=1e-9)
 
 
 def test_many_corners_that_are_as_deep():
@@ -541,7 +541,7 @@ def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
         assert tick.penetration(0, 1) == pytest.approx(0.29, abs=0.02)
         assert tick.calls.calls < 300
         assert sum(looked) < 30 * corners
-        assert max(looked) <= surfaces.TOGETHER
+        assert max(looked) <= 2 * broad_phase.TOGETHER
 
 
 def test_an_answer_does_not_depend_on_the_one_before():
@@ -615,7 +615,7 @@ def test_many_entities_as_one_by_one():
     ]
     tick = narrow(*([(one.geometry, one.position, one.quaternion)] for one in shapes))
     for i, j in itertools.combinations(range(len(shapes)), 2):
-        alone = pairs.gap(shapes[i], shapes[j]).gap
+        alone = pairs.gap(shapes[i], shapes[j]).distance
         assert tick.collides(j, i) is (alone < -1e-6)
         assert tick.clearance(i, j) == pytest.approx(max(0.0, alone), abs=1e-7)
 
@@ -637,7 +637,6 @@ def test_threads_get_the_same():
 # -- on, inside ----------------------------------------------------------------------------
 
 TABLE = [(box(2, 1, 0.1), (0, 0, 0.95)), (box(0.1, 0.1, 0.9), (0.9, 0.4, 0.45))]
-SLOPE = 1 / math.cos(math.radians(15)) / 2
 
 # (what, where, turn, whether it is on the table)
 ON = [
@@ -861,8 +860,17 @@ def test_the_share_of_a_ball_in_a_ball(radius, overlap):
     assert found == pytest.approx(lens / (4 / 3 * math.pi * radius**3), abs=3e-4)
 
 
+def test_parts_of_a_mesh_that_overlap_count_each():
+    middles = np.array([[0.0, 0.0, 0.0], [0.5, 0.3, 0.2], [0.3, 0.5, 0.4]])
+    cubes = [trimesh.creation.box((1, 1, 1)).apply_translation(at) for at in middles]
+    at = np.array([0.31, 0.22, 0.13])
+    found = two(box(), of_trimesh(trimesh.util.concatenate(cubes)), tuple(-at)).inside(0, 1)
+    expected = np.prod(1.0 - np.abs(middles - at), axis=1).sum() / 3
+    assert found == pytest.approx(expected, abs=1e-12)
+
+
 def share(a, b):
-    return share_inside(hull_around([a.placed()]), [b.placed()])
+    return fraction_inside(world_hull([a.placed()]), [b.placed()])
 
 
 def held(one, points, *, whole=False):
@@ -1079,9 +1087,9 @@ def test_large_meshes_are_compared_where_they_meet(monkeypatch):
     ):
         kept.clear()
         assert two(a, b, (0.9, 0.1, 0.05)).inside(0, 1) == pytest.approx(expected, abs=3e-3)
-        count = sum(len(solid_of(one).filled.faces) for one in (a, b))
+        count = sum(len(solid_of(one).closed_surface.faces) for one in (a, b))
         assert sum(kept) <= 12 * count
-        assert max(kept) <= 2 * volumes.TOGETHER
+        assert max(kept) <= 2 * broad_phase.TOGETHER
 
 
 def test_hulls_of_half_spaces():
@@ -1089,9 +1097,9 @@ def test_hulls_of_half_spaces():
     wall = PlacedSolid(solid_of(plane((1, 0, 0))), ORIGIN, STRAIGHT)
     block = PlacedSolid(solid_of(box()), (0.0, 0.0, 0.5), STRAIGHT)
     high = PlacedSolid(solid_of(box()), (9.0, 9.0, 1.0), STRAIGHT)
-    assert share_inside(hull_around([ground, block]), [high]) == pytest.approx(0.5)
-    assert share_inside(hull_around([ground, wall]), [high]) == 1.0
-    assert share_inside(hull_around([ground, wall]), [ground]) == 1.0
+    assert fraction_inside(world_hull([ground, block]), [high]) == pytest.approx(0.5)
+    assert fraction_inside(world_hull([ground, wall]), [high]) == 1.0
+    assert fraction_inside(world_hull([ground, wall]), [ground]) == 1.0
 
 
 # (shape, its volume)

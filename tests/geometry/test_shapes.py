@@ -198,7 +198,7 @@ def test_a_relation_with_itself_is_false_and_symmetry_is_as_registered(pair, pos
         for interpreter in (ss, slow):
             there, back, self_ = interpreter.eval(f"[{name}(a, b), {name}(b, a), {name}(a, a)];")
             assert self_ is False
-            if RELATIONS[name].symmetric:
+            if RELATIONS[name].is_symmetric:
                 assert there is back
 
 
@@ -960,6 +960,6 @@ def test_all_pairs_of_entities_have_an_answer(stage):
     stage.add("ground", PLANE)
     ss, _ = stage.interpreters(sim=stage.open())
     for name, relation in RELATIONS.items():
-        if relation.asked and relation.required == 2:
+        if relation.geometry and relation.required_count == 2:
             rows = ss.sql(f'SELECT "{name}"(p, q) FROM entities p, entities q').fetchall()
             assert not any(value is None for (value,) in rows), name

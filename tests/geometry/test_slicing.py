@@ -11,7 +11,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from ssduck.geometry.raster import ROUNDED, Raster
+from ssduck.geometry.raster import CELL_TOLERANCE, Raster
 from ssduck.geometry.rasterize import Rasterizer
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids, solid_of
@@ -159,14 +159,14 @@ def test_the_sides_of_a_box(side, off):
 @pytest.mark.parametrize(
     ("low", "high", "reach", "met"),
     [
-        (0.5, 0.5, -ROUNDED, True),  # at the top, which is a part of the shape
-        (0.5 + TINY, 0.6, -ROUNDED, False),
-        (0.5 - TINY, 0.6, -ROUNDED, True),
-        (-0.9, -0.5, -ROUNDED, True),
-        (-0.9, -0.5 - TINY, -ROUNDED, False),
-        (0.5, 0.6, ROUNDED, False),  # a cube that it only touches
-        (0.5 - TINY, 0.6, ROUNDED, True),
-        (-0.6, -0.5, ROUNDED, False),
+        (0.5, 0.5, -CELL_TOLERANCE, True),  # at the top, which is a part of the shape
+        (0.5 + TINY, 0.6, -CELL_TOLERANCE, False),
+        (0.5 - TINY, 0.6, -CELL_TOLERANCE, True),
+        (-0.9, -0.5, -CELL_TOLERANCE, True),
+        (-0.9, -0.5 - TINY, -CELL_TOLERANCE, False),
+        (0.5, 0.6, CELL_TOLERANCE, False),  # a cube that it only touches
+        (0.5 - TINY, 0.6, CELL_TOLERANCE, True),
+        (-0.6, -0.5, CELL_TOLERANCE, False),
     ],
 )
 @pytest.mark.parametrize("kind", ["box", "cylinder", "mesh"])
@@ -208,7 +208,7 @@ def test_a_closed_mesh_is_solid():
     inside = (abs(x) < 0.5) & (abs(y) < 0.5) & ~((x > 0) & (y > 0))
     mesh = prism(ELL, 0.4)
     assert solid_of(mesh).type == "mesh"
-    assert solid_of(mesh).closed
+    assert solid_of(mesh).is_closed
     slicer = Rasterizer(placed((mesh, [0, 0, 0], Rotation.identity())))
     for low, high in ((0.0, 0.0), (0.4, 0.4), (-1, 1), (0.39, 2)):
         assert np.array_equal(slicer.cells(raster, low, high), inside), (low, high)
@@ -281,7 +281,7 @@ def test_planes_are_solid():
     slicer = Rasterizer(placed((up, [0, 0, 0.2], Rotation.identity())))
     assert slicer.cells(RASTER, 0.2, 0.2).all()
     assert not slicer.cells(RASTER, 0.2 + TINY, 0.3).any()
-    assert not slicer.cells(RASTER, 0.2, 0.3, reach=ROUNDED).any()
+    assert not slicer.cells(RASTER, 0.2, 0.3, reach=CELL_TOLERANCE).any()
     steep = Rasterizer(
         placed((Geometry.primitive("plane", (1, 0, 0)), [0.05, 0, 0], Rotation.identity()))
     )

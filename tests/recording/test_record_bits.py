@@ -11,7 +11,7 @@ import pytest
 
 import ssduck
 from ssduck import Recording
-from ssduck.geometry.shapes import compose, cross, multiply, rotate, rotation_matrices
+from ssduck.geometry.poses import compose, cross, multiply, rotate, rotation_matrices
 from ssduck.schema import RECORDABLE
 
 ALL = Recording(tables=RECORDABLE)

@@ -16,7 +16,8 @@ import trimesh
 
 import ssduck
 from ssduck.geometry.height_fields import height_field
-from ssduck.geometry.shapes import Geometry, rotation_matrices
+from ssduck.geometry.poses import rotation_matrices
+from ssduck.geometry.shapes import Geometry
 from ssduck.recording.spec import Recording
 from ssduck.schema import RECORDABLE
 

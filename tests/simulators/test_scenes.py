@@ -207,7 +207,7 @@ def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
 
 
 def test_the_manuals_example_is_a_scene(write):
-    page = (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
     (toml,) = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     models = re.findall(r"`(\w+\.urdf)`:\n\n```xml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     assert [name for name, _ in models] == ["stool.urdf", "cup.urdf"]
@@ -220,7 +220,7 @@ def test_the_manuals_example_is_a_scene(write):
 
 
 def test_the_manuals_mistake_is_told_as_it_shows(scene):
-    page = (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
     (shown,) = re.findall(r"^```console\n(.*?)\n```", page, re.MULTILINE | re.DOTALL)
     body = '[[body]]\nname = "{}"\nurdf = "cup.urdf"\n'
     path = scene(body.format("a") + body.format("b") + "positon = [0, 0, 0]\n")

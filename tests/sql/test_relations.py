@@ -207,9 +207,9 @@ def test_every_relation_is_complete(relation, pair):
     assert relation.help.splitlines()[-1] == f"Usage: {relation.usage}"
     assert ss.eval(f"help('{relation.name}');") == f"{relation.name}\n{relation.help}"
     assert all(parameter.meaning for parameter in relation.parameters)
-    assert relation.required in relation.expressions
+    assert relation.required_count in relation.expressions
     # It is a function of rows in raw SQL, too; position needs quotes, being a word of SQL's.
-    required = relation.parameters[: relation.required]
+    required = relation.parameters[: relation.required_count]
     arguments = ", ".join(argument_of(n, p) for n, p in enumerate(required))
     statement = f'SELECT "{relation.name}"({arguments}) FROM entities a, entities b'
     if relation.name == "joint":  # these boxes have none

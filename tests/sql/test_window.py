@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.geometry.shapes import multiply, rotation_matrices, turns_of
+from ssduck.geometry.poses import flat_rotation_matrices, multiply, rotation_matrices
 from ssduck.interpreter import query_runner as queries
 from ssduck.recording.replay import batch_queries as many_ticks
 from ssduck.recording.stores.base import PAIR_COLUMNS, PairRequest
@@ -235,6 +235,6 @@ def test_products_of_many_rows_are_those_of_each(count: int) -> None:
     each = [rotation_matrices(turn[None])[0] for turn in turns]
     wanted = np.array(each).reshape(-1, 3, 3)
     assert np.array_equal(rotation_matrices(turns), wanted)  # to the last bit
-    assert np.array_equal(turns_of(turns).T.reshape(-1, 3, 3), wanted)
+    assert np.array_equal(flat_rotation_matrices(turns).T.reshape(-1, 3, 3), wanted)
     products = np.array([multiply(turn[None], turn[None])[0] for turn in turns]).reshape(-1, 4)
     assert np.array_equal(multiply(turns, turns), products)

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck.geometry.distance import CallCounter, SignedDistance, separation
-from ssduck.geometry.gjk import ABOVE, BELOW, ConvexCores, PlacedCores, compare
-from ssduck.geometry.mesh_distance import mesh_apart, mesh_depth
+from ssduck.geometry.distance import CallCounter, SignedDistance, signed_distance
+from ssduck.geometry.gjk import ABOVE, BELOW, ConvexCores, PlacedCores, classify_gaps
+from ssduck.geometry.mesh_distance import mesh_distance, mesh_penetration
 from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
@@ -142,21 +142,21 @@ def gap(a, b, calls=None):
     calls = calls or CallCounter()
     kinds = {one.solid.type, other.solid.type}
     if "mesh" in kinds and "plane" not in kinds:
-        return mesh_apart(one, other, calls) or mesh_depth(one, other, calls)
-    return separation(one, other, calls)
+        return mesh_distance(one, other, calls) or mesh_penetration(one, other, calls)
+    return signed_distance(one, other, calls)
 
 
 # -- many at once --------------------------------------------------------------------------
 
 
 def bodies(shapes):
-    """Shapes for `compare`, by their numbers."""
+    """Shapes for `classify_gaps`, by their numbers."""
     solids = [solid_of(one.geometry) for one in shapes]
     placed = [one.placed() for one in shapes]
-    turns = np.array([one.rows for one in placed]).reshape(-1, 9).T
+    turns = np.array([one.matrix_rows for one in placed]).reshape(-1, 9).T
     places = list(zip(placed, solids, strict=True))
-    centres = np.array([one.world(*s.centre) for one, s in places]).T
-    inner = np.array([one.world(*s.inner_centre) for one, s in places]).T
+    centres = np.array([one.to_world(*s.centre) for one, s in places]).T
+    inner = np.array([one.to_world(*s.inscribed_centre) for one, s in places]).T
     every = np.arange(len(shapes))
     return PlacedCores(
         ConvexCores(solids, every), *map(np.ascontiguousarray, (turns, centres, inner))
@@ -167,7 +167,9 @@ def verdicts(two, bound):
     """Of pairs of shapes, as they are and swapped."""
     all_ = bodies([one for pair in two for one in pair])
     first = np.arange(0, 2 * len(two), 2)
-    return compare(all_, first, first + 1, bound), compare(all_, first + 1, first, bound)
+    return classify_gaps(all_, first, first + 1, bound), classify_gaps(
+        all_, first + 1, first, bound
+    )
 
 
 def wrong_verdicts(two, gaps, bound):
@@ -253,23 +255,23 @@ def convex_error(a, b, found: SignedDistance, *, full=True):
     """
     if found.normal is None:
         parallel = np.allclose(a.matrix @ a.geometry.size, -(b.matrix @ b.geometry.size), atol=1e-8)
-        return math.inf if parallel or found.gap > -math.inf else 0.0
+        return math.inf if parallel or found.distance > -math.inf else 0.0
     normal = np.array(found.normal)
     error = max(abs(float(normal @ normal) - 1), _identity(found))
-    error = max(error, abs(reach(b, normal) + reach(a, -normal) + found.gap))
+    error = max(error, abs(reach(b, normal) + reach(a, -normal) + found.distance))
     if full:
         # The depth of a round side is flat where it is least: its place is not known as well.
-        slack = ROUND_POINT if found.gap < 1e-9 and "cylinder" in (a.kind, b.kind) else 1e-5
+        slack = ROUND_POINT if found.distance < 1e-9 and "cylinder" in (a.kind, b.kind) else 1e-5
         held = is_in(a, found.point_a, slack) and is_in(b, found.point_b, slack)
         error = error if held else math.inf
-    if found.gap < 0 and full and "plane" not in (a.kind, b.kind):
+    if found.distance < 0 and full and "plane" not in (a.kind, b.kind):
         error = max(error, found_depth_error(a, b, found))
     return error
 
 
 def found_depth_error(a, b, found):
     (p, r), (q, s) = corners(a, 48), corners(b, 48)
-    core = -found.gap - r - s
+    core = -found.distance - r - s
     if core <= 0:
         return 0.0  # the cores are apart: proved as a distance is
     least = least_depth(p, q)
@@ -288,7 +290,7 @@ def least_depth(p, q):
 
 
 def _identity(found):
-    way = np.array(found.point_a) - found.point_b - found.gap * np.array(found.normal)
+    way = np.array(found.point_a) - found.point_b - found.distance * np.array(found.normal)
     return float(np.abs(way).max())
 
 
@@ -408,9 +410,9 @@ def mesh_error(a, b, found: SignedDistance):
             if len(points):
                 depths.append(float(points_to_triangles(points, z).min(1).max()))
     if not crossed and not depths:
-        return max(error, abs(surface_distance(s, t) - r - q - found.gap))
+        return max(error, abs(surface_distance(s, t) - r - q - found.distance))
     depths += [least_depth(s[i], t[j]) for i, j in crossed]
-    return max(error, abs(max(depths) + r + q + found.gap))
+    return max(error, abs(max(depths) + r + q + found.distance))
 
 
 def error_of(a, b, *, full=True):
@@ -420,7 +422,7 @@ def error_of(a, b, *, full=True):
         return (mesh_error(a, b, found) if full else _identity(found)), found
     if {a.kind, b.kind} & set(MESHES):
         normal = np.array(found.normal)
-        return abs(reach(b, normal) + reach(a, -normal) + found.gap), found
+        return abs(reach(b, normal) + reach(a, -normal) + found.distance), found
     return convex_error(a, b, found, full=full), found
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 
 from ssduck.geometry.batch import ShapeTable
+from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
-from ssduck.geometry.shapes import Boxer, Geometry, PlacedGeometry, rotation_matrices
+from ssduck.geometry.poses import rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -53,12 +54,14 @@ def narrow(*entities):
     with np.errstate(all="ignore"):
         unit = turns / np.linalg.norm(turns, axis=1)[:, None]
         boxes = (
-            Boxer(placed, range(len(shapes)), len(shapes))
+            BoundingBoxes(placed, range(len(shapes)), len(shapes))
             .boxes(positions, rotation_matrices(unit))
             .T
         )
     solids = [solid_of(geometry) for geometry, _, _ in shapes]
-    return NarrowPhase(solids, np.arange(len(shapes)), positions, turns, boxes, starts, Counter())
+    return NarrowPhase(
+        solids, np.arange(len(shapes)), positions, turns, boxes, starts, CallCounter()
+    )
 
 
 def sorts_of(tick):

@@ -220,7 +220,7 @@ def test_every_type_is_complete(kind):
     for setting in kind.settings:
         assert setting.about
         assert setting.unit in ("m", "degrees", "pixels", "")
-    page = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "sensors.md").read_text(encoding="utf-8")
     assert f"`{kind.name}`" in page
     for setting in kind.settings:
         assert f"`{setting.name}`" in page

@@ -14,8 +14,7 @@ from ssduck.demos.motion.obstacles import Held, Obstacles, Wall, hull_in, walls_
 from ssduck.demos.motion.planning import plan, shortened
 from ssduck.demos.motion.spaces import ARM_APART, ARM_SPACING, BASE_APART, ArmSpace, BaseSpace
 from ssduck.errors import StateError
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 

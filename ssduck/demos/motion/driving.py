@@ -10,7 +10,7 @@ import numpy as np
 
 from ssduck.demos.motion.kinematics import KinematicChain
 from ssduck.demos.motion.spaces import BaseSpace, wrapped
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.world.entities import Entity
 
 # Steps of the simulation between two commands.

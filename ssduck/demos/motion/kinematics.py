@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices, rotation_matrices
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.poses import rotation_matrices
 from ssduck.simulators.interface import Body
 from ssduck.world.entities import Entity
 

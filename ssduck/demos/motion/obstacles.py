@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.demos.motion.kinematics import KinematicChain, poses
-from ssduck.geometry.broad_phase import Flags, Pairs
-from ssduck.geometry.gjk import ABOVE, ConvexCores, PlacedCores, compare
-from ssduck.geometry.shapes import Array, Geometry, Indices, PlacedGeometry
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.broad_phase import Pairs
+from ssduck.geometry.gjk import ABOVE, ConvexCores, PlacedCores, classify_gaps
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.entities import Entity
 
@@ -133,12 +134,12 @@ class Obstacles:
         self._links = np.array([shape.link for shape in self.shapes], dtype=np.intp)
         self._local = np.array([shape.pose for shape in self.shapes])
         self._centre = _homogeneous([shape.solid.centre for shape in self.shapes])
-        self._inner = _homogeneous([shape.solid.inner_centre for shape in self.shapes])
-        self._reach = np.array([shape.solid.reach for shape in self.shapes])
+        self._inner = _homogeneous([shape.solid.inscribed_centre for shape in self.shapes])
+        self._reach = np.array([shape.solid.bounding_radius for shape in self.shapes])
         placed = np.array([wall.pose for wall in self.walls]).reshape(-1, 4, 4)
         self._wall_turns = placed[:, :3, :3].reshape(-1, 9).T
         centres = _homogeneous([wall.solid.centre for wall in self.walls])
-        inner = _homogeneous([wall.solid.inner_centre for wall in self.walls])
+        inner = _homogeneous([wall.solid.inscribed_centre for wall in self.walls])
         self._wall_centres = np.einsum("nab,nb->na", placed, centres)[:, :3].T
         self._wall_inner = np.einsum("nab,nb->na", placed, inner)[:, :3].T
 
@@ -189,7 +190,7 @@ class Obstacles:
             (self._near_walls(centres, looked_at, apart), apart),
             (self._near_itself(centres, looked_at, itself), itself or 0.0),
         ):
-            verdicts = compare(bodies, first, second, bound)
+            verdicts = classify_gaps(bodies, first, second, bound)
             posture = (first - len(self.walls)) // len(self._links)
             is_free[posture[verdicts != ABOVE]] = False
         return is_free

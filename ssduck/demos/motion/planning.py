@@ -13,8 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array, Flags
 
 # How often a tree grows towards the other in turn.
 MOST_STEPS = 50

@@ -8,8 +8,7 @@ import numpy as np
 
 from ssduck.demos.motion.kinematics import KinematicChain
 from ssduck.demos.motion.obstacles import Obstacles
-from ssduck.geometry.broad_phase import Flags
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 
 # Of an arm: how far anything moves between two postures of a path, m, and what is kept free.
 ARM_SPACING = 0.03

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, nearest
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.interpreter.triggers.diff import bag, changed, copied, is_true, likeness, rows_of
 from ssduck.world.world import World
 
@@ -37,20 +37,23 @@ class TriggerConfig:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
-            raise ArgumentError(f"add_trigger: name: {shown(self.name)} is no name; give a text")
+            raise ArgumentError(
+                f"add_trigger: name: {short_repr(self.name)} is no name; give a text"
+            )
         for name in ("interval", "debounce"):
-            seconds = validation.seconds(getattr(self, name), f"add_trigger: {name}")
+            seconds = validation.duration(getattr(self, name), f"add_trigger: {name}")
             object.__setattr__(self, name, seconds)  # for good from here on
         if self.when not in get_args(When):
             raise ArgumentError(
-                f"add_trigger: when: {shown(self.when)} is none of 'change', 'rising', 'falling'",
+                f"add_trigger: when: {short_repr(self.when)} is none of 'change', 'rising', "
+                "'falling'",
                 suggestions=nearest(self.when, get_args(When)),
             )
         if not isinstance(self.rows, bool):
-            raise ArgumentError(f"add_trigger: rows: {shown(self.rows)} is not True or False")
+            raise ArgumentError(f"add_trigger: rows: {short_repr(self.rows)} is not True or False")
         if self.queue is not None:
             kind = "size; 1 or more, or None for none"
-            queue = validation.whole(self.queue, "add_trigger: queue", least=1, kind=kind)
+            queue = validation.integer(self.queue, "add_trigger: queue", minimum=1, expected=kind)
             object.__setattr__(self, "queue", queue)
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,9 +20,6 @@ from ssduck.interpreter.sources import elements_of
 from ssduck.language.value_keys import ATOMS
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
-
-# Rows that are alike by what stands for them: how often each is there.
-Bag: TypeAlias = Mapping[Any, int]
 
 
 @dataclass(frozen=True)

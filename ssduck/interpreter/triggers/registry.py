@@ -14,8 +14,9 @@ from contextlib import suppress
 from typing import Any, Protocol
 from weakref import WeakSet
 
+from ssduck import validation
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.conditions import TriggerConfig, When
 from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
@@ -168,10 +169,10 @@ class TriggerRegistry:
             program = self._interpreter.compile(program)
         elif not hasattr(program, "tree"):
             raise ArgumentError(
-                f"add_trigger: program: {shown(program)} is neither a text nor what compile gave"
+                f"add_trigger: program: {short_repr(program)} is neither a text nor what compile "
+                "gave"
             )
-        if not callable(callback):
-            raise ArgumentError(f"add_trigger: callback: {shown(callback)} is no function")
+        validation.function(callback, "add_trigger: callback")
         self._check_free(terms.name)
         trigger = Trigger(terms, program, callback)
         with trigger.turn():
@@ -207,7 +208,7 @@ class TriggerRegistry:
     def _named(self, name: str) -> Trigger:
         if name not in self._by_name:
             raise UnknownNameError(
-                f"there is no trigger {shown(name)}", suggestions=nearest(name, self._by_name)
+                f"there is no trigger {short_repr(name)}", suggestions=nearest(name, self._by_name)
             )
         return self._by_name[name]
 

@@ -14,21 +14,26 @@ from itertools import accumulate
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.batch import PairPredicate, ShapeTable, TickPairs, entities_of, known_with_all
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.batch import (
+    PairPredicate,
+    ShapeTable,
+    TickShapes,
+    matching_pairs,
+    of_known_entities,
+)
+from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
-from ssduck.geometry.queries import ShapeQueries
-from ssduck.geometry.shapes import (
-    Array,
-    Boxer,
-    Geometry,
-    Indices,
+from ssduck.geometry.poses import (
     compose,
+    flat_rotation_matrices,
     rotation_matrices,
-    turns_of,
     unit_quaternions,
 )
+from ssduck.geometry.queries import ShapeQueries
+from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.layout import EntityInfo
 
@@ -47,7 +52,7 @@ class _Model:
     links: Indices
     positions: Array
     orientations: Array
-    boxer: Boxer
+    boxer: BoundingBoxes
 
     @property
     def count(self) -> int:
@@ -189,8 +194,8 @@ class EntityShapes:
         counts = np.bincount(owners, minlength=2 * count)
         starts = np.cumsum(counts) - counts
         shapes = _each_with_each(starts[:count], counts[:count], starts[count:], counts[count:])
-        sorts = ShapeTable(self._solids, of, owners, margins)
-        scene = _scene_of(sorts, positions, orientations)
+        table = ShapeTable(self._solids, of, owners, margins)
+        scene = _scene_of(table, positions, orientations)
         endless = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
 
         def holds_of(s: int, t: int) -> bool:  # of the few that only a closer look decides
@@ -199,12 +204,12 @@ class EntityShapes:
             narrow = NarrowPhase(self._solids, of[two], *placed, [0, 1, 2], calls, margins[two])
             return narrow.answer(0, 1, question)
 
-        found = entities_of(scene, question, holds_of, shapes)
+        found = matching_pairs(scene, question, holds_of, shapes)
         calls.pairs += len(found.compared)
         holds = np.zeros(count, dtype=bool)
         holds[found.sides[0]] = True
         are_known = np.ones(2 * count, dtype=bool)
-        are_known[owners[~scene.known]] = False
+        are_known[owners[~scene.is_known]] = False
         return holds, are_known[:count] & are_known[count:]
 
     def _placed(
@@ -248,7 +253,7 @@ class EntityShapes:
                 np.array([shape.frame for shape in shapes], dtype=np.intp),
                 np.array([shape.position for shape in shapes]).reshape(-1, 3),
                 np.array([shape.orientation for shape in shapes]).reshape(-1, 4),
-                Boxer(shapes, range(len(shapes)), len(shapes)),
+                BoundingBoxes(shapes, range(len(shapes)), len(shapes)),
             )
         return self._models[id]
 
@@ -316,17 +321,17 @@ def _each_with_each(first: Indices, counts: Indices, second: Indices, others: In
     return first[pair] + place // width, second[pair] + place % width
 
 
-def _scene_of(sorts: ShapeTable, positions: Array, orientations: Array) -> TickPairs:
+def _scene_of(table: ShapeTable, positions: Array, orientations: Array) -> TickShapes:
     """Shapes at poses, without boxes.
 
     Args:
-        sorts: what they are, and whose.
+        table: what they are, and whose.
         positions: (n, 3), in the world.
         orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
     """
     unit = unit_quaternions(orientations)
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
-        matrices = turns_of(unit).reshape(3, 3, -1).transpose(2, 0, 1)
-    known = known_with_all(sorts, finite & sorts.known)
-    return TickPairs(sorts, known, np.zeros((6, 0)), positions, matrices)
+        matrices = flat_rotation_matrices(unit).reshape(3, 3, -1).transpose(2, 0, 1)
+    known = of_known_entities(table, finite & table.is_known)
+    return TickShapes(table, known, np.zeros((6, 0)), positions, matrices)

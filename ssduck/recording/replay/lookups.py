@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import Array
+from ssduck.geometry.arrays import Array
 
 Columns: TypeAlias = Mapping[str, npt.NDArray[Any]]
 # Gives the columns of a table at the tick.

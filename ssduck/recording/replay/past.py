@@ -14,7 +14,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.errors import EvaluationError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import ROUNDING, Record, place_at
 from ssduck.world.entities import Entity, RecordedTick
@@ -127,8 +127,10 @@ class PastTicks:
         Raises:
             EvaluationError: it is none of them.
         """
-        if not validation.is_whole(tick) or not self.first <= tick <= self.last:
-            raise EvaluationError(f"{shown(tick)} is none of the ticks {self.first} to {self.last}")
+        if not validation.is_integer(tick) or not self.first <= tick <= self.last:
+            raise EvaluationError(
+                f"{short_repr(tick)} is none of the ticks {self.first} to {self.last}"
+            )
         return self.record.at(tick)
 
     def __getitem__(self, name: str) -> Entity:

@@ -17,10 +17,10 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.errors import EvaluationError
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.batch import PairPredicate
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.geometry.shapes import Array, Indices
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.replay.batch_queries import EntityShapes, Ids, PairSide

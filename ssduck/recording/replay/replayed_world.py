@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ssduck import validation
 from ssduck.errors import EvaluationError
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, place_at
 from ssduck.recording.stores.base import TickArchive
 from ssduck.simulators.scenes import Camera
-from ssduck.validation import seconds_argument
 from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.world import World
 
@@ -71,7 +71,7 @@ class ReplayedWorld(PastWorld):
             EvaluationError: nothing of that time is recorded.
             ArgumentError: it is no finite number.
         """
-        time = seconds_argument(time, "a time")
+        time = validation.seconds(time, "a time")
         with self.lock:
             self._check_not_held()
             times = self._record.ticks.times

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.geometry.shapes import Array, Indices, rotation_matrices
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import rotation_matrices
 from ssduck.recording.replay.row_cache import RowCache
 from ssduck.schema import FRAMES, ON_DEMAND, POSE, TABLES
 from ssduck.simulators.interface import Body, LinkPoses

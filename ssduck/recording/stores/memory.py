@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.background_writer import WHENEVER, BufferedRows, Cut
 from ssduck.recording.buffers import buffer_schema
 from ssduck.recording.spec import QUARTERS, Recording

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
-from ssduck.formatting import shown
+from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import WHENEVER, Cut
 from ssduck.recording.episode import Episode
@@ -231,7 +231,9 @@ class ParquetRecording:
 def _begun(path: Path, world: str, tables: Collection[str], recording: Recording) -> FolderRun:
     """A new episode in a folder."""
     if not world.isidentifier():
-        raise RecordError(f"a world called {shown(world)} cannot be recorded: bind it to a name")
+        raise RecordError(
+            f"a world called {short_repr(world)} cannot be recorded: bind it to a name"
+        )
     try:
         str(path.absolute()).encode()  # other names Parquet's library does not take
         path.mkdir(parents=True, exist_ok=True)
@@ -268,7 +270,8 @@ def _check_length(path: Path, world: str) -> None:
     length = len(os.fsencode(world))
     if length > room:
         raise RecordError(
-            f"a world called {shown(world)} cannot be recorded in {path}: files are called after "
+            f"a world called {short_repr(world)} cannot be recorded in {path}: files are called "
+            "after "
             f"it, and its name has {length} bytes, of {room} that there is room for: bind it to a "
             "shorter one"
         )

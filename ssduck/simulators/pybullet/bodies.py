@@ -15,23 +15,16 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.shapes import (
-    IDENTITY,
-    Array,
-    Geometry,
-    PlacedGeometry,
-    compose,
-    invert,
-    load_hulls,
-    load_mesh,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.mesh_files import load_hulls, load_mesh
+from ssduck.geometry.poses import IDENTITY, compose, invert, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import (
     KnownMargins,
+    known_margins,
     margin_of,
-    told_of,
     with_margins,
 )
 from ssduck.simulators.pybullet.console import pybullet
@@ -218,7 +211,7 @@ class _Reader:
         # maximal coordinates, it tells nothing.
         if link not in self._drawn_capsules and self.type == _MULTI_BODY:
             entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
-        return told_of(self.dynamics[link], entries)
+        return known_margins(self.dynamics[link], entries)
 
     @cached_property
     def own(self) -> list[list[PlacedGeometry]]:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ssduck.simulators.interface import SETTABLE, Body
+from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.pybullet.console import pybullet
-from ssduck.simulators.pybullet.simulator import colours_of
+from ssduck.simulators.pybullet.simulator import visual_colours
 
 # Where getDynamicsInfo tells what changeDynamics calls so. Margins are those of the shapes; of
 # whatever link one is set, PyBullet sets the base's.
@@ -65,7 +65,7 @@ def set_state(client: int, handle: int, body: Body, state: BodyState) -> None:
     for joint, here, there in zip(body.joints, now.joints, state.joints, strict=True):
         if there is None or here == there:
             continue
-        if joint.type in SETTABLE:
+        if joint.type in SCALAR_JOINTS:
             (position,), (velocity,) = there
             pybullet.resetJointState(handle, joint.link - 1, position, velocity, client)
         elif joint.type == "spherical":
@@ -110,7 +110,7 @@ def copy_colours(
     wanted: Sequence[tuple[int, int, Sequence[float]]], client: int, handle: int
 ) -> None:
     """Draw a body in these colours, each told with the link and the number of the shape."""
-    own_colours = {(link, shape): colour for link, shape, colour in colours_of(client, handle)}
+    own_colours = {(link, shape): colour for link, shape, colour in visual_colours(client, handle)}
     for link, shape, colour in wanted:
         own = own_colours.get((link, shape))
         if own is not None and tuple(own) != tuple(colour):

@@ -22,7 +22,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.shapes import IDENTITY, Array, Geometry, compose, quaternion_of
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import IDENTITY, compose, quaternion_from_matrix
+from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.pybullet.console import pybullet
 
 # A geometry with its position (3,) and orientation (4,) in a frame.
@@ -219,7 +221,7 @@ class _File:
                 return None
             frame = child["m_transform"]
             rows = frame["m_basis"]["m_el"]["m_floats"][:, :3].astype(np.float64)
-            place, turn = _vector(frame["m_origin"])[None], quaternion_of(rows)[None]
+            place, turn = _vector(frame["m_origin"])[None], quaternion_from_matrix(rows)[None]
             for geometry, position, orientation in own:
                 at, as_ = compose(place, turn, position[None], orientation[None])
                 found.append((geometry, at[0], as_[0]))

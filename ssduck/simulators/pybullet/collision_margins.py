@@ -41,7 +41,9 @@ class KnownMargins:
     is_of_file: bool = False
 
 
-def told_of(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> KnownMargins:
+def known_margins(
+    dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None
+) -> KnownMargins:
     """What PyBullet tells of the margins of a link.
 
     Args:

@@ -30,7 +30,7 @@ def tie(client: int, on: tuple[int, int], to: int) -> None:
     make_constraint(spec, on, (to, -1), client)
 
 
-def ties_of(client: int, on: int, to: int) -> list[int]:
+def fixed_constraints(client: int, on: int, to: int) -> list[int]:
     """The numbers of the fixed constraints between links of a body and the base of another."""
     numbers = [
         pybullet.getConstraintUniqueId(index, physicsClientId=client)

@@ -28,10 +28,11 @@ from pathlib import Path
 import numpy as np
 
 from ssduck.errors import SimulatorError, warn
-from ssduck.formatting import listed
-from ssduck.geometry.shapes import Array, compose, invert
+from ssduck.formatting import joined_names
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
-from ssduck.simulators.interface import SETTABLE, Body, Simulator
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, Simulator
 from ssduck.simulators.pybullet.bodies import BodyDescription, com_of, xyzw
 from ssduck.simulators.pybullet.body_state import (
     BodyState,
@@ -48,17 +49,17 @@ from ssduck.simulators.pybullet.introspection import (
     model_of,
     positions_by_link,
 )
-from ssduck.simulators.pybullet.link_frames import frames_of
+from ssduck.simulators.pybullet.link_frames import link_poses_of
 from ssduck.simulators.pybullet.scene_loader import (
     LoadedBodies,
-    engine_of,
     hold_joint,
     load_body,
     load_model,
     make_constraint,
     make_elastic,
     set_elastic,
-    set_engine,
+    set_solver_settings,
+    solver_settings,
 )
 from ssduck.simulators.pybullet.simulator import (
     PyBulletSimulator,
@@ -151,7 +152,7 @@ class _Copier:
             told = self.source.parameters()
             timestep = told["fixedTimeStep"]
             gravity = tuple(told[f"gravityAcceleration{axis}"] for axis in "XYZ")
-            set_engine(engine_of(self.source.client), self.client)
+            set_solver_settings(solver_settings(self.source.client), self.client)
             if self.source.filled.elastic:
                 self.filled.elastic = True
                 set_elastic(self.client)
@@ -231,7 +232,7 @@ class _Copier:
         if known is not None:
             assert self.source is not None
             copy_dynamics(self.source.client, body.handle, self.client, handle)
-            copy_colours(self.source.colours_of(body), self.client, handle)
+            copy_colours(self.source.visual_colours(body), self.client, handle)
         as_now = self._is_as_now(original)
         if as_now:
             assert self.source is not None
@@ -279,7 +280,7 @@ class _Copier:
         if any(joint.type in ("spherical", "planar") for joint in original.body.joints):
             self._guess("spherical and planar joints are where the model has them", original)
         told = [
-            ((float(position),), (float(velocity),)) if joint.type in SETTABLE else None
+            ((float(position),), (float(velocity),)) if joint.type in SCALAR_JOINTS else None
             for joint, (position, velocity) in zip(original.body.joints, joints, strict=True)
         ]
         return BodyState(
@@ -293,7 +294,7 @@ class _Copier:
         body = original.body
         what = "velocities" if self._known(body) is not None else "positions and velocities"
         self._guess(f"{what} of joints are not recorded; they rest where links are", original)
-        here = frames_of(self.client, replace(body, handle=handle), com_of(self.client, handle))
+        here = link_poses_of(self.client, replace(body, handle=handle), com_of(self.client, handle))
         states = state_of(self.client, handle).joints
         at = np.array([[state[0][0] if state and state[0] else 0.0] for state in states])
         zero = zero_poses(body, here, positions_by_link(body, at))
@@ -316,12 +317,12 @@ class _Copier:
         held: Mapping[int, float] = {}
         now: BodyState | None = None
         if self.source is not None and self._known(body) is not None:
-            if self.source.watched and any(joint.type in SETTABLE for joint in body.joints):
+            if self.source.watched and any(joint.type in SCALAR_JOINTS for joint in body.joints):
                 self._guess("what motors do is not told; they are as PyBullet begins", original)
             held = self.source.filled.held.get(body.handle, {})
             now = state_of(self.source.client, body.handle) if held else None
         elif self.source is None or self._known(body) is None:
-            held = {joint.link: 0.0 for joint in body.joints if joint.type in SETTABLE}
+            held = {joint.link: 0.0 for joint in body.joints if joint.type in SCALAR_JOINTS}
         begun = self.filled.held.get(handle, {})
         targets = {}
         for link, target in held.items():
@@ -375,4 +376,4 @@ class _Copier:
         if self.source is None:
             self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
         for what, names in self.guessed.items():
-            warn(f"{listed(names)}: {what}" if names else what)
+            warn(f"{joined_names(names)}: {what}" if names else what)

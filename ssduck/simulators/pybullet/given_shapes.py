@@ -15,8 +15,10 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.errors import ArgumentError
-from ssduck.formatting import shown
-from ssduck.geometry.shapes import Array, Geometry, Triangles, load_mesh
+from ssduck.formatting import short_repr
+from ssduck.geometry.arrays import Array, Triangles
+from ssduck.geometry.mesh_files import load_mesh
+from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.pybullet.bodies import GivenShapes
 from ssduck.simulators.pybullet.console import pybullet
@@ -50,8 +52,8 @@ def given_shapes(
 def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int | None]:
     """The body, the link (the base is 0) and the number that a key says."""
     parts = key if isinstance(key, tuple) else (key,)
-    if not 1 <= len(parts) <= 3 or not all(map(validation.is_whole, parts)):
-        raise ArgumentError(f"shapes: {shown(key)} is no key: a key is {_KEYS}")
+    if not 1 <= len(parts) <= 3 or not all(map(validation.is_integer, parts)):
+        raise ArgumentError(f"shapes: {short_repr(key)} is no key: a key is {_KEYS}")
     body, link = int(parts[0]), int(parts[1]) if len(parts) > 1 else -1
     number = int(parts[2]) if len(parts) > 2 else None
     if body not in handles:
@@ -93,7 +95,7 @@ def _geometry(key: Any, value: Any) -> Geometry:
     if hasattr(value, "vertices") and hasattr(value, "faces"):
         value = value.vertices, value.faces
     if not (isinstance(value, tuple | list) and len(value) == 2):
-        raise ArgumentError(f"shapes: {key!r}: {shown(value)} is no mesh: a mesh is {_MESHES}")
+        raise ArgumentError(f"shapes: {key!r}: {short_repr(value)} is no mesh: a mesh is {_MESHES}")
     vertices = _vertices(key, value[0])
     if value[1] is None:
         return Geometry.hull(vertices)

@@ -10,11 +10,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck.errors import UnsupportedError
-from ssduck.geometry.shapes import Array, Boxer
-from ssduck.simulators.interface import SETTABLE, Body, LinkPoses
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses
 from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
 from ssduck.simulators.pybullet.console import pybullet
-from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, next_to_zero
+from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, position_nearest_zero
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
 from ssduck.simulators.scenes import ConstraintSpec
@@ -87,9 +88,9 @@ def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
     """Where joints are, by link; of what nobody knows, 0 or the limit next to it."""
     found = {}
     for joint, states in zip(body.joints, joints, strict=True):
-        if joint.type in SETTABLE:
+        if joint.type in SCALAR_JOINTS:
             position = float(states[0])
-            found[joint.link] = next_to_zero(joint) if math.isnan(position) else position
+            found[joint.link] = position_nearest_zero(joint) if math.isnan(position) else position
     return found
 
 
@@ -98,7 +99,7 @@ def _middle(body: Body, link: int) -> Array:
     shapes = [replace(shape, frame=0) for shape in body.shapes if shape.frame == link]
     if not shapes or any(shape.geometry.type == "plane" for shape in shapes):
         return np.zeros(3)
-    boxer = Boxer(shapes, range(len(shapes)), len(shapes))
+    boxer = BoundingBoxes(shapes, range(len(shapes)), len(shapes))
     boxes = boxer.boxes(np.zeros((1, 3)), np.eye(3)[None])
     low, high = boxes[:3].T, boxes[3:].T
     volumes = np.prod(high - low, axis=1)
@@ -108,7 +109,7 @@ def _middle(body: Body, link: int) -> Array:
 
 def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
     entries = pybullet.getVisualShapeData(body.handle, physicsClientId=simulator.client)
-    colours = simulator.colours_of(body)
+    colours = simulator.visual_colours(body)
     for entry, (link, _, colour) in zip(entries, colours, strict=True):
         geometry = primitive_of(entry[2], entry[3])
         yield Visual(

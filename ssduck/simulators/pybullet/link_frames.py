@@ -12,7 +12,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from ssduck.geometry.shapes import Indices, invert, multiply, rotate, rotation_matrices
+from ssduck.geometry.arrays import Indices
+from ssduck.geometry.poses import invert, multiply, rotate, rotation_matrices
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.pybullet.bodies import Pose
 from ssduck.simulators.pybullet.console import pybullet
@@ -99,6 +100,6 @@ def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
     return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
-def frames_of(client: int, body: Body, com: Pose) -> LinkPoses:
+def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:
     """The frames of one body as they are now."""
     return LinkPosesReader([body], [com]).read(client, links_move=True)

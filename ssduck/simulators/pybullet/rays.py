@@ -13,7 +13,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from ssduck.geometry.shapes import Array, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import RayHits
 from ssduck.simulators.pybullet.console import pybullet
 

@@ -11,9 +11,9 @@ from typing import Any, cast
 import numpy as np
 
 from ssduck.errors import SceneError, nearest
-from ssduck.geometry.shapes import compose
-from ssduck.simulators.interface import SETTABLE, Joint, Kind, MotorTarget
-from ssduck.simulators.kinematics import SLACK
+from ssduck.geometry.poses import compose
+from ssduck.simulators.interface import SCALAR_JOINTS, Joint, Kind, MotorTarget
+from ssduck.simulators.kinematics import LIMIT_TOLERANCE
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, xyzw
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.scenes import BodySpec, ConstraintSpec, Scene
@@ -78,7 +78,7 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
     pybullet.setTimeStep(scene.timestep, client)
     pybullet.setGravity(*scene.gravity, physicsClientId=client)
     engine = {name: value for name, value in asdict(scene.engine).items() if value is not None}
-    set_engine(engine, client)
+    set_solver_settings(engine, client)
     if scene.elastic:
         set_elastic(client)
     filled = LoadedBodies(time=scene.time, elastic=scene.elastic)
@@ -120,14 +120,14 @@ def make_elastic(handle: int, client: int) -> None:
         )
 
 
-def set_engine(engine: Mapping[str, int], client: int) -> None:
+def set_solver_settings(engine: Mapping[str, int], client: int) -> None:
     """Set how the solver works, by the names of `Engine`; nothing that is so already."""
     for name, value in engine.items():
-        if engine_of(client)[name] != value:
+        if solver_settings(client)[name] != value:
             pybullet.setPhysicsEngineParameter(physicsClientId=client, **{_ENGINE[name]: value})
 
 
-def engine_of(client: int) -> dict[str, int]:
+def solver_settings(client: int) -> dict[str, int]:
     """How the solver works, by the names of `Engine`."""
     told = pybullet.getPhysicsEngineParameters(client)
     return {name: int(told[called]) for name, called in _ENGINE.items()}
@@ -223,9 +223,9 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
         _check_joint(name, None, joints, f"{place}joint_velocities.{name}: {spec.model.name}")
     held: dict[int, float] = {}
     for joint in joints:
-        if joint.type not in SETTABLE:
+        if joint.type not in SCALAR_JOINTS:
             continue
-        value = spec.joints.get(joint.name, next_to_zero(joint))
+        value = spec.joints.get(joint.name, position_nearest_zero(joint))
         velocity = spec.joint_velocities.get(joint.name, 0.0)
         pybullet.resetJointState(handle, joint.link - 1, value, velocity, client)
         if spec.hold:
@@ -259,11 +259,11 @@ def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place:
     if name not in known:
         raise SceneError(f"{place} has no such joint", suggestions=nearest(name, known))
     joint = known[name]
-    if joint.type not in SETTABLE:
+    if joint.type not in SCALAR_JOINTS:
         raise SceneError(f"{place}: a {joint.type} joint has no position")
     low, high = _range(joint)
     # Solvers leave a joint a little beyond its limits, and worlds are saved so.
-    if value is not None and not low - SLACK < value < high + SLACK:
+    if value is not None and not low - LIMIT_TOLERANCE < value < high + LIMIT_TOLERANCE:
         raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
 
 
@@ -338,7 +338,7 @@ def _range(joint: Joint) -> tuple[float, float]:
     return joint.lower, joint.upper
 
 
-def next_to_zero(joint: Joint) -> float:
+def position_nearest_zero(joint: Joint) -> float:
     """0, or a joint's limit next to it."""
     low, high = _range(joint)
     return min(max(0.0, low), high)

@@ -13,9 +13,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
-from ssduck.simulators.interface import SETTABLE, Body
+from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.pybullet.introspection import constraints_of, model_of
-from ssduck.simulators.pybullet.scene_loader import engine_of
+from ssduck.simulators.pybullet.scene_loader import solver_settings
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import unique_names, write_model
 from ssduck.simulators.scenes import BodySpec, ConstraintSpec, Engine, Scene
@@ -43,7 +43,7 @@ def scene_of(
         time=tick.time,
         bodies=tuple(models.spec_of(original, tick) for original in originals),
         constraints=tuple(_constraints(simulator.client, names)),
-        engine=Engine(**engine_of(simulator.client)),
+        engine=Engine(**solver_settings(simulator.client)),
         elastic=simulator.filled.elastic,
     )
 
@@ -92,7 +92,7 @@ class _ModelWriter:
             model = write_model(told, self._new_folder(stem), _file_name(stem))
             fixed, own_inertia = False, True
         names = unique_names(joint.name for joint in body.joints)
-        settable = [n for n, joint in enumerate(body.joints) if joint.type in SETTABLE]
+        settable = [n for n, joint in enumerate(body.joints) if joint.type in SCALAR_JOINTS]
         positions = {names[n]: float(states[n, 0]) for n in settable}
         held = self.simulator.filled.held.get(body.handle, {})
         targets = {names[link - 1]: target for link, target in held.items()}

@@ -4,7 +4,7 @@ This module and its neighbours of the same prefix are the only ones that import 
 PyBullet reports the pose of a link's centre of mass; what leaves this module is the link
 frame: `X_W_link = X_W_com * inverse(X_link_com)`, X_link_com from `getDynamicsInfo`. Its
 quaternions are x, y, z, w. Its padded boxes are not used: shapes are read once and boxed
-exactly (ssduck.geometry.shapes).
+exactly (ssduck.geometry.bounds).
 """
 
 from __future__ import annotations
@@ -22,12 +22,9 @@ import numpy.typing as npt
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
-from ssduck.formatting import listed, shown
-from ssduck.geometry.shapes import (
-    Array,
-    Indices,
-    compose,
-)
+from ssduck.formatting import joined_names, short_repr
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import compose
 from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
@@ -49,7 +46,7 @@ from ssduck.simulators.pybullet.bodies import (
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import margins_of
 from ssduck.simulators.pybullet.console import captured, pybullet
-from ssduck.simulators.pybullet.constraints import tie, ties_of
+from ssduck.simulators.pybullet.constraints import fixed_constraints, tie
 from ssduck.simulators.pybullet.given_shapes import given_shapes
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
@@ -185,9 +182,11 @@ class PyBulletSimulator:
         """How many bodies the client has now."""
         return self._call(lambda: int(pybullet.getNumBodies(self.client)))
 
-    def colours_of(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
+    def visual_colours(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
         """What a body is drawn in, or would be: link, number among its visual shapes, colour."""
-        return self._colours.get(body) or self._call(lambda: colours_of(self.client, body.handle))
+        return self._colours.get(body) or self._call(
+            lambda: visual_colours(self.client, body.handle)
+        )
 
     def _forget(self, gone: Sequence[Body]) -> None:
         if not self.disabled.isdisjoint(gone):
@@ -358,7 +357,7 @@ class PyBulletSimulator:
 
     def are_tied(self, body: Body, other: Body) -> bool:
         """Whether a fixed constraint is between a link of a body and the base of another."""
-        return bool(self._call(lambda: ties_of(self.client, body.handle, other.handle)))
+        return bool(self._call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
     def tie(self, body: Body, link: int, other: Body) -> None:
         """Make a fixed constraint between a link of a body and the base of another, as they are."""
@@ -368,7 +367,7 @@ class PyBulletSimulator:
         """Remove the fixed constraints between links of a body and the base of another."""
 
         def untie() -> None:
-            for number in ties_of(self.client, body.handle, other.handle):
+            for number in fixed_constraints(self.client, body.handle, other.handle):
                 pybullet.removeConstraint(number, self.client)
 
         self._call(untie)
@@ -398,7 +397,7 @@ class PyBulletSimulator:
         """Draw a body in the colours that it had, or do not."""
         if on == (body not in self.hidden):
             return
-        colours = self.colours_of(body)
+        colours = self.visual_colours(body)
 
         def put() -> None:
             for link, shape, (*rgb, alpha) in colours:
@@ -508,14 +507,14 @@ def _handles(client: int) -> list[int]:
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
         warn(
-            f"{listed([body.name for body in bodies])}: PyBullet does not give back "
+            f"{joined_names([body.name for body in bodies])}: PyBullet does not give back "
             "all shapes (a height field is such a shape); bounding boxes are used instead, which "
             "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
             "the shapes themselves",
         )
 
 
-def colours_of(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
+def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
     """What a body is drawn in: link, number among its visual shapes, colour."""
     shapes: Counter[int] = Counter()
     colours = []
@@ -582,23 +581,27 @@ def attach(
         SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
     """
     number = getattr(client, "_client", client)
-    if not validation.is_whole(number) or not pybullet.isConnected(int(number)):
+    if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
     number = int(number)
     handles = _handles(number)
     for own, what in ((names, "names"), (kinds, "kinds")):
         if not isinstance(own, Mapping | None):
-            raise ArgumentError(f"attach: {what}: {shown(own)} is no dict by the bodies' numbers")
+            raise ArgumentError(
+                f"attach: {what}: {short_repr(own)} is no dict by the bodies' numbers"
+            )
     for handle in (*(names or {}), *(kinds or {})):
-        if not validation.is_whole(handle) or handle not in handles:
-            listed = ", ".join(map(str, handles)) or "none"
-            raise SelectScriptError(f"PyBullet has no body {shown(handle)}; its bodies: {listed}")
+        if not validation.is_integer(handle) or handle not in handles:
+            known = ", ".join(map(str, handles)) or "none"
+            raise SelectScriptError(
+                f"PyBullet has no body {short_repr(handle)}; its bodies: {known}"
+            )
     for handle, kind in (kinds or {}).items():
         if kind not in ("robot", "kinbody"):
             raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
     for handle, name in (names or {}).items():
         if not isinstance(name, str):
-            raise ArgumentError(f"attach: names: body {handle}: {shown(name)} is no text")
+            raise ArgumentError(f"attach: names: body {handle}: {short_repr(name)} is no text")
     given = given_shapes(number, handles, shapes)
     return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 

@@ -16,16 +16,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from ssduck.geometry.shapes import (
-    Array,
-    Geometry,
-    PlacedGeometry,
-    compose,
-    invert,
-    rotation_matrices,
-)
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import compose, invert, rotation_matrices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, LinkPoses
-from ssduck.simulators.kinematics import moved
+from ssduck.simulators.kinematics import moved_link_poses
 
 Numbers = Sequence[float]
 
@@ -91,7 +86,7 @@ def zero_poses(
         positions: of its joints there, by link; of those that have one.
     """
     back = {link: -position for link, position in positions.items()}
-    zero = moved(body, frames, None, back)
+    zero = moved_link_poses(body, frames, None, back)
     parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
     places, turns = zero.positions, zero.states[:, 3:7]
     inverse = invert(places[parents], turns[parents])
@@ -230,11 +225,11 @@ def _add_origin(element: ET.Element, position: Array, orientation: Array) -> Non
         element,
         "origin",
         xyz=" ".join(map(_told, position)),
-        rpy=" ".join(map(_told, angles(orientation))),
+        rpy=" ".join(map(_told, roll_pitch_yaw(orientation))),
     )
 
 
-def angles(orientation: Array) -> tuple[float, float, float]:
+def roll_pitch_yaw(orientation: Array) -> tuple[float, float, float]:
     """Roll, pitch and yaw, rad, of a quaternion w, x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll).
 
     By arctangents only: the arcsine of PyBullet's own function loses half of the digits near a

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from ssduck.sql.relations.relation import Parameter, Relation, ValueType
 
+# The function that yields numbers of contacts and sensors at a recorded tick.
+RECORDED_NUMBERS_UDF = "then told"
 ENTITY = (Parameter("object", "entity", "an entity"),)
 A_B = (Parameter("a", "entity", "an entity"), Parameter("b", "entity", "another entity"))
 
@@ -15,16 +17,24 @@ def of_entity(
     about: str,
     unit: str = "",
     element: ValueType = "real",
-    then: str = "",
-    also: tuple[str, ...] = (),
+    recorded_formula: str = "",
+    aliases: tuple[str, ...] = (),
 ) -> Relation:
     """A relation of one entity."""
     return Relation(
-        name, ENTITY, result, formula, about, unit=unit, element=element, then=then, also=also
+        name,
+        ENTITY,
+        result,
+        formula,
+        about,
+        unit=unit,
+        element=element,
+        recorded_formula=recorded_formula,
+        aliases=aliases,
     )
 
 
 def told(what: str, a: str, b: str = "") -> str:
     """What contacts or sensors told at the tick of a row, as numbers (`replay.lookups`)."""
     other = f"{b}.id" if b else "0"
-    return f"\"then told\"($world, '{what}', {a}.tick, {a}.id, {other})"
+    return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{what}', {a}.tick, {a}.id, {other})"

@@ -14,9 +14,10 @@ OF_CONTACTS: tuple[Relation, ...] = (
         "(SELECT contacts.a, contacts.b FROM contacts WHERE contacts.force > 0)",
         "Checks if the physics solver found a contact of a and b in the last step whose normal "
         "force is more than 0.",
-        symmetric=True,
-        apart="FALSE",
-        then=f"a.id <> b.id AND COALESCE(list_max({told('pressing', 'a', 'b')}) > 0, FALSE)",
+        is_symmetric=True,
+        across_worlds="FALSE",
+        recorded_formula="a.id <> b.id "
+        f"AND COALESCE(list_max({told('pressing', 'a', 'b')}) > 0, FALSE)",
     ),
     Relation(
         "contactForce",
@@ -29,9 +30,9 @@ OF_CONTACTS: tuple[Relation, ...] = (
         "Returns the sum of the normal forces between a and b that the physics solver found in "
         "the last step.",
         unit="N",
-        symmetric=True,
-        apart="0.0::DOUBLE",
-        then="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
+        is_symmetric=True,
+        across_worlds="0.0::DOUBLE",
+        recorded_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
         f"ELSE COALESCE(list_sum({told('pressing', 'a', 'b')}), 0.0) END",
     ),
 )

@@ -12,14 +12,23 @@ _SLICE = (
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 
 
-def _sliced(name: str, formula: str, about: str, unit: str, also: tuple[str, ...] = ()) -> Relation:
+def _sliced(
+    name: str, formula: str, about: str, unit: str, aliases: tuple[str, ...] = ()
+) -> Relation:
     """A list of an entity, whole or from start to stop as Python slices."""
     part = (
         f"list_slice({formula}, CASE WHEN start < 0 THEN start ELSE start + 1 END, "
         "CASE WHEN stop < 0 THEN stop - 1 ELSE stop END)"
     )
     return Relation(
-        name, ENTITY + _SLICE, "list", formula, about, sliced=part, unit=unit, also=also
+        name,
+        ENTITY + _SLICE,
+        "list",
+        formula,
+        about,
+        formula_with_options=part,
+        unit=unit,
+        aliases=aliases,
     )
 
 
@@ -37,7 +46,7 @@ OF_ENTITIES: tuple[Relation, ...] = (
         "object.time",
         "Returns the simulated time of the tick that object is of.",
         "s",
-        also=("timeOf",),
+        aliases=("timeOf",),
     ),
     of_entity("obj", "entity", "object.name", "Returns the object itself."),
     *(
@@ -64,7 +73,7 @@ OF_ENTITIES: tuple[Relation, ...] = (
         "Returns [x, y, z] of the object's link frame in the world, or that list from start "
         "to stop.",
         "m",
-        also=("positionOf",),
+        aliases=("positionOf",),
     ),
     *(
         of_entity(
@@ -117,7 +126,7 @@ OF_ENTITIES: tuple[Relation, ...] = (
         "Returns the distance between the positions of two objects, or between two points "
         "given as lists. The size of the objects does not matter.",
         unit="m",
-        symmetric=True,
+        is_symmetric=True,
     ),
     Relation(
         "above",

@@ -7,7 +7,9 @@ entity, and an error if no entity of the world has a joint of that name.
 
 from __future__ import annotations
 
-from ssduck.simulators.joints import CLOSED, OPEN, ROUNDED
+from collections.abc import Callable
+
+from ssduck.simulators.joints import CLOSED, OPEN, ROUNDED, EntityJoints
 from ssduck.sql.relations.common import ENTITY
 from ssduck.sql.relations.relation import Parameter, Relation
 
@@ -46,12 +48,19 @@ def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
         condition.format(most, usual),
         f"{about} {_OPENNESS} What has no joints with limits is neither open nor closed. "
         f"{_MISSING}",
-        partly=condition.format(named, usual),
-        sliced=condition.format(named, _SHARE.format(name)),
-        looks_at="joints",
+        formula_with_first_option=condition.format(named, usual),
+        formula_with_options=condition.format(named, _SHARE.format(name)),
+        python_table="joints",
         may_fail=True,
     )
 
+
+# The functions of joints, as SQL calls them: the types of their parameters after an entity.
+JOINT_UDFS: dict[str, tuple[Callable[..., float | None], tuple[str, ...]]] = {
+    "joints position": (EntityJoints.position, ("VARCHAR",)),
+    "joints openness": (EntityJoints.openness, ("VARCHAR",)),
+    "joints most_open": (EntityJoints.most_open, ()),
+}
 
 OF_JOINTS: tuple[Relation, ...] = (
     Relation(
@@ -62,7 +71,7 @@ OF_JOINTS: tuple[Relation, ...] = (
         "Returns the position of a joint of the object: radians of a revolute one, metres of a "
         f"prismatic one. {_MISSING}",
         unit="rad or m",
-        looks_at="joints",
+        python_table="joints",
         may_fail=True,
     ),
     _has_share(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.sql.relations.common import ENTITY, of_entity, told
 from ssduck.sql.relations.contacts import summed
-from ssduck.sql.relations.relation import CandidatePairs, Parameter, Relation
-from ssduck.sql.relations.shapes import COLLIDES, DEEP, on_shapes
+from ssduck.sql.relations.geometry_query import COLLIDING, CandidatePairs, GeometryQuery
+from ssduck.sql.relations.relation import Parameter, Relation
+from ssduck.sql.relations.shapes import DEEP, shape_relation
 
 # Of a unit quaternion w, x, y, z.
 _ROTATION = re.sub(
@@ -47,9 +49,9 @@ OF_ODE: tuple[Relation, ...] = (
         "[object.vx, object.vy, object.vz]",
         "Returns the velocity [x, y, z] of the origin of the object's link frame, or one of the "
         "three.",
-        sliced="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy WHEN 2 THEN object.vz "
-        "ELSE error('linearVelocity: axis is to be 0, 1 or 2') END",
-        sliced_result="real",
+        formula_with_options="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy "
+        "WHEN 2 THEN object.vz ELSE error('linearVelocity: axis is to be 0, 1 or 2') END",
+        result_with_options="real",
         unit="m/s",
     ),
     of_entity(
@@ -88,7 +90,7 @@ OF_ODE: tuple[Relation, ...] = (
         "solver found in the last step, friction included. What a program applies, PyBullet does "
         "not tell.",
         "N",
-        then=f"{told('wrench', 'object')}[1:3]",
+        recorded_formula=f"{told('wrench', 'object')}[1:3]",
     ),
     of_entity(
         "torque",
@@ -97,7 +99,7 @@ OF_ODE: tuple[Relation, ...] = (
         "Returns the sum [x, y, z] of the moments of those forces (see force) about the object's "
         "position.",
         "N m",
-        then=f"{told('wrench', 'object')}[4:6]",
+        recorded_formula=f"{told('wrench', 'object')}[4:6]",
     ),
     of_entity(
         "gravityMode",
@@ -111,13 +113,13 @@ OF_ODE: tuple[Relation, ...] = (
         "object.mass > 0",
         "Checks if the object moves under forces: if it has a mass.",
     ),
-    on_shapes(
+    shape_relation(
         "collision",
         "flag",
-        COLLIDES,
+        GeometryQuery(ShapeQueries.collides, (DEEP,)),
         "Checks if a and b collide: collides(a, b).",
-        symmetric=True,
-        candidates=CandidatePairs("colliding", DEEP),
+        is_symmetric=True,
+        candidate_pairs=CandidatePairs(COLLIDING, DEEP),
     ),
     *(
         of_entity(

@@ -11,6 +11,7 @@ import sqlglot
 from sqlglot import exp
 
 from ssduck.schema import BOX, MARGINS, MASSES
+from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 
 # What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
 # integer from case to case; `record` is a dict of the same keys each time; `any` is a value
@@ -44,67 +45,31 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class CandidatePairs:
-    """Where the pairs of a tick are found of which a relation of two entities may hold.
-
-    Attributes:
-        of: those that collide, deeper than `apart`; whose clearance is at most `apart`; that
-            touch, so far apart and the margins of both; of which one rests on the other; or whose
-            boxes are no farther apart along any axis, or no farther and the margins of both, in
-            which cases the relation is still
-            to be asked about each.
-        apart: metres, a DuckDB expression over parameters that are values.
-        sliced: the same with the optional parameters given.
-    """
-
-    of: Literal["colliding", "within", "touching", "resting", "meeting", "reaching"]
-    apart: str = "0"
-    sliced: str = "0"
-
-    @property
-    def are_exact(self) -> bool:
-        """Whether the relation holds of all of them."""
-        return self.of not in ("meeting", "reaching")
-
-    @property
-    def take_distance(self) -> bool:
-        """Whether they depend on `apart`."""
-        return self.of != "resting"
-
-    @property
-    def are_of_many_ticks(self) -> bool:
-        """Whether they can be found at many ticks at once."""
-        return self.of in ("colliding", "within", "touching")
-
-
-@dataclass(frozen=True)
 class Relation:
     """A function of entities that runs as SQL.
 
     Attributes:
-        name: in SelectScript and in SQL.
-        parameters: what it takes.
-        result: what it yields.
+        name: its name in SelectScript and in SQL.
+        parameters: its parameters.
+        result: the type of its result.
         formula: a DuckDB expression over the columns of its parameters.
-        sliced: the same with the optional parameters given.
-        sliced_result: what that yields, where it is another type.
-        about: what it means, in a sentence or two, with its boundary.
-        unit: of the result.
-        symmetric: whether the order of two entities does not matter.
-        element: of a list, what its elements are.
-        apart: of a formula that looks things up, what it is of entities of two worlds.
-        asked: of one that calls the narrow phase, on which pairs it does.
-        candidates: where all pairs of a tick are found of which it may hold.
-        then: of one that looks up what differs from tick to tick, its formula in a macro for rows
-            of a recorded tick.
-        of_lists: of one that has another meaning for two lists, that formula.
-        far: what it yields of entities whose boxes are apart: at least as much, or 0.
-        also: second names, for a name that raw SQL has to quote.
-        second_of: of what is called by a second name, the first one.
-        partly: the formula with the first of two optional parameters given, and not the other.
-        looks_at: of one that calls Python for what is no shape, the table that it looks at.
-        may_fail: whether there are entities that it is an error of.
-        by_margins: whether the collision margins of shapes count.
+        about: its meaning and its boundary, in a sentence or two.
+        formula_with_options: the formula with all optional parameters given.
+        formula_with_first_option: the formula with the first of two optional parameters given.
+        result_with_options: the type of its result then, if it is another one.
+        unit: the unit of the result.
+        is_symmetric: whether the order of two entities does not matter.
+        element: the type of the elements, if the result is a list.
+        across_worlds: the value for entities of two worlds, if the formula looks things up.
+        geometry: the function of shapes that it calls, if any.
+        candidate_pairs: the pairs of a tick of which it may hold, if they can be found at once.
+        recorded_formula: the formula of a macro for rows of a recorded tick, if it looks up what
+            differs from tick to tick.
+        list_formula: the formula for two lists, if it has another meaning for them.
+        aliases: other names; a name that raw SQL has to quote has one.
+        alias_of: the first name, if this is another one.
+        python_table: the table that its Python function reads, if that is not of shapes.
+        may_fail: whether there are entities for which it is an error.
     """
 
     name: str
@@ -112,23 +77,21 @@ class Relation:
     result: ValueType
     formula: str
     about: str
-    sliced: str | None = None
-    sliced_result: ValueType | None = None
+    formula_with_options: str | None = None
+    formula_with_first_option: str | None = None
+    result_with_options: ValueType | None = None
     unit: str = ""
-    symmetric: bool = False
+    is_symmetric: bool = False
     element: ValueType = "real"
-    apart: str = ""
-    asked: str = ""
-    candidates: CandidatePairs | None = None
-    then: str = ""
-    of_lists: str = ""
-    far: Literal["", "more", "nothing"] = ""
-    also: tuple[str, ...] = ()
-    second_of: str = ""
-    partly: str | None = None
-    looks_at: str = ""
+    across_worlds: str = ""
+    geometry: GeometryQuery | None = None
+    candidate_pairs: CandidatePairs | None = None
+    recorded_formula: str = ""
+    list_formula: str = ""
+    aliases: tuple[str, ...] = ()
+    alias_of: str = ""
+    python_table: str = ""
     may_fail: bool = False
-    by_margins: bool = False
 
     @property
     def usage(self) -> str:
@@ -137,80 +100,83 @@ class Relation:
 
     @property
     def help(self) -> str:
-        """What `help('name')` tells after the name."""
-        return " ".join(filter(None, (self.about, self.others))) + f"\nUsage: {self.usage}"
+        """The text of `help('name')` after the name."""
+        return " ".join(filter(None, (self.about, self.alias_note))) + f"\nUsage: {self.usage}"
 
     @property
-    def others(self) -> str:
-        """A sentence about its other names; nothing if it has none."""
-        if self.second_of:
-            return f"The same as {self.second_of}, which raw SQL has to quote."
-        if self.also:
-            return f"Also called {', '.join(self.also)}, which raw SQL need not quote."
+    def alias_note(self) -> str:
+        """A sentence about its other names; empty if it has none."""
+        if self.alias_of:
+            return f"The same as {self.alias_of}, which raw SQL has to quote."
+        if self.aliases:
+            return f"Also called {', '.join(self.aliases)}, which raw SQL need not quote."
         return ""
 
     @property
-    def required(self) -> int:
-        """How many arguments it takes at least."""
+    def required_count(self) -> int:
+        """The least number of arguments."""
         return sum(not parameter.optional for parameter in self.parameters)
 
-    def yields(self, count: int) -> ValueType:
-        """What it yields, by the number of arguments."""
-        given = count > self.required and self.sliced_result is not None
-        return self.sliced_result if given and self.sliced_result else self.result
+    def result_type(self, count: int) -> ValueType:
+        """The type of its result, by the number of arguments."""
+        if count > self.required_count and self.result_with_options is not None:
+            return self.result_with_options
+        return self.result
 
     @cached_property
     def expressions(self) -> dict[int, exp.Expr]:
         """The formula as a tree, by the number of arguments."""
-        found = {self.required: _parsed(self.formula)}
-        if self.sliced is not None:
-            found[len(self.parameters)] = _parsed(self.sliced)
-        if self.partly is not None:
-            found[self.required + 1] = _parsed(self.partly)
-        return found
+        trees = {self.required_count: _parsed(self.formula)}
+        if self.formula_with_options is not None:
+            trees[len(self.parameters)] = _parsed(self.formula_with_options)
+        if self.formula_with_first_option is not None:
+            trees[self.required_count + 1] = _parsed(self.formula_with_first_option)
+        return trees
 
-    def apart_of(self, count: int) -> exp.Expr:
-        """How far apart its candidates are, by the number of arguments."""
-        assert self.candidates is not None
-        far = self.candidates.apart if count == self.required else self.candidates.sliced
-        return _parsed(far)
-
-    @cached_property
-    def is_unbounded(self) -> bool:
-        """Whether it may be infinite: it is of boxes, and that of a plane is."""
-        tree = self.expressions[self.required]
-        of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
-        of_shapes = tree.find(exp.Placeholder) is not None and not self.looks_at
-        return self.result in ("real", "list") and (of_box or of_shapes)
+    def candidate_distance(self, count: int) -> exp.Expr:
+        """The largest distance of its candidate pairs, by the number of arguments."""
+        pairs = self.candidate_pairs
+        assert pairs is not None
+        is_short = count == self.required_count
+        return _parsed(pairs.distance if is_short else pairs.distance_with_options)
 
     @cached_property
-    def is_of_shapes(self) -> bool:
-        """Whether it asks shapes or their boxes: where a box stands in for a shape it is off."""
-        tree = self.expressions[self.required]
-        of_box = any(column.name in BOX for column in tree.find_all(exp.Column))
-        return of_box or (tree.find(exp.Placeholder) is not None and not self.looks_at)
+    def _reads_boxes(self) -> bool:
+        tree = self.expressions[self.required_count]
+        return any(column.name in BOX for column in tree.find_all(exp.Column))
 
     @cached_property
-    def when_apart(self) -> exp.Expr:
-        """What it is of entities of two worlds, if it looks things up in one."""
-        return _parsed(self.apart)
+    def may_be_infinite(self) -> bool:
+        """Whether the result may be infinite: the box of a plane is."""
+        return self.result in ("real", "list") and self.depends_on_shapes
+
+    @cached_property
+    def depends_on_shapes(self) -> bool:
+        """Whether it depends on shapes or their boxes, and is not exact where boxes stand in."""
+        return self._reads_boxes or self.geometry is not None
+
+    @cached_property
+    def across_worlds_expression(self) -> exp.Expr:
+        """The value for entities of two worlds, if the formula looks things up in one."""
+        return _parsed(self.across_worlds)
 
     @cached_property
     def tables(self) -> frozenset[str]:
-        """The tables that it looks things up in."""
-        tree = self.expressions[self.required]
+        """The tables in which it looks things up."""
+        tree = self.expressions[self.required_count]
         tables = {table.name for table in tree.find_all(exp.Table)}
         if tree.find(exp.Placeholder) is not None:
-            tables.add(self.looks_at or "shapes")
+            tables.add(self.python_table or "shapes")
         return frozenset(tables)
 
     @cached_property
-    def reads(self) -> frozenset[str]:
-        """What has to be asked for before it is evaluated: tables, masses, margins."""
-        tree = self.expressions[self.required]
-        of_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
-        found = self.tables | ({MASSES} if of_mass else frozenset())
-        return found | ({MARGINS} if self.by_margins else frozenset())
+    def inputs(self) -> frozenset[str]:
+        """The data to fetch from the simulator before it is evaluated: tables, masses, margins."""
+        tree = self.expressions[self.required_count]
+        reads_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
+        uses_margins = self.geometry is not None and self.geometry.uses_margins
+        found = self.tables | ({MASSES} if reads_mass else frozenset())
+        return found | ({MARGINS} if uses_margins else frozenset())
 
     def _of_rows(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """A formula of rows that users give: they may be of another run, or changed."""
@@ -231,11 +197,11 @@ class Relation:
 
     def _now_or_then(self, tree: exp.Expr, schema: str, rows: Sequence[str]) -> exp.Expr:
         """A formula of what is looked up: now, or at the tick of rows that were recorded."""
-        if not self.then:
+        if not self.recorded_formula:
             return tree
         first, *others = (exp.column("tick", table=row) for row in rows)
         present = exp.select("max(tick)").from_(exp.table_("ticks", db=schema)).subquery()
-        then = in_schema(_parsed(self.then), schema)
+        then = in_schema(_parsed(self.recorded_formula), schema)
         found = exp.case()
         for other in others:
             told = exp.Literal.string(f"{self.name}: its rows are of two ticks of {schema}")
@@ -289,7 +255,7 @@ def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
     found: dict[str, Relation] = {}
     for relation in relations:
         seconds = (
-            replace(relation, name=n, also=(), second_of=relation.name) for n in relation.also
+            replace(relation, name=n, aliases=(), alias_of=relation.name) for n in relation.aliases
         )
         for own in (relation, *seconds):
             if own.name in found:
@@ -350,8 +316,8 @@ def _overloads(relation: Relation, schema: str | None) -> str:
         f"AS ({relation.body(tree, schema).sql('duckdb')})"
         for count, tree in relation.expressions.items()
     ]
-    if relation.of_lists:
-        found.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.of_lists})")
+    if relation.list_formula:
+        found.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
     if relation.name in _OF_TEXTS:
         found.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
     return ", ".join(found)

@@ -17,8 +17,8 @@ OF_SENSORS: tuple[Relation, ...] = (
         "Checks if sensor s perceives e now: if one of its rays, pixels or contact points ends "
         "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
         "what is no sensor.",
-        apart="FALSE",
-        then=f"len({told('sensed', 's', 'e')}) > 0",
+        across_worlds="FALSE",
+        recorded_formula=f"len({told('sensed', 's', 'e')}) > 0",
     ),
     Relation(
         "sensingAmount",
@@ -28,8 +28,8 @@ OF_SENSORS: tuple[Relation, ...] = (
         "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
         "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
         "0 to 1; 0 where isSensing(s, e) is False.",
-        apart="0.0::DOUBLE",
-        then=f"COALESCE({told('sensed', 's', 'e')}[1], 0.0)",
+        across_worlds="0.0::DOUBLE",
+        recorded_formula=f"COALESCE({told('sensed', 's', 'e')}[1], 0.0)",
     ),
     Relation(
         "sensingEnvIDs",
@@ -41,6 +41,6 @@ OF_SENSORS: tuple[Relation, ...] = (
         "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
         "order; an empty list while it is switched off.",
         element="integer",
-        then=f"{told('perceived', 's')}::BIGINT[]",
+        recorded_formula=f"{told('perceived', 's')}::BIGINT[]",
     ),
 )

@@ -14,16 +14,23 @@ from typing import TypeAlias
 
 import numpy as np
 
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.batch import pair_number
-from ssduck.geometry.contact_support import carries
+from ssduck.geometry.contact_support import is_carried_by
 from ssduck.geometry.distance import SignedDistance
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.ray_casting import ROUNDED, chords_of, crossings, first_met, is_of_triangles
-from ssduck.geometry.shapes import Array, rotation_matrices
+from ssduck.geometry.poses import rotation_matrices
+from ssduck.geometry.ray_casting import (
+    HIT_TOLERANCE,
+    crossings,
+    first_hits,
+    is_triangle_surface,
+    ray_chords,
+)
 
 # The numbers w, x, y, z of a unit quaternion.
-Turn: TypeAlias = tuple[float, float, float, float]
+Orientation: TypeAlias = tuple[float, float, float, float]
 
 # The boxes of what rests on something, grown by margins, are no farther apart than that, m.
 RESTING = 0.01
@@ -37,7 +44,7 @@ SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
 VERTICAL = 1e-6
 
 
-class NeighbourSearch:
+class NeighbourRelations:
     """What is around the entities of one tick, by their shapes.
 
     All methods take entities by number. Their answer is None, for unknown, as the narrow phase's
@@ -56,7 +63,7 @@ class NeighbourSearch:
         self._pairs = pairs
         self._resting: dict[int, frozenset[int]] = {}
 
-    def encloses(self, a: int, b: int, turn: Turn) -> bool | None:
+    def encloses(self, a: int, b: int, turn: Orientation) -> bool | None:
         """Whether b is within walls of a: see `encloses`, of the middle of b's box.
 
         Args:
@@ -74,7 +81,7 @@ class NeighbourSearch:
             return False
         return encloses(narrow.shapes_of(a), axes, narrow.shapes_of(b), centre)
 
-    def are_beside(self, a: int, b: int, turn_a: Turn, turn_b: Turn) -> bool | None:
+    def are_beside(self, a: int, b: int, turn_a: Orientation, turn_b: Orientation) -> bool | None:
         """Whether neither is on or in the other, and one is in sight of the other: `is_in_sight`.
 
         That their heights overlap, and that they are near enough, is to be known.
@@ -93,7 +100,7 @@ class NeighbourSearch:
 
     def _are_in_sight(self, a: int, b: int) -> bool:
         narrow = self._narrow
-        boxes, nearest = np.stack((narrow.box(a), narrow.box(b))), narrow.separation(a, b)
+        boxes, nearest = np.stack((narrow.box(a), narrow.box(b))), narrow.signed_distance(a, b)
         if nearest is None:
             return False
         low, high = boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)
@@ -104,14 +111,14 @@ class NeighbourSearch:
     # -- what carries what, and rests on what -------------------------------------------------
 
     def supports(self, a: int, b: int) -> bool | None:
-        """Whether a carries b, alone or with others: `ssduck.geometry.contact_support.carries`."""
+        """Whether a carries b, alone or together with others; see `is_carried_by`."""
         if not self._are_known(a, b):
             return None
         own = self._pushes(a, b) if self._have_shapes(a, b) else []
         if not own:
             return False
         beside = (other for other in self._neighbours.get(b, ()) if other != a)
-        return carries(own, chain.from_iterable(self._pushes(other, b) for other in beside))
+        return is_carried_by(own, chain.from_iterable(self._pushes(other, b) for other in beside))
 
     def _pushes(self, a: int, b: int) -> list[Point]:
         self._narrow.note((pair_number(a, b),))
@@ -195,8 +202,8 @@ def encloses(
         if not _may_be_met(one, axes, centre):
             continue
         start = (centre - one.position) @ one.matrix
-        shares = first_met(one.solid, start, ways @ one.matrix)
-        met |= np.isfinite(shares) & (shares > ROUNDED)
+        shares = first_hits(one.solid, start, ways @ one.matrix)
+        met |= np.isfinite(shares) & (shares > HIT_TOLERANCE)
     walled = met[:3] & met[3:]
     if walled.sum() < WALLED:
         return False
@@ -206,9 +213,9 @@ def encloses(
 
 def _may_be_met(one: PlacedSolid, axes: Array, centre: Array) -> bool:
     """Whether a line along an axis through a point meets the sphere around a shape."""
-    off = axes @ (np.array(one.world(*one.solid.centre)) - centre)
+    off = axes @ (np.array(one.to_world(*one.solid.centre)) - centre)
     beside = off @ off - off * off
-    return bool((beside <= (one.solid.reach + ROUNDED) ** 2).any())
+    return bool((beside <= (one.solid.bounding_radius + HIT_TOLERANCE) ** 2).any())
 
 
 def _extents(shapes: Sequence[PlacedSolid], ways: Array) -> Array:
@@ -216,7 +223,7 @@ def _extents(shapes: Sequence[PlacedSolid], ways: Array) -> Array:
     reaches = [
         np.full(len(ways), math.inf)
         if one.solid.type == "plane"
-        else one.reaches(ways) + one.solid.radius
+        else one.support_heights(ways) + one.solid.radius
         for one in shapes
     ]
     farthest: Array = np.max(reaches, axis=0)
@@ -271,7 +278,7 @@ def _ways(
     of_a, of_b = _extents(a, up), _extents(b, up)
     middles = (of_b[:3] - of_b[3:] - of_a[:3] + of_a[3:]) / 2
     apart = np.subtract(nearest.point_b, nearest.point_a)
-    if nearest.normal is not None and nearest.gap <= ROUNDED:
+    if nearest.normal is not None and nearest.distance <= HIT_TOLERANCE:
         apart = -np.array(nearest.normal)
     found = []
     for direction in (apart, middles):
@@ -323,7 +330,7 @@ def _is_clear(
 def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> bool:
     """Whether nothing is between the end of one stretch and the beginning of the next one."""
     return not any(
-        leave > near + ROUNDED and enter < far - ROUNDED and far > near + ROUNDED
+        leave > near + HIT_TOLERANCE and enter < far - HIT_TOLERANCE and far > near + HIT_TOLERANCE
         for enter, leave in blocks
     )
 
@@ -334,12 +341,12 @@ def _stretches(lines: _Lines, shapes: Sequence[PlacedSolid]) -> list[list[tuple[
     ways = lines.ways
     for one in shapes:
         starts, own = (lines.starts - one.position) @ one.matrix, ways @ one.matrix
-        if is_of_triangles(one.solid):
+        if is_triangle_surface(one.solid):
             shares = crossings(one.solid, starts, own)
             for line, share in np.argwhere(np.isfinite(shares)).tolist():
                 found[line].append((float(shares[line, share]),) * 2)
             continue
-        chords = chords_of(one.solid, starts, own)
+        chords = ray_chords(one.solid, starts, own)
         for line in np.flatnonzero(chords.enter <= chords.leave).tolist():
             found[line].append((float(chords.enter[line]), float(chords.leave[line])))
     return found

@@ -1,0 +1,105 @@
+"""Geometries from mesh files."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Triangles
+from ssduck.geometry.shapes import Geometry
+
+# A scene has a few dozen mesh files at most, each in one or two sizes. What is not used any
+# more goes, so that big meshes do not add up.
+CACHED_FILES = 64
+
+
+def load_mesh(path: Path, scale: tuple[float, ...]) -> Geometry:
+    """All triangles of a mesh file (OBJ, STL, …), scaled along its axes.
+
+    Raises:
+        ValueError: the file cannot be read, or holds no triangles.
+    """
+    return _mesh(path, scale, _stamp(path))
+
+
+def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
+    """The convex hull of each object in a mesh file (OBJ, STL, …), scaled along its axes.
+
+    Raises:
+        ValueError: the file cannot be read, or holds no triangles.
+    """
+    return _hulls(path, scale, _stamp(path))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """Tells a file from what it was before it was written anew."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {error.strerror}") from error
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(maxsize=CACHED_FILES)
+def _mesh(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> Geometry:
+    vertices, objects = _read_triangles(path)
+    return Geometry("mesh", (0.0, 0.0, 0.0), vertices * scale, np.concatenate(objects))
+
+
+@lru_cache(maxsize=CACHED_FILES)
+def _hulls(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> tuple[Geometry, ...]:
+    vertices, objects = _read_triangles(path)
+    return tuple(Geometry.hull(vertices[np.unique(faces)] * scale) for faces in objects)
+
+
+def _read_triangles(path: Path) -> tuple[Array, list[Triangles]]:
+    """The vertices of a file, and the triangles of each of its objects."""
+    try:
+        if path.suffix.lower() == ".obj":
+            vertices, objects = _read_obj(path.read_text(encoding="utf-8", errors="replace"))
+        else:
+            vertices, objects = _read_other(path)
+    except Exception as error:  # of any kind: trimesh lets its readers' own errors through
+        raise ValueError(f"{path} cannot be read as a mesh: {error}") from error
+    if not objects:
+        raise ValueError(f"{path} holds no triangles")
+    used = np.concatenate(objects)
+    if used.min() < 0 or used.max() >= len(vertices):
+        raise ValueError(f"{path}: a face has a vertex that is not there")
+    if not np.isfinite(vertices[used]).all():
+        raise ValueError(f"{path}: a vertex is no finite number")
+    return vertices, objects
+
+
+def _read_obj(text: str) -> tuple[Array, list[Triangles]]:
+    """An OBJ file; `o` and `g` begin an object, as they do for PyBullet."""
+    vertices: list[list[float]] = []
+    objects: list[list[list[int]]] = [[]]
+    for line in text.splitlines():
+        match line.partition("#")[0].split():
+            case ["v", x, y, z, *_]:
+                vertices.append([float(x), float(y), float(z)])
+            case ["f", *corners]:
+                # A corner is vertex/texture/normal; numbers count from 1, or back from the end.
+                numbers = [int(corner.partition("/")[0]) for corner in corners]
+                face = [n - 1 if n > 0 else len(vertices) + n for n in numbers]
+                objects[-1] += [[face[0], *edge] for edge in pairwise(face[1:])]
+            case ["o" | "g", *_]:
+                objects.append([])
+    return (
+        np.array(vertices, dtype=np.float64).reshape(-1, 3),
+        [np.array(triangles, dtype=np.int32) for triangles in objects if triangles],
+    )
+
+
+def _read_other(path: Path) -> tuple[Array, list[Triangles]]:
+    """A file that trimesh reads, as one object."""
+    import trimesh
+
+    loaded: Any = trimesh.load_mesh(path, process=False)
+    faces = np.asarray(loaded.faces, dtype=np.int32).reshape(-1, 3)
+    return np.asarray(loaded.vertices, dtype=np.float64), [faces] if len(faces) else []

@@ -1,0 +1,122 @@
+"""Poses and rotations; pure functions of numpy arrays.
+
+Metres and radians. Quaternions are w, x, y, z and of unit length. A pose is that of a frame B
+in a frame A: `point_A = position + R(orientation) @ point_B`. Arrays of n frames have shapes
+(n, 3) and (n, 4).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+
+# A row's result has the same bits in whatever company it is worked out: a tick's rows, a few of
+# them, those of many ticks. So these are sums of a fixed order, term by term over all rows: of a
+# matrix product, or of `einsum`, the order depends on the number of rows.
+
+
+def rotation_matrices(orientations: Array) -> Array:
+    """(n, 4) unit quaternions to (n, 3, 3) rotation matrices."""
+    return np.ascontiguousarray(flat_rotation_matrices(orientations).T).reshape(-1, 3, 3)
+
+
+def flat_rotation_matrices(orientations: Array) -> Array:
+    """As `rotation_matrices`, one row an entry: (n, 4) to (9, n)."""
+    # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed). In few
+    # operations, each on several rows: in a tick of a small world these cost more than the sums.
+    columns = np.ascontiguousarray(orientations.T)
+    products = columns.take(_FIRST, axis=0)
+    products *= columns.take(_SECOND, axis=0)
+    with_w, mixed, squares = products[:3], products[3:6], products[7:, None] * _SIGNS
+    entries = np.zeros((9, len(orientations)))
+    diagonal = entries[:3]
+    np.add(products[6], squares[0], out=diagonal)
+    diagonal += squares[1]
+    diagonal += squares[2]
+    np.subtract(mixed, with_w, out=entries[3:6])
+    np.add(mixed, with_w, out=entries[6:])
+    entries[3:] *= 2.0
+    turns: Array = entries.take(_ROW_BY_ROW, axis=0)
+    return turns
+
+
+# The products wz, wx, wy; xy, yz, zx; ww, xx, yy, zz.
+_FIRST = np.array([0, 0, 0, 1, 2, 3, 0, 1, 2, 3])
+_SECOND = np.array([3, 1, 2, 2, 3, 1, 0, 1, 2, 3])
+# Of xx, yy and zz in each entry of the diagonal.
+_SIGNS = np.array([[1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])[:, :, None]
+# The diagonal, then xy - wz, yz - wx, zx - wy, then the same sums, as the rows of a matrix.
+_ROW_BY_ROW = np.array([0, 3, 8, 6, 1, 4, 5, 7, 2])
+
+
+def rotate(matrices: Array, vectors: Array) -> Array:
+    """Each (3, 3) of (n, 3, 3) times each (3,) of (n, 3)."""
+    products = matrices * vectors[:, None, :]
+    rotated: Array = products[:, :, 0] + products[:, :, 1]
+    rotated += products[:, :, 2]
+    return rotated
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Cross products of the rows of (n, 3)."""
+    products = first.take(_CROSSED, axis=1)
+    products *= second.take(_CROSSED_WITH, axis=1)
+    crossed: Array = products[:, :3] - products[:, 3:]
+    return crossed
+
+
+_CROSSED = np.array([1, 2, 0, 2, 0, 1])
+_CROSSED_WITH = np.array([2, 0, 1, 1, 2, 0])
+
+
+def multiply(first: Array, second: Array) -> Array:
+    """Hamilton products of (n, 4) quaternions: the rotation `second`, then `first`."""
+    # (s, u)(t, v) = (s t - u.v, s v + t u + u x v)
+    w, x, y, z = np.ascontiguousarray(first.T)
+    s, i, j, k = np.ascontiguousarray(second.T)
+    product = np.array(
+        [
+            w * s - x * i - y * j - z * k,
+            w * i + x * s + y * k - z * j,
+            w * j + y * s + z * i - x * k,
+            w * k + z * s + x * j - y * i,
+        ]
+    )
+    return np.ascontiguousarray(product.T)
+
+
+def unit_quaternions(orientations: Array) -> Array:
+    """Quaternions (n, 4) of length 1; NaN where they have none."""
+    squares = orientations * orientations
+    length = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit: Array = orientations / length[:, None]
+    return unit
+
+
+def compose(
+    positions: Array, orientations: Array, inner_positions: Array, inner_orientations: Array
+) -> tuple[Array, Array]:
+    """Poses of C in A from those of B in A and of C in B; all of n rows."""
+    matrices = rotation_matrices(orientations)
+    return (
+        positions + rotate(matrices, inner_positions),
+        multiply(orientations, inner_orientations),
+    )
+
+
+def invert(positions: Array, orientations: Array) -> tuple[Array, Array]:
+    """Poses of A in B from those of B in A."""
+    inverse = orientations * np.array([1.0, -1.0, -1.0, -1.0])
+    return -rotate(rotation_matrices(inverse), positions), inverse
+
+
+def quaternion_from_matrix(matrix: Array) -> Array:
+    """A rotation matrix (3, 3) as a unit quaternion."""
+    from scipy.spatial.transform import Rotation
+
+    turn: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
+    return turn

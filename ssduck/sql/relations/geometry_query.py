@@ -1,0 +1,213 @@
+"""Relations that ask the shapes themselves: which function answers, and for which pairs.
+
+Such a relation is one entry with a `GeometryQuery`, which names a method of `ShapeQueries`
+(`ssduck.geometry.queries`). The formula of the relation and the function that DuckDB calls follow
+from it. The formula calls the function only for pairs whose boxes are near enough. It states that
+condition twice: once for a join to go by, and once for wherever a condition is not a join's.
+
+A `PairSearch` is a method of `ShapeQueries` that finds all pairs of a tick at once, so that no
+condition has to be asked of each pair; `CandidatePairs` name the one that a relation uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ssduck.geometry.batch import PredicateKind
+from ssduck.geometry.queries import ShapeQueries
+
+# The largest distance of two shapes of a world that touch by their margins alone, metres.
+MARGINS_UDF = "narrow margins"
+MARGINS = f'"{MARGINS_UDF}"($world)'
+ZERO = "0.0::DOUBLE"
+
+# The pairs that the narrow phase compares, as the manual and EXPLAIN state them.
+MEETING_BOXES = "on pairs whose boxes meet"
+EVERY_PAIR = "on every pair that is asked for"
+
+
+def boxes_within(distance: str) -> str:
+    """A condition: the boxes of a and b are at most that far apart along each axis.
+
+    A nanometre is allowed for rounding.
+
+    >>> boxes_within("d").partition(" AND ")[0]
+    'a.xmin <= b.xmax + (d) + 1e-9'
+    """
+    far = f"({distance}) + 1e-9"
+    sides = [
+        f"a.{axis}min <= b.{axis}max + {far} AND b.{axis}min <= a.{axis}max + {far}"
+        for axis in "xyz"
+    ]
+    return " AND ".join(sides)
+
+
+@dataclass(frozen=True)
+class GeometryQuery:
+    """A function of the shapes of one entity or two, and the condition under which it is called.
+
+    All expressions are DuckDB's, over the relation's parameters.
+
+    Attributes:
+        function: a method of `ShapeQueries`: it takes the ids of the entities, and numbers.
+        arguments: these numbers.
+        arguments_with_options: the same with the relation's optional parameters given.
+        bound: the largest distance of two boxes at which the function is called, metres; None to
+            call it for every pair.
+        bound_with_options: the same with the optional parameters given.
+        otherwise: the value beyond the bound, and of an entity with itself.
+        only_if: a further condition; without it the relation is False.
+        pairs: the pairs that are compared, for the manual and EXPLAIN.
+        is_at_least_gap: whether the result is never less than the distance of the two boxes.
+        needs_whole_tick: whether the answer depends on all entities of the tick.
+        uses_margins: whether the collision margins of shapes count.
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple[str, ...] = ()
+    arguments_with_options: tuple[str, ...] | None = None
+    bound: str | None = "0"
+    bound_with_options: str = "0"
+    otherwise: str = "FALSE"
+    only_if: str = ""
+    pairs: str = MEETING_BOXES
+    is_at_least_gap: bool = False
+    needs_whole_tick: bool = False
+    uses_margins: bool = False
+
+    @property
+    def is_zero_apart(self) -> bool:
+        """Whether the result is 0 where the boxes do not meet."""
+        return self.bound == "0" and self.otherwise == ZERO
+
+    def formula(self, entities: Sequence[str]) -> str:
+        """The formula of a relation of these entities.
+
+        >>> GeometryQuery(ShapeQueries.volume).formula(["object"])
+        '"narrow volume"($world, object.tick, object.id)'
+        """
+        return self._formula(entities, self.arguments, self.bound)
+
+    def formula_with_options(self, entities: Sequence[str]) -> str | None:
+        """The same with the optional parameters given; None if there are none."""
+        if self.arguments_with_options is None:
+            return None
+        return self._formula(entities, self.arguments_with_options, self.bound_with_options)
+
+    def _formula(self, entities: Sequence[str], arguments: Sequence[str], bound: str | None) -> str:
+        rows = [f"{entity}.{column}" for entity in entities for column in ("tick", "id")]
+        call = f'"{udf_name(self.function)}"({", ".join(("$world", *rows, *arguments))})'
+        if len(entities) == 1:
+            return call
+        if self.only_if:
+            call = f"CASE WHEN {self.only_if} THEN {call} ELSE FALSE END"
+        differ = "a.id <> b.id"
+        if bound is None and self.otherwise != "FALSE":
+            return f"CASE WHEN a.id = b.id THEN {self.otherwise} ELSE {call} END"
+        if bound is None:
+            return f"{differ} AND CASE WHEN {differ} THEN {call} END"
+        near = f"{differ} AND {boxes_within(bound)}"
+        if self.otherwise == "FALSE":
+            return f"({near}) AND CASE WHEN {near} THEN {call} END"
+        return f"CASE WHEN {near} THEN {call} WHEN NOT ({near}) THEN {self.otherwise} END"
+
+
+@dataclass(frozen=True)
+class PairSearch:
+    """A function that finds all pairs of a tick at once.
+
+    Attributes:
+        function: a method of `ShapeQueries` that yields pairs as numbers.
+        is_exact: whether the relation holds of all pairs found, and need not be asked of each.
+        takes_distance: whether the pairs depend on a distance, or a depth.
+        predicate: the same search over many recorded ticks at once, if there is one.
+        uses_margins: whether the collision margins of shapes count.
+    """
+
+    function: Callable[..., list[int]]
+    is_exact: bool = True
+    takes_distance: bool = True
+    predicate: PredicateKind | None = None
+    uses_margins: bool = False
+
+    @property
+    def name(self) -> str:
+        """The name of the function in SQL."""
+        return udf_name(self.function)
+
+    @property
+    def name_over_ticks(self) -> str:
+        """The name of the function over many recorded ticks, if there is one."""
+        return f"then {self.predicate}"
+
+
+COLLIDING = PairSearch(ShapeQueries.all_colliding, predicate="colliding")
+WITHIN = PairSearch(ShapeQueries.all_within, predicate="within")
+TOUCHING = PairSearch(ShapeQueries.all_touching, predicate="touching", uses_margins=True)
+RESTING = PairSearch(ShapeQueries.all_resting, takes_distance=False, uses_margins=True)
+BOXES_MEETING = PairSearch(ShapeQueries.all_meeting, is_exact=False)
+# The boxes are grown by the collision margins of their shapes.
+BOXES_REACHING = PairSearch(ShapeQueries.all_reaching, is_exact=False, uses_margins=True)
+PAIR_SEARCHES = (COLLIDING, WITHIN, TOUCHING, RESTING, BOXES_MEETING, BOXES_REACHING)
+
+
+@dataclass(frozen=True)
+class CandidatePairs:
+    """The pairs of a tick of which a relation of two entities may hold.
+
+    Attributes:
+        search: finds them.
+        distance: metres, a DuckDB expression over parameters that are values.
+        distance_with_options: the same with the optional parameters given.
+    """
+
+    search: PairSearch
+    distance: str = "0"
+    distance_with_options: str = "0"
+
+
+@dataclass(frozen=True)
+class GeometryUdf:
+    """A function of the shapes of a tick, as DuckDB calls it: with the name of a world first.
+
+    Attributes:
+        name: its name in SQL.
+        function: a method of `ShapeQueries`.
+        entities: how many entities it takes; each is given as its tick and its id.
+        numbers: how many numbers it takes after them.
+        result: DuckDB's type of the result.
+        needs_whole_tick: whether the answer depends on all entities of the tick.
+        uses_margins: whether the collision margins of shapes count.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    entities: int
+    numbers: int
+    result: str
+    needs_whole_tick: bool = False
+    uses_margins: bool = False
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """DuckDB's types of the parameters."""
+        return ("VARCHAR", *["BIGINT"] * (2 * self.entities), *["DOUBLE"] * self.numbers)
+
+
+def udf_name(function: Callable[..., Any]) -> str:
+    """The name in SQL of a method of `ShapeQueries`; no user's function has a blank in it."""
+    return f"narrow {function.__name__}"
+
+
+def search_udf(search: PairSearch) -> GeometryUdf:
+    """The function that DuckDB calls to find all pairs of a tick."""
+    return GeometryUdf(
+        search.name,
+        search.function,
+        entities=0,
+        numbers=int(search.takes_distance),
+        result="BIGINT[]",
+        uses_margins=search.uses_margins,
+    )

@@ -1,0 +1,22 @@
+"""Runs the examples in the docstrings of every module of ssduck."""
+
+import doctest
+import pkgutil
+from importlib import import_module
+
+import pytest
+
+import ssduck
+
+MODULES = sorted(
+    module.name
+    for module in pkgutil.walk_packages(ssduck.__path__, "ssduck.")
+    if not module.name.endswith("__main__")
+)
+OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_of_docstrings_give_what_they_say(name):
+    result = doctest.testmod(import_module(name), optionflags=OPTIONS)
+    assert result.failed == 0
