@@ -399,12 +399,14 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], pr
         threading.Thread(target=_finish, args=(connection, recorders, process)).start()
         return
     failed = None
-    for recorder in recorders:
-        try:
-            recorder.flush()
-        except SelectScriptError as error:
-            failed = failed or error
-    connection.close()
+    try:
+        for recorder in recorders:
+            try:
+                recorder.flush()
+            except SelectScriptError as error:
+                failed = failed or error
+    finally:  # else its functions, which may refer to it, would keep it until Python ends
+        connection.close()
     if failed is not None:
         raise failed
 

@@ -58,13 +58,13 @@ def episodes(path: str | Path) -> list[Episode]:
     """
     database = Database(":memory:", None)
     try:
-        return [run.episode for run in runs(given_path(path), database)]
+        return [run.episode for run in recorded_runs(given_path(path), database)]
     finally:
         database.close()
 
 
-def runs(path: Path, database: Database) -> Sequence[RecordedRun]:
-    """The runs that are recorded at a place, by world and number.
+def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
+    """The recorded_runs that are recorded at a place, by world and number.
 
     Args:
         path: a folder, or a DuckDB file, which is attached to be read.
@@ -77,10 +77,10 @@ def runs(path: Path, database: Database) -> Sequence[RecordedRun]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _stored_runs(path, database.connection.attach(path), database.connection.writer())
+    return _runs_in_file(path, database.connection.attach(path), database.connection.writer())
 
 
-def chosen_runs(
+def select_runs(
     found: Sequence[RecordedRun], world: str | None, number: int | None
 ) -> list[RecordedRun]:
     """One run of each world, or of one: that of a number, or the last that holds any tick.
@@ -106,7 +106,7 @@ def chosen_runs(
     return list({run.world: run for run in fitting}.values())
 
 
-def world_of(run: RecordedRun, database: Database) -> ReplayedWorld:
+def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     """The world of a run, as far as it was recorded.
 
     Raises:
@@ -123,12 +123,12 @@ def world_of(run: RecordedRun, database: Database) -> ReplayedWorld:
         archive = run.history(database.connection.writer())
         ticks, models = archive.ticks(), archive.model_rows()
     try:
-        told = run_of(models)
+        description = run_of(models)
     except RecordError as error:
         raise RecordError(f"episode {run.number} of {run.world!r}: {error.message}") from error
-    if told is None and models["entities"].num_rows:  # it was recorded before rows told
+    if description is None and models["entities"].num_rows:  # older rows lack the run
         archive.unrecorded_run = new_run()
-    number = told or archive.unrecorded_run or new_run()
+    number = description or archive.unrecorded_run or new_run()
     record = Record(
         None,
         ticks,
@@ -155,7 +155,7 @@ class StoredRun:
         schema: what holds the run.
         world: the name of the world.
         number: of the episode, from 0.
-        told: what the record tells of itself.
+        description: what the record tells of itself.
         reader: a connection that can read it.
     """
 
@@ -164,12 +164,12 @@ class StoredRun:
     schema: str
     world: str
     number: int
-    told: dict[str, Any]
+    description: dict[str, Any]
     reader: StoreConnection
 
     def history(self, reader: StoreConnection) -> DuckDBStore:
         """What is stored of it."""
-        recording = _recording(self.told["recording"], self.path)
+        recording = _recording(self.description["recording"], self.path)
         return DuckDBStore(self.schema, reader, recording, catalog=self.catalog)
 
     @property
@@ -185,7 +185,7 @@ class StoredRun:
             self.path,
             self.world,
             self.number,
-            started=self.told["started"],
+            started=self.description["started"],
             tables=history.recording.tables,
             every=history.recording.every,
             entities=history.recording.entities,
@@ -193,7 +193,7 @@ class StoredRun:
         )
 
 
-def _stored_runs(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:
+def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:
     file, about = (exp.Literal.string(text).sql("duckdb") for text in (catalog, ABOUT))
     schemas = reader.fetchall(
         f"SELECT schema_name FROM duckdb_tables() WHERE database_name = {file} "  # noqa: S608
@@ -203,20 +203,27 @@ def _stored_runs(path: Path, catalog: str, reader: StoreConnection) -> list[Stor
     for (schema,) in schemas:
         place = ".".join(map(quoted, (catalog, schema, ABOUT)))
         rows = reader.fetchall(f"SELECT about FROM {place}")  # noqa: S608
-        told = _told(path, schema, rows)
+        description = _description(path, schema, rows)
         number = int(schema.rpartition("_")[2])
-        found.append(StoredRun(path, catalog, schema, told["world"], number, told, reader))
+        found.append(
+            StoredRun(path, catalog, schema, description["world"], number, description, reader)
+        )
     if not found:
         raise RecordError(f"nothing is recorded in the DuckDB file {path}")
     return sorted(found, key=lambda run: (run.world, run.number))
 
 
-def _told(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
+def _description(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
     """What a record tells of itself."""
     try:
-        told: dict[str, Any] = json.loads(rows[0][0])
-        version = told["version"]
-        named = told["world"], told["recording"], told["started"], int(schema.rpartition("_")[2])
+        description: dict[str, Any] = json.loads(rows[0][0])
+        version = description["version"]
+        named = (
+            description["world"],
+            description["recording"],
+            description["started"],
+            int(schema.rpartition("_")[2]),
+        )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise RecordError(f"{path} is damaged: {schema} does not tell what it holds") from error
     assert named
@@ -225,11 +232,11 @@ def _told(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any
             f"{schema} in {path} is a record of version {version}; this ssduck reads those up to "
             f"{VERSION}: install a newer one"
         )
-    return told
+    return description
 
 
-def _recording(told: dict[str, Any], path: Path) -> Recording:
+def _recording(description: dict[str, Any], path: Path) -> Recording:
     try:
-        return Recording(**told)
+        return Recording(**description)
     except TypeError as error:  # ArgumentError is one
         raise RecordError(f"{path} is damaged: what was kept is none that there is") from error

@@ -77,26 +77,26 @@ class SelectedColumn(QueryPart, Sequence[Any]):
 
     def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
         """Its value; of `to`, with the name."""
-        value = self.plain(elements, names)
-        return (value, self.called(elements, names)) if self._is_renamed else value
+        value = self.plain_value(elements, names)
+        return (value, self.column_name(elements, names)) if self._is_renamed else value
 
-    def plain(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+    def plain_value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
         """Its value; of `to`, without the name."""
         return super().value(elements, names)
 
-    def called(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
+    def column_name(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
         """What a row calls it."""
         name = self._column.name
         return (
             name if isinstance(name, str) else QueryPart(name, self._frame).value(elements, names)
         )
 
-    def _parts(self) -> tuple[str, str, list[Any]]:
+    def _as_list(self) -> tuple[str, str, list[Any]]:
         if self._is_renamed:
             name = self._column.name
-            called = Literal(self.node.span, name) if isinstance(name, str) else name
+            column_name = Literal(self.node.span, name) if isinstance(name, str) else name
             inner = SelectedColumn(SelectedValue(self.node, _plain_name(self.node)), self._frame)
-            return "function", "to", [inner, QueryPart(called, self._frame)]
+            return "function", "to", [inner, QueryPart(column_name, self._frame)]
         match self.node:
             case Call(arguments=arguments):
                 pass
@@ -112,7 +112,7 @@ class SelectedColumn(QueryPart, Sequence[Any]):
     @overload
     def __getitem__(self, index: slice) -> Sequence[Any]: ...
     def __getitem__(self, index: int | slice) -> Any:
-        return self._parts()[index]
+        return self._as_list()[index]
 
     def __len__(self) -> int:
         return 3
@@ -182,7 +182,7 @@ class EvalAsMethods:
         rows: Iterable[Sequence[Any]],
     ) -> list[Any]:
         """`AS list`: the values row after row."""
-        return [column.plain(row, names) for row in rows for column in select]
+        return [column.plain_value(row, names) for row in rows for column in select]
 
     def evalAS_dict(  # noqa: N802
         self,
@@ -193,7 +193,7 @@ class EvalAsMethods:
     ) -> list[dict[Any, Any]]:
         """`AS dict`: a dict a row."""
         return [
-            {column.called(row, names): column.plain(row, names) for column in select}
+            {column.column_name(row, names): column.plain_value(row, names) for column in select}
             for row in rows
         ]
 
@@ -206,12 +206,12 @@ class EvalAsMethods:
     ) -> Any:
         """`AS value`: the first value of the first row; `[]` if there is none."""
         for row in rows:
-            return select[0].plain(row, names)
+            return select[0].plain_value(row, names)
         return []
 
 
 def _plain_name(node: Node) -> str:
-    """What a column is called that `to` does not name."""
+    """What a column is column_name that `to` does not name."""
     match node:
         case Call(name=name) | UnresolvedName(name=name) | Name(name=name) | TimeIndex(name=name):
             return plain(name)

@@ -1,6 +1,6 @@
-"""Running programs: their statements in order, and the calls that are outside queries.
+"""Runs programs: their statements in order, and the calls outside queries.
 
-A program that fails leaves the variables as they were, and its error says where it failed.
+If a program fails, its variables are restored, and the error has the place.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ssduck.errors import (
 from ssduck.interpreter.linter import Linter
 from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.planner import Planner
-from ssduck.interpreter.temporal_functions import FORMS, TemporalEvaluator
+from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, TemporalEvaluator
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import Frame
@@ -45,16 +45,16 @@ from ssduck.world.world import World
 
 
 class Execution(Namespace, ABC):
-    """Programs that run, with what their expressions see (`EvaluationScope`).
+    """Runs programs, and is the scope of their expressions (`EvaluationScope`).
 
     Args:
-        database: where queries run.
-        limits: what programs may use.
+        database: the database that runs queries.
+        limits: the limits of programs.
         row_by_row: whether every query runs row by row in Python.
-        strict: whether what is probably a mistake is an error.
+        strict: whether a probable mistake is an error.
 
     Attributes:
-        strict: as given; it may be set at any time.
+        strict: whether a probable mistake is an error; it may be set at any time.
     """
 
     def __init__(
@@ -62,27 +62,27 @@ class Execution(Namespace, ABC):
     ) -> None:
         super().__init__(database)
         self.strict = strict
-        self._doubts = Linter(
-            self._value_or_none, self.is_function, lambda: self.worlds, self._recorded_names
+        self._linter = Linter(
+            self.variable_or_none, self.is_function, lambda: self.worlds, self._recorded_names
         )
         self._limits = limits
         self._planner = Planner(database, self, limits, row_by_row=row_by_row)
-        self._over_time = TemporalEvaluator()
-        self._relations: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
-        self._texts: list[str] = []
-        self._meant: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
+        self._temporal = TemporalEvaluator()
+        self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
+        self._program_texts: list[str] = []
+        self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
 
     @contextmanager
-    def _running(self, program: Program) -> Iterator[None]:
-        """Whatever fails in here leaves the variables as they were, and says where it failed."""
+    def _transaction(self, program: Program) -> Iterator[None]:
+        """Restores the variables if anything inside fails, and adds the place to the error."""
         with self._lock:
-            self._forget()
+            self._expire_histories()
             before = dict(self._variables)
-            outermost = not self._texts
+            outermost = not self._program_texts
             if outermost:
-                self._sweep()
+                self._drop_unused_worlds()
                 self._database.connection.meter = UsageMeter(self._limits)
-            self._texts.append(program.text)
+            self._program_texts.append(program.text)
             try:
                 yield
             except BaseException as error:
@@ -93,59 +93,61 @@ class Execution(Namespace, ABC):
                     raise EvaluationError("the program is nested too deeply") from error
                 raise
             finally:
-                self._texts.pop()
+                self._program_texts.pop()
 
-    def _sweep(self) -> None:
-        """Let go of worlds that programs made and nobody has any more; none is running."""
+    def _drop_unused_worlds(self) -> None:
+        """Drops worlds that programs made and that are no longer used; no program is running."""
         if self._database.sweep():
             self._planner.forget()
 
-    def _functions_changed(self) -> None:
-        """What names of functions mean is looked up anew."""
+    def _forget_plans(self) -> None:
+        """Forgets what was derived from the names of functions."""
         self._planner.forget()
-        self._meant.clear()
+        self._override_cache.clear()
 
-    def _as_meant(self, program: Program) -> Program:
-        """A program with users' functions where they replace something of the language."""
-        if not self._replaced:
+    def _with_overrides(self, program: Program) -> Program:
+        """Returns the program with users' functions in the place of those they override."""
+        if not self._overrides:
             return program
-        found = self._meant.get(program)
+        found = self._override_cache.get(program)
         if found is None:
-            found = self._meant[program] = meant(program, self._replaced)
+            found = self._override_cache[program] = meant(program, self._overrides)
         return found
 
     def _run(self, program: Program) -> Any:
+        """Returns the value of a program, or its explanation."""
         if program.explain:
-            return self._explained(program)
-        return self._valued(program, Frame(self))
+            return self._explanation(program)
+        return self._value_of(program, Frame(self))
 
-    def _valued(self, program: Program, frame: Frame) -> Any:
+    def _value_of(self, program: Program, frame: Frame) -> Any:
+        """Returns the value of the last statement."""
         value = None
-        for node in self._looked_at(program, frame):
+        for node in self._linted_statements(program, frame):
             self.meter.step()
             value = frame.value(node)
         return value
 
-    def _looked_at(self, program: Program, frame: Frame) -> Iterator[Node]:
-        """The statements of a program, each with what is told of it before."""
+    def _linted_statements(self, program: Program, frame: Frame) -> Iterator[Node]:
+        """Yields the statements of a program, after reporting probable mistakes in each."""
         if program.doubts:
-            self._tell(
+            self._report(
                 ArgumentError(d.message, text=program.text, span=d.span) for d in program.doubts
             )
-        for node in self._as_meant(program).statements:
-            self._tell(self._doubts.found(program.text, node, frame.local))
+        for node in self._with_overrides(program).statements:
+            self._report(self._linter.check(program.text, node, frame.local))
             yield node
 
-    def _tell(self, doubts: Iterable[SelectScriptError]) -> None:
-        """Warn of what is probably a mistake, once; in strict interpreters it is an error."""
+    def _report(self, doubts: Iterable[SelectScriptError]) -> None:
+        """Warns of probable mistakes, once of each; in strict interpreters it raises the first."""
         for doubt in doubts:
             if self.strict:
                 raise doubt
-            if self._doubts.is_new(doubt):
+            if self._linter.is_new(doubt):
                 warn(str(doubt), ProgramWarning)
 
     def _recorded_names(self, world: World) -> set[str]:
-        """The names of all entities that are kept of a world."""
+        """Returns the names of all entities in the record of a world."""
         try:
             members = self._database.record_of(world).members
         except SelectScriptError:  # nothing is kept of it
@@ -154,9 +156,10 @@ class Execution(Namespace, ABC):
 
     # -- what a program becomes -------------------------------------------------------------
 
-    def _explained(self, program: Program) -> str:
-        with self._rehearsed(program) as frame:
-            program = self._as_meant(program)
+    def _explanation(self, program: Program) -> str:
+        """Returns the SQL of the last statement's queries, and what Python evaluates."""
+        with self._rehearsal(program) as frame:
+            program = self._with_overrides(program)
             plan_of = partial(self._planner.plan, frame=frame)
             stand_ins = {
                 name: [m.name for m in world.snapshot.members if m.body and m.body.has_stand_ins]
@@ -168,24 +171,25 @@ class Execution(Namespace, ABC):
             )
 
     def _sql_of(self, program: Program, dialect: str) -> str:
-        with self._running(program), self._rehearsed(program) as frame:
-            program = self._as_meant(program)
+        """Returns the SQL of the query that ends a program, in a dialect."""
+        with self._transaction(program), self._rehearsal(program) as frame:
+            program = self._with_overrides(program)
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
                 raise ArgumentError("the program does not end with a query")
-            plan, values = self._planner.written(query, frame)
+            plan, values = self._planner.sql_plan(query, frame)
             return in_dialect(query, plan, values, dialect)
 
     @contextmanager
-    def _rehearsed(self, program: Program) -> Iterator[Frame]:
-        """Run all statements but the last, for the variables that it sees, and undo them."""
+    def _rehearsal(self, program: Program) -> Iterator[Frame]:
+        """Runs all statements but the last, yields their frame, and restores the variables."""
         before = dict(self._variables)
         frame = Frame(self)
         try:
-            for number, statement in enumerate(self._looked_at(program, frame), 1):
+            for number, statement in enumerate(self._linted_statements(program, frame), 1):
                 if number < len(program.statements):
                     frame.value(statement)
-            with self._reading(*self._as_meant(program).statements[-1:]):
+            with self._worlds_held(*self._with_overrides(program).statements[-1:]):
                 yield frame
         finally:
             self._variables = before
@@ -193,7 +197,7 @@ class Execution(Namespace, ABC):
     # -- calls outside queries ---------------------------------------------------------------
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
-        """The value of a function call outside SQL."""
+        """Returns the value of a function call outside SQL."""
         function = self.function(node.name)
         if function is None:
             if node.name in RELATIONS_OF_INTERVALS and are_intervals(arguments):
@@ -206,42 +210,44 @@ class Execution(Namespace, ABC):
         return function(arguments)
 
     def over_time(self, node: Call, frame: Frame) -> Any:
-        """The value of a call whose argument is evaluated at each recorded tick."""
+        """Returns the value of a call whose argument is evaluated at each recorded tick."""
         age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
 
         def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
-            found = self._planner.run(query, Frame(self, given=given), _unchecked)
+            found = self._planner.run(query, Frame(self, given=given), _accept_columns)
             listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
             return listed
 
-        with self._reading(node):
-            series = self._over_time.series(node, frame, self._database.record_of, rows)
-            return FORMS[node.name].make(series, None if age is None else validation.seconds(age))
+        with self._worlds_held(node):
+            series = self._temporal.series(node, frame, self._database.record_of, rows)
+            return TEMPORAL_FUNCTIONS[node.name].make(
+                series, None if age is None else validation.seconds(age)
+            )
 
     def _run_text(self, text: Any, frame: Frame) -> Any:
-        """The value of a text in the scope of a frame: it sees the rows that it stands in."""
+        """Returns the value of a program in a text; it sees the rows around the call of `eval`."""
         if not self._limits.eval:
             raise LimitError("eval is switched off here")
         validation.text(text, "eval takes a text")
-        self._texts.append(text)
+        self._program_texts.append(text)
         try:
             program = parse(text)
             if program.explain:
-                return self._explained(program)
-            return self._valued(program, frame)
+                return self._explanation(program)
+            return self._value_of(program, frame)
         except SelectScriptError as error:
             error.locate(text)
             raise
         finally:
-            self._texts.pop()
+            self._program_texts.pop()
 
     def _relation(self, node: Call, values: list[Any], frame: Frame) -> Any:
-        """A relation outside a query: a query of one row, without sources."""
-        query = self._relations.get(node)
+        """Returns the value of a relation outside a query, by a query of one row."""
+        query = self._relation_queries.get(node)
         if query is None:
             names = [Placeholder(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
             asked = Call(node.span, node.name, tuple(names), node.name_span)
-            query = self._relations[node] = Query(node.span, (asked,), ())
+            query = self._relation_queries[node] = Query(node.span, (asked,), ())
         together = entities_together(values, frame.own_elements())
         if together is None:
             return None
@@ -262,24 +268,24 @@ class Execution(Namespace, ABC):
 
     @abstractmethod
     def query(self, node: Query, frame: Frame) -> Any:
-        """The value of a query; `frame` knows the rows of the queries around it."""
+        """Returns the value of a query; `frame` holds the rows of the queries around it."""
 
     def deferred(self, node: Node) -> LazyList:
-        """A list of the running program for the query that uses it."""
-        return LazyList(node, self._texts[-1])
+        """Returns a list of the running program, to be evaluated by the query that uses it."""
+        return LazyList(node, self._program_texts[-1])
 
     @property
     def meter(self) -> UsageMeter:
-        """How much of its limits the running program has used."""
+        """The use of the running program's limits."""
         return self._database.connection.meter
 
     @contextmanager
-    def _reading(self, *nodes: Node) -> Iterator[None]:
-        """Hold all worlds at their tick, with the tables read that relations look things up in."""
-        tables = frozenset().union(*map(self._tables_of, nodes))
-        with self._database.held(tables, self._worlds_of(nodes) if tables else ()):
+    def _worlds_held(self, *nodes: Node) -> Iterator[None]:
+        """Holds all worlds at their tick, with the tables read that relations look up."""
+        tables = frozenset().union(*map(self.tables_read, nodes))
+        with self._database.held(tables, self.worlds_of(nodes) if tables else ()):
             yield
 
 
-def _unchecked(_: object) -> None:
-    """Columns of one name are no trouble."""
+def _accept_columns(_: object) -> None:
+    """Accepts any columns, also two of one name."""

@@ -1,9 +1,24 @@
-"""`Interpreter`: variables, functions, running programs and raw SQL.
+"""Runs SelectScript programs and raw SQL: the class `Interpreter`.
 
-A program's statements run in order; its value is that of the last one. A program that fails
-leaves the variables as they were. A query is translated once per text and types
-(`ssduck.sql.translator`), runs as one SQL statement on one tick of each world, and what is left of
-it is evaluated in Python on the rows that come back (`ssduck.interpreter.query_runner`).
+The way of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this, table) AS list;")`:
+
+1. `Interpreter.eval` parses the text (`ssduck.language.parser`) and runs the program in a
+   transaction (`Execution._transaction`): if it fails, the variables are restored.
+2. `Execution._run` takes the statements in order. Before each, the linter reports probable
+   mistakes (`ssduck.interpreter.linter`). The evaluator (`ssduck.language.evaluator`) computes the
+   value of the statement, and calls `Interpreter.query` for a query.
+3. `Interpreter.query` finds the result form behind AS (`ssduck.interpreter.output`), and holds the
+   worlds at their current tick while the query runs.
+4. `Planner.run` (`ssduck.interpreter.planner`) evaluates the sources behind FROM, and finds the
+   plan for their types: SQL (`ssduck.sql.translator`), or row by row in Python. Plans are cached.
+5. `PlannedQuery.run` (`ssduck.interpreter.query_runner`) executes the SQL
+   (`ssduck.database.connection`) and evaluates in Python the clauses that SQL cannot express;
+   `RowByRowQuery.run` evaluates all of them in Python.
+6. The result form makes the result from the rows (`AsClause.value`, `ssduck.adapters`).
+
+The base classes hold the rest: `Namespace` the variables and functions, `Execution` the running
+program, `RecordingMethods` and `TriggerMethods` the methods on records and triggers, and
+`EvalAsMethods` those for subclasses in the style of the published interpreters.
 """
 
 from __future__ import annotations
@@ -30,10 +45,10 @@ from ssduck.interpreter.eval_as import (
 )
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.namespace import check_name
-from ssduck.interpreter.output import AsClause, form_of
+from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.interpreter.program import CompiledProgram, tree_of
 from ssduck.interpreter.recording import RecordingMethods
-from ssduck.interpreter.signatures import hints_of
+from ssduck.interpreter.signatures import type_hints_of
 from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.builtins import Function
@@ -48,24 +63,31 @@ from ssduck.world.running import run
 from ssduck.world.world import World
 
 # Seconds of simulated time whose ticks are kept in memory, if nothing else is asked for.
-KEPT = 60.0
+DEFAULT_SECONDS = 60.0
 
 
 class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
-        database: a DuckDB file, or `":memory:"`.
-        tracer: is told each SQL statement before it runs.
-        limits: what programs and SQL may use; for what comes from elsewhere,
-            `Limits.strict()`.
-        row_by_row: whether every query runs row by row in Python, to compare with.
-        strict: whether what is probably a mistake in a program (a name that no entity bears, a
-            variable that hides a function) is an error, and no `ProgramWarning`. The attribute
-            of that name may be set at any time.
-        recording: what is kept of the ticks of each world, None for nothing; by default the
-            entities at each tick, in memory those of the last 60 s, in a file all of them. See
-            `record`.
+        database: the path of a DuckDB file, or `":memory:"`.
+        tracer: a function that is called with each SQL statement before it runs.
+        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
+        row_by_row: whether every query runs row by row in Python, for comparison.
+        strict: whether a probable mistake in a program (a name that no entity has, a variable
+            that hides a function) is an error instead of a `ProgramWarning`. The attribute
+            `strict` may be set at any time.
+        recording: the recording of each world; None for no recording. By default the entities
+            at each tick: in memory those of the last 60 s, in a file all of them. See `record`.
+
+    Raises:
+        ArgumentError: an argument has the wrong type.
+        SqlError: the database file cannot be opened.
+
+    >>> import ssduck
+    >>> with ssduck.Interpreter() as ss:
+    ...     ss.eval("SELECT this * this FROM [1, 2, 3] AS list;")
+    [1, 4, 9]
     """
 
     def __init__(
@@ -83,7 +105,9 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         validation.instance(limits, Limits, "Interpreter: limits")
         database = validation.path(database, "Interpreter: database")
         if recording == "default":
-            recording = Recording(seconds=KEPT) if database == ":memory:" else Recording()
+            recording = (
+                Recording(seconds=DEFAULT_SECONDS) if database == ":memory:" else Recording()
+            )
         validation.instance(recording, Recording, "Interpreter: recording")
         limits = limits or Limits()
         super().__init__(
@@ -92,14 +116,17 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             row_by_row=row_by_row,
             strict=strict,
         )
-        self._own: list[World] = []
-        self._selects: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
+        self._owned_worlds: list[World] = []
+        self._adapter_queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
         self._triggers = TriggerRegistry(self)
 
     def close(self) -> None:
-        """End the triggers, close the database and the world that `load` made; yours stay open."""
+        """Removes the triggers, and closes the database and the world that `load` made.
+
+        Worlds that you made stay open.
+        """
         self._triggers.close()
-        for world in self._own:
+        for world in self._owned_worlds:
             world.close()
         self._database.close()
 
@@ -112,10 +139,19 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
     # -- programs -------------------------------------------------------------------------
 
     def compile(self, text: str) -> CompiledProgram:
-        """Parse a program; running the result again parses nothing.
+        """Parses a program; running the compiled program parses nothing again.
+
+        Args:
+            text: the program.
 
         Raises:
-            ParseError: with the place of the first thing that is wrong.
+            ParseError: the text is no program; the error has the place.
+
+        >>> import ssduck
+        >>> with ssduck.Interpreter() as ss:
+        ...     program = ss.compile("1 + 1;")
+        ...     ss.eval(program)
+        2
         """
         return CompiledProgram(text, parse(text), self._sql_of)
 
@@ -125,31 +161,37 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         elements: Sequence[Any] = (),
         names: Sequence[str] = (),
     ) -> Any:
-        """Run a program.
+        """Runs a program.
 
         Args:
-            program: its text, or what `compile` gave; or a part of a query that `evalAs` was given.
-            elements: of such a part's row, one a source,
-            names: and what the sources are called.
+            program: the text, or a compiled program; or a part of a query that `evalAs` received.
+            elements: the row for such a part, one element for each source.
+            names: the names of the sources.
 
         Returns:
-            The value of the last statement, None if there is none.
+            The value of the last statement; None if there is none.
 
         Raises:
-            SelectScriptError: with the place; the variables are as they were before.
+            SelectScriptError: the program failed; the error has the place, and the variables are
+                as they were before.
+
+        >>> import ssduck
+        >>> with ssduck.Interpreter() as ss:
+        ...     ss.eval("heights = [0.4, 1.2]; SELECT this FROM heights WHERE this > 1;")
+        [{'this': 1.2}]
         """
         if isinstance(program, QueryPart | SelectedColumns):
             return program.value(elements, names)
         compiled = tree_of(program)
-        with self._running(compiled):
+        with self._transaction(compiled):
             return self._run(compiled)
 
     def show(self, program: str | CompiledProgram, rows: int = MOST_ROWS) -> TableView:
-        """What a program gives, as a table to be looked at: in a terminal, in a notebook.
+        """Returns the result of a program as a table for a terminal or a notebook.
 
         Args:
-            program: its text, or what `compile` gave.
-            rows: how many are shown at most.
+            program: the text, or a compiled program.
+            rows: the largest number of rows to show.
 
         Raises:
             SelectScriptError: as `eval` does.
@@ -158,177 +200,47 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         return TableView(self.eval(program), rows)
 
     def explain(self, program: str | CompiledProgram) -> str:
-        """The SQL of the queries in a program's last statement, and what is left to Python.
+        """Returns the SQL of the queries in a program's last statement, and what Python evaluates.
 
-        The statements before it are run for their variables, which are then as before.
+        The statements before it run, because the last one may use their variables. The variables
+        are restored.
 
         Raises:
             SelectScriptError: as `eval` does.
         """
         compiled = tree_of(program)
-        with self._running(compiled):
-            return self._explained(compiled)
-
-    # -- variables and functions ----------------------------------------------------------
-
-    def add_variable(self, name: str, value: Any) -> Any:
-        """Bind a value to a name; a world's tables become the schema of that name.
-
-        numpy's numbers become Python's; a list or a dict with some in it is copied for that.
-
-        Returns:
-            The value.
-
-        Raises:
-            ArgumentError: the name cannot be a variable's, or a schema's.
-        """
-        check_name(name, "a variable")
-        with self._lock:
-            if isinstance(value, World):
-                self._database.bind(name, value)
-                self._planner.forget()
-                self._forget()  # the time may be an earlier one now
-            self._variables[name] = _plain(value)
-        if isinstance(value, World):
-            self._triggers.rebound()
-        return value
-
-    def call_variable(self, name: str) -> Any:
-        """The value of a variable.
-
-        Raises:
-            UnknownNameError: there is none, with the nearest names.
-        """
-        return self.variable(name)
-
-    def add_function(
-        self, name: str, function: Callable[..., Any], help: str | None = None
-    ) -> None:
-        """Make a Python function part of the language.
-
-        Args:
-            name: what programs call it.
-            function: gets entities as handles, and plain values as Python's. It is taken to be
-                pure: the same arguments on the same tick, the same result.
-            help: what `help('name')` tells; by default its docstring.
-
-        Raises:
-            ArgumentError: the name is none, or that of what no function can replace.
-
-        Warns:
-            UserWarning: the function replaces a relation, a function or an operator of the
-                language (`on`, `count`, `add` for `+`) in this interpreter's programs.
-        """
-        if not isinstance(name, str) or name not in NAMED:
-            check_name(name, "a function")
-        validation.function(function, name)
-        with self._lock:
-            self._adopt(Function.of(name, function, help, hints_of(function)))
-            self._functions_changed()
-
-    def del_function(self, name: str) -> None:
-        """Remove a function that was added; what it replaced is there again.
-
-        Raises:
-            UnknownNameError: there is none, with the nearest names.
-        """
-        with self._lock:
-            self._drop(name)
-            self._functions_changed()
-
-    # The tutorial's spellings.
-    addVariable = add_variable  # noqa: N815
-    callVariable = call_variable  # noqa: N815
-    addFunction = add_function  # noqa: N815
-    delFunction = del_function  # noqa: N815
-
-    # -- simulated time -------------------------------------------------------------------
-
-    def run(
-        self,
-        seconds: float,
-        *,
-        realtime: bool | float = False,
-        progress: bool | Literal["always"] = False,
-        every: int | None = None,
-    ) -> None:
-        """Run all worlds in lockstep for so much simulated time, each in its own time step.
-
-        Wherever a trigger is due in one of them, or the clock or `every` asks for a tick, all run
-        up to that moment before any trigger is evaluated. What-if worlds stay as they are. The
-        arguments and errors are those of `World.run`.
-
-        Raises:
-            UnknownNameError: there is no world.
-        """
-        worlds = [world for world in self.worlds if world.timestep]
-        if not worlds:
-            raise UnknownNameError("there is no world that could run: add_variable one, or load")
-        run(worlds, seconds, realtime=realtime, progress=progress, every=every)
-
-    # -- raw SQL --------------------------------------------------------------------------
-
-    def sql(self, text: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> Result:
-        """Run SQL on the worlds' tables.
-
-        The tables of a world bound as `kitchen` are `kitchen.entities` and so on; those of the
-        first world go without the schema. Relations are functions of rows:
-        `FROM entities a, entities b WHERE above(a, b)`.
-
-        Args:
-            text: one SQL statement in DuckDB's dialect.
-            parameters: for `?` and `$1` a sequence, for `$name` a mapping.
-
-        Returns:
-            All its rows; stepping the world does not change them.
-
-        Raises:
-            SqlError: DuckDB refuses it.
-            ArgumentError: the statement is no text.
-        """
-        validation.text(text, "sql: a statement is a text")
-        with self._lock:
-            if not self._texts:
-                self._sweep()
-                self._database.connection.meter = UsageMeter(self._limits)
-            return Result(self._database.table(text, parameters))
-
-    def statistics(self) -> dict[str, Statistics]:
-        """What the relations of shapes have taken so far, by the world's name."""
-        return {
-            name: Statistics(world.snapshot.calls.pairs, world.snapshot.calls.calls)
-            for name, world in self._database.worlds.items()
-        }
+        with self._transaction(compiled):
+            return self._explanation(compiled)
 
     # -- queries of programs ------------------------------------------------------------------
 
     def query(self, node: Query, frame: Frame) -> Any:
-        """The value of a query; `frame` knows the rows of the queries around it."""
+        """Returns the value of a query; `frame` holds the rows of the queries around it."""
         if frame.elements and not sees_outside(node):
             frame = frame.independent()
         if type(self).evalAs is not Interpreter.evalAs:
-            with self._reading(node):
-                return self.evalAs(*self._spelled(node, frame))
-        return self._formed(node, frame, form_of(node, frame))
+            with self._worlds_held(node):
+                return self.evalAs(*self._eval_as_arguments(node, frame))
+        return self._result(node, frame, as_clause_of(node, frame))
 
-    def _formed(self, node: Query, frame: Frame, form: AsClause) -> Any:
-        """What a form makes of what a query selects."""
-        asked = self._asked(node, form.adapter)
-        with self._reading(asked):  # the result is made of one tick, too
+    def _result(self, node: Query, frame: Frame, form: AsClause) -> Any:
+        """Returns the result that a form makes from the rows of a query."""
+        asked = self._query_of(node, form.adapter)
+        with self._worlds_held(asked):  # the result is made of one tick, too
             return form.value(asked, frame, self._planner.run)
 
-    def _asked(self, node: Query, adapter: Adapter) -> Query:
-        """The query that is run for a form: the same one each time, as it is planned once."""
+    def _query_of(self, node: Query, adapter: Adapter) -> Query:
+        """Returns the query to run for a form; the same one each time, as plans are cached."""
         if adapter.select is None:
             return node
-        asked = self._selects.setdefault(node, {})
+        asked = self._adapter_queries.setdefault(node, {})
         if adapter not in asked:
             asked[adapter] = adapter.select(node)
         return asked[adapter]
 
-    def _spelled(self, node: Query, frame: Frame) -> tuple[Any, ...]:
-        """The arguments of `evalAs`."""
-        resolved, values = self._planner.spelled(node, frame)
+    def _eval_as_arguments(self, node: Query, frame: Frame) -> tuple[Any, ...]:
+        """Returns the arguments of `evalAs`."""
+        resolved, values = self._planner.resolved_parts(node, frame)
         parts, names = SelectedColumns(node, resolved.columns, frame), aliases_of(node)
         holds, elements = resolved.query.where, SourceElements(values)
         where: Condition | list[Any] = [] if holds is None else Condition(holds, frame)
@@ -346,32 +258,180 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         names: list[str],  # noqa: ARG002
         where: Condition | list[Any],  # noqa: ARG002
     ) -> Any:
-        """What a query gives; a subclass that overrides it makes forms of its own.
+        """Returns the result of a query; a subclass may override it to make forms of its own.
 
-        A subclass may also have the parameters `(AS, PARAMS, SELECT, FROM_n, RESULTS)` of the
-        published interpreters: the form, the values of its arguments, the columns, the names of
-        the sources, and a list of tuples of elements: the rows that WHERE leaves.
+        A subclass may instead have the parameters `(AS, PARAMS, SELECT, FROM_n, RESULTS)` of the
+        published interpreters: the name of the form, the values of its arguments, the columns, the
+        names of the sources, and a list of tuples of elements: the rows that satisfy WHERE.
 
-        Of such a subclass it is called for each query that Python evaluates; one that is a part
-        of another's SQL is not seen. `ssduck.adapter` is the shorter way.
+        It is called for each query that Python evaluates, but not for one inside the SQL of
+        another query. `ssduck.adapter` is the shorter way.
 
         Args:
             form: the name behind AS; `"dict"` if there is none.
-            select: the columns. Each is a part that `eval(part, elements, names)` evaluates, and a
-                sequence of a kind, a name and the arguments, which are such parts, too.
-            elements: a tuple for each combination: an element of each source.
-            names: of the sources.
-            where: a part, too; `[]` if there is none.
+            select: the columns. `eval(column, elements, names)` evaluates a column. A column is
+                also a sequence of a kind, a name and the arguments, which are parts of the query as
+                well.
+            elements: an iterator over the combinations of elements, one of each source.
+            names: the names of the sources.
+            where: the condition, a part as well; `[]` if there is none.
         """
         parts = elements if isinstance(elements, SelectedColumns) else select
         assert isinstance(parts, SelectedColumns)
         query, frame = parts.query, parts.frame
-        asked = form_of(query, frame) if form == parts.form else AsClause(form, find(form))
-        return self._formed(query, frame, asked)
+        asked = as_clause_of(query, frame) if form == parts.form else AsClause(form, find(form))
+        return self._result(query, frame, asked)
+
+    # -- variables and functions ----------------------------------------------------------
+
+    def add_variable(self, name: str, value: Any) -> Any:
+        """Binds a value to a name; the tables of a world become the schema of that name.
+
+        NumPy's numbers become Python's; a list or a dict that contains some is copied.
+
+        Args:
+            name: the name of the variable.
+            value: the value.
+
+        Returns:
+            The value.
+
+        Raises:
+            ArgumentError: the name cannot be the name of a variable, or of a schema.
+        """
+        check_name(name, "a variable")
+        with self._lock:
+            if isinstance(value, World):
+                self._database.bind(name, value)
+                self._planner.forget()
+                self._expire_histories()  # the time may be an earlier one now
+            self._variables[name] = _plain(value)
+        if isinstance(value, World):
+            self._triggers.rebound()
+        return value
+
+    def call_variable(self, name: str) -> Any:
+        """Returns the value of a variable.
+
+        Raises:
+            UnknownNameError: no variable has that name; the error suggests the nearest names.
+        """
+        return self.variable(name)
+
+    def add_function(
+        self, name: str, function: Callable[..., Any], help: str | None = None
+    ) -> None:
+        """Adds a Python function to the language.
+
+        Args:
+            name: the name of the function in programs.
+            function: the function. It receives entities as handles, and plain values as Python's.
+                It must be pure: the same arguments at the same tick give the same result.
+            help: the text of `help('name')`; by default the docstring of the function.
+
+        Raises:
+            ArgumentError: the name is no identifier, or the function cannot be replaced.
+
+        Warns:
+            UserWarning: the function replaces a relation, a function or an operator of the
+                language (`on`, `count`, `add` for `+`) in programs of this interpreter.
+        """
+        if not isinstance(name, str) or name not in NAMED:
+            check_name(name, "a function")
+        validation.function(function, name)
+        with self._lock:
+            self._add_function(Function.of(name, function, help, type_hints_of(function)))
+            self._forget_plans()
+
+    def del_function(self, name: str) -> None:
+        """Removes a function that was added; the function that it replaced is back.
+
+        Raises:
+            UnknownNameError: no such function was added; the error suggests the nearest names.
+        """
+        with self._lock:
+            self._remove_function(name)
+            self._forget_plans()
+
+    # The tutorial's spellings.
+    addVariable = add_variable  # noqa: N815
+    callVariable = call_variable  # noqa: N815
+    addFunction = add_function  # noqa: N815
+    delFunction = del_function  # noqa: N815
+
+    # -- simulated time -------------------------------------------------------------------
+
+    def run(
+        self,
+        seconds: float,
+        *,
+        realtime: bool | float = False,
+        progress: bool | Literal["always"] = False,
+        every: int | None = None,
+    ) -> None:
+        """Runs all worlds in lockstep for a duration, each in its own time step.
+
+        Wherever a trigger is due in one of them, or the clock or `every` asks for a tick, all
+        worlds run up to that time before any trigger is evaluated. What-if worlds do not run. The
+        arguments and errors are those of `World.run`.
+
+        Args:
+            seconds: the simulated time, s.
+            realtime: True to keep pace with the clock, or a factor of its speed.
+            progress: whether a progress bar is shown.
+            every: the number of steps between two ticks; None for no ticks but those that are due.
+
+        Raises:
+            UnknownNameError: there is no world.
+        """
+        worlds = [world for world in self.worlds if world.timestep]
+        if not worlds:
+            raise UnknownNameError("there is no world that could run: add_variable one, or load")
+        run(worlds, seconds, realtime=realtime, progress=progress, every=every)
+
+    # -- raw SQL --------------------------------------------------------------------------
+
+    def sql(self, text: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> Result:
+        """Runs SQL on the worlds' tables.
+
+        The tables of a world that is bound as `kitchen` are `kitchen.entities` and so on; the
+        schema of the first world may be omitted. Relations are functions of rows:
+        `FROM entities a, entities b WHERE above(a, b)`.
+
+        Args:
+            text: one SQL statement in DuckDB's dialect.
+            parameters: a sequence for `?` and `$1`, a mapping for `$name`.
+
+        Returns:
+            All rows; steps of the world do not change them.
+
+        Raises:
+            SqlError: DuckDB refuses the statement.
+            ArgumentError: the statement is no text.
+
+        >>> import ssduck
+        >>> with ssduck.Interpreter() as ss:
+        ...     ss.sql("SELECT 6 * ? AS answer", [7]).fetchall()
+        [(42,)]
+        """
+        validation.text(text, "sql: a statement is a text")
+        with self._lock:
+            if not self._program_texts:
+                self._drop_unused_worlds()
+                self._database.connection.meter = UsageMeter(self._limits)
+            return Result(self._database.table(text, parameters))
+
+    def statistics(self) -> dict[str, Statistics]:
+        """Returns the numbers of shape comparisons so far, by the name of the world."""
+        return {
+            name: Statistics(world.snapshot.calls.pairs, world.snapshot.calls.calls)
+            for name, world in self._database.worlds.items()
+        }
 
 
 def _plain(value: Any) -> Any:
+    """Returns the value with Python's numbers in place of NumPy's."""
     try:
         return plain(value)
-    except RecursionError:  # a list that is in itself; where it is used tells
+    except RecursionError:  # a list that contains itself; its use is the error
         return value

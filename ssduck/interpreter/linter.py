@@ -1,8 +1,8 @@
 """What in a program is probably a mistake, though it has a meaning.
 
-A name that no entity bears, a variable that hides a function, a text where a name was meant. What
-the text alone tells is noted by the parser; what depends on variables, functions and worlds is
-looked up before each statement runs.
+A name that no entity bears, a variable that hiding_message a function, a text where a name was
+meant. What the text alone tells is noted by the parser; what depends on variables, functions and
+worlds is looked up before each statement runs.
 """
 
 from __future__ import annotations
@@ -83,51 +83,53 @@ class StatementFacts:
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
 
     @property
-    def are_none(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether nothing is to be looked up."""
         return not any(getattr(self, kind.name) for kind in fields(self))
 
 
-_Around = Mapping[str, Source]
+_OuterSources = Mapping[str, Source]
 
 
 def facts_of(statement: Node) -> StatementFacts:
     """What of a statement is to be looked up."""
     facts = StatementFacts()
-    _look(statement, {}, None, facts)
+    _collect(statement, {}, None, facts)
     return facts
 
 
-def _look(node: Node, around: _Around, only: Source | None, facts: StatementFacts) -> None:
+def _collect(
+    node: Node, outer_sources: _OuterSources, only_source: Source | None, facts: StatementFacts
+) -> None:
     match node:
         case Query():
-            _look_in_query(node, around, facts)
+            _collect_from_query(node, outer_sources, facts)
             return
         case Assignment(name=name, span=span, is_bare=False):
             if len(name) > 1:  # the others are told of where they are looked up
                 facts.given.append((name, SourceSpan(span.start, span.start + len(name))))
         case Binary(operator="==" | "!=", left=left, right=right):
             for side, other in ((left, right), (right, left)):
-                _look_at_name(side, (other,), around, only, facts)
+                _collect_name_site(side, (other,), outer_sources, only_source, facts)
         case Binary(operator="IN", left=left, right=right):
             values = right.items if isinstance(right, ListLiteral) else (right,)
             if not isinstance(right, Literal):  # a part of a text may be any
-                _look_at_name(left, values, around, only, facts)
+                _collect_name_site(left, values, outer_sources, only_source, facts)
     for child in node.children():
-        _look(child, around, only, facts)
+        _collect(child, outer_sources, only_source, facts)
 
 
-def _look_in_query(query: Query, around: _Around, facts: StatementFacts) -> None:
+def _collect_from_query(query: Query, outer_sources: _OuterSources, facts: StatementFacts) -> None:
     own = {source.alias: source for source in query.sources if source.alias is not None}
-    only = query.sources[0] if len(query.sources) == 1 else None
+    only_source = query.sources[0] if len(query.sources) == 1 else None
     for source in query.sources:
-        _look(source.value, around, None, facts)
+        _collect(source.value, outer_sources, None, facts)
         if isinstance(source.value, Literal) and isinstance(source.value.value, str):
             facts.sources.append((source.value.value, source.value.span))
-    inner = {**around, **own}
+    inner = {**outer_sources, **own}
     for child in query.children():
         if not isinstance(child, Source):
-            _look(child, inner, only, facts)
+            _collect(child, inner, only_source, facts)
     keys = [*query.items, *query.group, *(key.value for key in query.order)]
     facts.texts += [
         (node.value, node.span)
@@ -144,7 +146,7 @@ def _look_in_query(query: Query, around: _Around, facts: StatementFacts) -> None
     parts_of_columns += [] if query.having is None else [query.having]
     facts.columns += [
         (node.name, node.span)
-        for node in _bare(parts_of_columns)
+        for node in _bare_names(parts_of_columns)
         if node.name in named - own_states
     ]
     facts.bare += [
@@ -154,7 +156,9 @@ def _look_in_query(query: Query, around: _Around, facts: StatementFacts) -> None
     ]
     conditions = [part for part in (query.where, query.having) if part is not None]
     facts.bare += [
-        (name.name, name.span) for name in _conditions(conditions) if name.name not in own_states
+        (name.name, name.span)
+        for name in _condition_names(conditions)
+        if name.name not in own_states
     ]
     given = {s.alias for s in query.sources if not isinstance(s.value, Name | TimeIndex)} - {None}
     given |= {
@@ -162,45 +166,49 @@ def _look_in_query(query: Query, around: _Around, facts: StatementFacts) -> None
     }
     given -= own_states
     parts = (child for child in query.children() if not isinstance(child, Source))
-    facts.aliases += [(n.name, n.span) for n in _bare(parts) if n.name in given]
+    facts.aliases += [(n.name, n.span) for n in _bare_names(parts) if n.name in given]
 
 
-def _conditions(nodes: Iterable[Node]) -> Iterator[Name]:
+def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
     """Bare names that are conditions themselves, or are compared with what is written out."""
     for node in nodes:
         match node:
             case Name():
                 yield node
             case Binary(operator="AND" | "OR" | "XOR", left=left, right=right):
-                yield from _conditions((left, right))
+                yield from _condition_names((left, right))
             case OperatorChain(operators=("AND" | "OR" | "XOR", *_), operands=operands):
-                yield from _conditions(operands)
+                yield from _condition_names(operands)
             case Unary(operator="NOT", operand=operand):
-                yield from _conditions((operand,))
+                yield from _condition_names((operand,))
             case Binary(left=Name() as name, right=Literal()):
                 yield name
             case Binary(left=Literal(), right=Name() as name):
                 yield name
 
 
-def _bare(nodes: Iterable[Node]) -> Iterator[Name]:
+def _bare_names(nodes: Iterable[Node]) -> Iterator[Name]:
     for node in nodes:
         if isinstance(node, Name):
             yield node
         if not isinstance(node, Query):
-            yield from _bare(node.children())
+            yield from _bare_names(node.children())
 
 
-def _look_at_name(
-    side: Node, values: Iterable[Node], around: _Around, only: Source | None, facts: StatementFacts
+def _collect_name_site(
+    side: Node,
+    values: Iterable[Node],
+    outer_sources: _OuterSources,
+    only_source: Source | None,
+    facts: StatementFacts,
 ) -> None:
     match side:
         case Call(name=name, arguments=(This(alias=alias),)) if name == _NAME:
-            source, is_bare = only if alias is None else around.get(alias), False
+            source, is_bare = only_source if alias is None else outer_sources.get(alias), False
         case QualifiedName(alias=alias, key=name) if name == _NAME:
-            source, is_bare = around.get(alias), True
-        case Name(name=name) if name == _NAME and only is not None:
-            source, is_bare = only, True
+            source, is_bare = outer_sources.get(alias), True
+        case Name(name=name) if name == _NAME and only_source is not None:
+            source, is_bare = only_source, True
         case _:
             return
     for value in values:
@@ -230,10 +238,10 @@ class Linter:
         self._worlds = worlds
         self._recorded = recorded
         self._facts: WeakKeyDictionary[Node, StatementFacts] = WeakKeyDictionary()
-        self._borne: WeakKeyDictionary[World, set[str]] = WeakKeyDictionary()
-        self._told: set[tuple[str | None, str]] = set()
+        self._known_names: WeakKeyDictionary[World, set[str]] = WeakKeyDictionary()
+        self._reported: set[tuple[str | None, str]] = set()
 
-    def found(
+    def check(
         self, text: str, statement: Node, local: Mapping[str, Any]
     ) -> list[SelectScriptError]:
         """What is to be told of a statement of a program, each time that it runs.
@@ -246,33 +254,37 @@ class Linter:
         facts = self._facts.get(statement)
         if facts is None:
             facts = self._facts[statement] = facts_of(statement)
-        if facts.are_none:
+        if facts.is_empty:
             return []
-        found = [*self._hidden(facts), *self._quoted(facts, text), *self._unborne(facts, local)]
-        for error in found:
+        check = [
+            *self._hiding_names(facts),
+            *self._quoted_names(facts, text),
+            *self._unknown_entities(facts, local),
+        ]
+        for error in check:
             error.locate(text)
-        return found
+        return check
 
     def is_new(self, error: SelectScriptError) -> bool:
         """Whether it was not told before."""
-        if len(self._told) > MOST_TOLD:
-            self._told.clear()
+        if len(self._reported) > MOST_REPORTED:
+            self._reported.clear()
         told = (error.text, error.message)
-        is_new = told not in self._told
-        self._told.add(told)
+        is_new = told not in self._reported
+        self._reported.add(told)
         return is_new
 
-    def _hidden(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
+    def _hiding_names(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
         for name, span in facts.given:
             if self._is_function(name):
-                yield ArgumentError(hides(name), span=span)
+                yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.columns:
             if self._variable(name) is not None:
                 message = f"{name} is the variable here, and not the column of that name"
                 yield ArgumentError(message, span=span)
         for name, span in facts.bare:
             if self._is_function(name) and self._variable(name) is not None:
-                yield ArgumentError(hides(name), span=span)
+                yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.aliases:
             if self._is_function(name) and self._variable(name) is None:
                 message = f"{name} is the function here; the element of the source is {name}.this"
@@ -281,7 +293,7 @@ class Linter:
                 message = f"{name} is the variable here; the element of the source is {name}.this"
                 yield ArgumentError(message, span=span)
 
-    def _quoted(self, facts: StatementFacts, text: str) -> Iterator[SelectScriptError]:
+    def _quoted_names(self, facts: StatementFacts, text: str) -> Iterator[SelectScriptError]:
         for name, span in facts.texts:
             if text[span.start : span.start + 1] == '"' and self._is_function(name):
                 message = f'"{name}" is a text; the function is written without quotes: {name}'
@@ -295,16 +307,16 @@ class Linter:
 
     # -- names of entities ------------------------------------------------------------------
 
-    def _unborne(
+    def _unknown_entities(
         self, facts: StatementFacts, local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
-        return islice(self._all_unborne(facts, local), MOST_UNBORNE)
+        return islice(self._all_unknown_entities(facts, local), MOST_UNKNOWN)
 
-    def _all_unborne(
+    def _all_unknown_entities(
         self, facts: StatementFacts, local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
         for site in facts.names:
-            worlds = self._worlds_of(site)
+            worlds = self.worlds_of(site)
             if not worlds:
                 continue
             value = site.value
@@ -316,10 +328,10 @@ class Linter:
                 given = self._variable(value.name)
                 texts = given if isinstance(given, list) else [given]
             for text in texts:
-                if isinstance(text, str) and not any(self._bears(w, text) for w in worlds):
-                    yield self._unknown(text, worlds, value.span)
+                if isinstance(text, str) and not any(self._has_entity(w, text) for w in worlds):
+                    yield self._unknown_entity(text, worlds, value.span)
 
-    def _worlds_of(self, site: NameSite) -> list[World]:
+    def worlds_of(self, site: NameSite) -> list[World]:
         """The worlds that the entity may be of; none where that is not known."""
         value = None if site.source is None else site.source.value
         if isinstance(value, Name | TimeIndex):
@@ -334,13 +346,15 @@ class Linter:
             return []
         return list(self._worlds())
 
-    def _bears(self, world: World, name: str) -> bool:
-        borne = self._borne.setdefault(world, set())
+    def _has_entity(self, world: World, name: str) -> bool:
+        borne = self._known_names.setdefault(world, set())
         if name not in borne and (name in world or name in self._recorded(world)):
             borne.add(name)
         return name in borne
 
-    def _unknown(self, name: str, worlds: list[World], span: SourceSpan) -> SelectScriptError:
+    def _unknown_entity(
+        self, name: str, worlds: list[World], span: SourceSpan
+    ) -> SelectScriptError:
         known = {entity.name for world in worlds for entity in world}
         for world in worlds:
             known.update(self._recorded(world))
@@ -353,12 +367,12 @@ class Linter:
 
 
 # So many things are known to have been told.
-MOST_TOLD = 10_000
+MOST_REPORTED = 10_000
 # So many names that no entity bears are told of a statement: of more, a list of others is meant.
-MOST_UNBORNE = 20
+MOST_UNKNOWN = 20
 
 
-def hides(name: str) -> str:
+def hiding_message(name: str) -> str:
     """What is told of a variable that has a function's name."""
     return (
         f"the variable {name} hides the function {name}: a bare {name} is the variable; "

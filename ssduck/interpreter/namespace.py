@@ -14,9 +14,9 @@ from ssduck.adapters.registry import tables_of_forms
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
-from ssduck.interpreter.output import help_of_forms
-from ssduck.interpreter.sources import within
-from ssduck.interpreter.temporal_functions import FORMS
+from ssduck.interpreter.output import help_of_result_forms
+from ssduck.interpreter.sources import worlds_in
+from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
 from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.deferred import LazyList
@@ -47,9 +47,9 @@ class Namespace:
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
         # What the language has of its own; and users' functions that stand in the place of that.
-        self._replaced: dict[str, Function | None] = {}
+        self._overrides: dict[str, Function | None] = {}
         self._functions.update((command.name, command) for command in self._commands())
-        self._functions.update((name, form.function) for name, form in FORMS.items())
+        self._functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
         for name, allen in RELATIONS_OF_INTERVALS.items():
             if name not in RELATIONS:
                 self._functions[name] = allen.function
@@ -80,7 +80,8 @@ class Namespace:
         """Whether there is a function, or a relation, of that name."""
         return name in RELATIONS or name in self._functions
 
-    def _value_or_none(self, name: str) -> Any:
+    def variable_or_none(self, name: str) -> Any:
+        """Returns the value of a variable; None if there is none."""
         return self.variable(name) if self.has_variable(name) else None
 
     def names(self) -> list[str]:
@@ -133,7 +134,7 @@ class Namespace:
             return world.time
         raise UnknownNameError("there is no world, so no simulated time; add one with add_variable")
 
-    def _forget(self) -> None:
+    def _expire_histories(self) -> None:
         """Drop what is out of its horizon, or later than now."""
         temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, ValueHistory)]
         if temporal:
@@ -145,15 +146,15 @@ class Namespace:
 
     def function(self, name: str) -> Function | None:
         """A function that is no relation; the language's own, where the name is not marked."""
-        if name in self._replaced:
-            return self._replaced[name]
+        if name in self._overrides:
+            return self._overrides[name]
         return self._functions.get(plain(name))
 
     def meant(self, name: str) -> str:
         """What calls the function of that name: the user's, where it replaces another."""
-        return marked(name) if name in self._replaced else name
+        return marked(name) if name in self._overrides else name
 
-    def _adopt(self, function: Function) -> None:
+    def _add_function(self, function: Function) -> None:
         """Take a user's function; one of the language's name replaces that, with a warning.
 
         Raises:
@@ -161,7 +162,7 @@ class Namespace:
         """
         name = function.name
         known = self._functions.get(name)
-        if name in FIXED or name in FORMS:
+        if name in FIXED or name in TEMPORAL_FUNCTIONS:
             raise ArgumentError(f"{name!r} is a part of the language; choose another name")
         is_own = known is not None and not known.builtin
         if is_own or not (name in RELATIONS or name in NAMED or known is not None):
@@ -169,7 +170,7 @@ class Namespace:
             return
         if known is not None and unwrap(known.call) is function.call:
             return  # `addFunction('str', str)` of the published programs
-        self._replaced[name] = known
+        self._overrides[name] = known
         self._functions[name] = function
         sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
         what = f"the operator {sign}" if sign else f"the language's own {name}"
@@ -179,7 +180,7 @@ class Namespace:
             f"del_function({name!r}) brings that back"
         )
 
-    def _drop(self, name: str) -> None:
+    def _remove_function(self, name: str) -> None:
         """Forget a user's function; what it replaced is there again.
 
         Raises:
@@ -191,7 +192,7 @@ class Namespace:
             raise UnknownNameError(
                 f"there is no function {short_repr(name)} of yours", suggestions=nearest(name, own)
             )
-        before = self._replaced.pop(name, None)
+        before = self._overrides.pop(name, None)
         if before is None:
             del self._functions[name]
         else:
@@ -236,7 +237,7 @@ class Namespace:
         if name is None:
             return sorted(self._known_functions(), key=str.casefold)
         if isinstance(name, str) and name.upper() == "AS":
-            return help_of_forms()
+            return help_of_result_forms()
         described: dict[str, Function | Relation] = {**RELATIONS, **self._functions}
         if not isinstance(name, str) or name not in described:
             raise UnknownNameError(
@@ -278,7 +279,7 @@ class Namespace:
         """The worlds that are bound to variables, the first one first."""
         return list(self._database.worlds.values())
 
-    def _worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
+    def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
         """The worlds that parts may be about; None if their values alone tell."""
         worlds: list[World] = []
         for node in nodes:
@@ -288,21 +289,21 @@ class Namespace:
             values = [self._variables.get(name) for name in variables_of(node)]
             for value in values:
                 if isinstance(value, LazyList):
-                    inner = self._worlds_of([value.node])
+                    inner = self.worlds_of([value.node])
                 else:
-                    inner = within(value.values if isinstance(value, ValueHistory) else value)
+                    inner = worlds_in(value.values if isinstance(value, ValueHistory) else value)
                 if inner is None:
                     return None
                 worlds += inner
         return worlds
 
-    def _tables_of(self, node: Node) -> frozenset[str]:
+    def tables_read(self, node: Node) -> frozenset[str]:
         """The tables that relations in a part look things up in."""
         found = tables_of(node) | tables_of_forms(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
             if isinstance(value, LazyList):
-                found |= self._tables_of(value.node)
+                found |= self.tables_read(value.node)
         return found
 
 

@@ -1,4 +1,4 @@
-"""Interpreters on worlds: `load` makes one on a scene, `open_record` on what was recorded."""
+"""Opens interpreters: `load` on a scene, `open_record` on a record."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from ssduck import validation
-from ssduck.interpreter.archives import chosen_runs, runs, world_of
+from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.recording.paths import given_path
 from ssduck.recording.spec import Recording
@@ -20,23 +20,28 @@ def load(
     *,
     recording: Recording | Literal["default"] | None = "default",
 ) -> Interpreter:
-    """An interpreter with a scene's world bound to the scene's name.
+    """Returns an interpreter with the world of a scene, bound to the name of the scene.
 
     Args:
-        scene: the name of a shipped scene, or the path of a scene file, or of a model
-            (URDF, SDF or MJCF).
-        database: a DuckDB file, or `":memory:"`.
-        recording: what is kept of the ticks; see `Interpreter`.
+        scene: the name of a shipped scene, or the path of a scene file or of a model (URDF, SDF or
+            MJCF).
+        database: the path of a DuckDB file, or `":memory:"`.
+        recording: the recording of the world; see `Interpreter`.
 
     Raises:
-        UnknownNameError: there is no such scene, with the nearest names.
-        SceneError: it cannot be loaded: file, key and reason.
+        UnknownNameError: no scene has that name; the error suggests the nearest names.
+        SceneError: the scene cannot be loaded; the error names file, key and reason.
+
+    >>> import ssduck
+    >>> with ssduck.load("kitchen") as ss:
+    ...     ss.eval("SELECT id(this) FROM kitchen WHERE id(this) == 'fridge' AS list;")
+    ['fridge']
     """
     description = find_scene(scene)
     interpreter = Interpreter(database, recording=recording)
     try:
         world = World.load(description)
-        interpreter._own.append(world)  # noqa: SLF001  # it closes what is made here
+        interpreter._owned_worlds.append(world)  # noqa: SLF001  # it closes what is made here
         interpreter.add_variable(description.name, world)
     except BaseException:
         interpreter.close()
@@ -47,22 +52,22 @@ def load(
 def open_record(
     path: str | Path, world: str | None = None, episode: int | None = None
 ) -> Interpreter:
-    """An interpreter on what was recorded, without a simulation: the same programs run.
+    """Returns an interpreter on a record, without a simulation; it runs the same programs.
 
-    Each world is bound to its name, as it was at its last tick; `kitchen{12.5}` and the tables
-    of its history tell of the others.
+    Each world is bound to its name, at its last tick. `kitchen{12.5}` and the tables of its history
+    give the other ticks.
 
-    A DuckDB file is only read, so that any number of processes can open it together, as long as
-    none records into it.
+    A DuckDB file is opened to read, so that any number of processes can open it at once, as long as
+    no process records into it.
 
     Args:
-        path: a folder that `Interpreter.export` or `ssduck record` wrote, or a DuckDB file that
-            was recorded into.
-        world: the world that is opened; None for all.
-        episode: the number of the run; None for the last one of each world that holds any tick.
+        path: a folder that `Interpreter.export` or `ssduck record` wrote, or a DuckDB file with a
+            record.
+        world: the name of the world to open; None for all worlds.
+        episode: the number of the episode; None for the last episode with ticks of each world.
 
     Raises:
-        RecordError: there is no such record, it is damaged, of a newer version, or in use by
+        RecordError: there is no such record, or it is damaged, of a newer version, or in use by
             another process.
         NumberError: the episode is no whole number, 0 or more.
     """
@@ -72,8 +77,8 @@ def open_record(
     database = interpreter._database  # noqa: SLF001  # records are read in it
     try:
         found = [
-            world_of(run, database)
-            for run in chosen_runs(runs(given_path(path), database), world, episode)
+            replayed_world(run, database)
+            for run in select_runs(recorded_runs(given_path(path), database), world, episode)
         ]
         for recorded in found:
             interpreter.add_variable(recorded.name, recorded)

@@ -1,4 +1,4 @@
-"""What a query says behind AS: the adapter with its arguments, and what it makes of the rows."""
+"""The AS clause: finds the adapter that it names, and makes the result from the rows."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ from ssduck.language.tree import Literal, Name, Query, TimeIndex
 from ssduck.recording.replay.past import PastTicks
 from ssduck.world.world import World
 
-Run: TypeAlias = Callable[[Query, Frame, Callable[[Sequence[SelectedValue]], None]], Selected]
+QueryRunner: TypeAlias = Callable[
+    [Query, Frame, Callable[[Sequence[SelectedValue]], None]], Selected
+]
 
 
 @dataclass(frozen=True)
 class AsClause:
-    """An adapter as a query names it.
+    """The result form of a query.
 
     Attributes:
         name: the name behind AS.
-        adapter: what it is.
-        arguments: the values in brackets.
-        named: those with names.
-        span: where it stands; None if the query has no AS.
+        adapter: the adapter of that name.
+        arguments: the values of its positional arguments.
+        named: the values of its named arguments.
+        span: the place of the clause; None if the query has no AS.
     """
 
     name: str
@@ -44,30 +46,30 @@ class AsClause:
     named: Mapping[str, Any] = field(default_factory=dict)
     span: SourceSpan | None = None
 
-    def value(self, query: Query, frame: Frame, run: Run) -> Any:
-        """What it makes of a query: of its rows, or of each group's or path's.
+    def value(self, query: Query, frame: Frame, run: QueryRunner) -> Any:
+        """Returns the result of a query: made from its rows, or from those of each group or path.
 
         Args:
-            query: what is run.
-            frame: what is around it.
-            run: what runs it, while the caller holds the worlds.
+            query: the query to run.
+            frame: the scope and the rows around it.
+            run: the function that runs it, while the caller holds the worlds.
 
         Raises:
-            LimitError: it writes a file, and files are switched off; or the time is up.
+            LimitError: the form writes a file and files are switched off, or the time is up.
         """
         if self.adapter.writes and not frame.scope.meter.limits.files:
             raise LimitError(f"AS {self.name}: files are switched off here", span=self.span)
-        check = check_columns if self.adapter.needs == "columns" else _unchecked
-        worlds = partial(_worlds, query, frame)
+        check = check_columns if self.adapter.needs == "columns" else _accept_columns
+        worlds = partial(_source_worlds, query, frame)
 
         def read(count: int | None) -> Rows:
-            asked = query if count is None else _first(query, count, frame)
+            asked = query if count is None else _with_limit(query, count, frame)
             found = run(asked, frame, check)
             assert isinstance(found, Rows)
             return found
 
         def made(selection: Selection) -> Any:
-            value = self._made(selection)
+            value = self._make(selection)
             frame.scope.meter.check_time()  # what a form does is one step, however long
             return value
 
@@ -80,7 +82,8 @@ class AsClause:
         selected = run(query, frame, check)
         return formed(selected, lambda rows: made(Selection(lambda _: rows, query, worlds)))
 
-    def _made(self, selection: Selection) -> Any:
+    def _make(self, selection: Selection) -> Any:
+        """Returns the result of the adapter; its errors name the form and the place."""
         try:
             if self.adapter.needs == "entities" and selection.rows and not selection.entities:
                 raise ArgumentError(
@@ -99,12 +102,12 @@ class AsClause:
             ) from error
 
 
-def form_of(query: Query, frame: Frame) -> AsClause:
-    """The form that a query names, its arguments evaluated; `dict` if it names none.
+def as_clause_of(query: Query, frame: Frame) -> AsClause:
+    """Returns the result form of a query, its arguments evaluated; `dict` if it has none.
 
     Raises:
-        UnknownNameError: there is none of that name, with the nearest names.
-        ArgumentError: it does not take these arguments.
+        UnknownNameError: no form has that name; the error suggests the nearest names.
+        ArgumentError: the form does not take these arguments.
     """
     named = query.adapter
     if named is None:
@@ -127,25 +130,25 @@ def form_of(query: Query, frame: Frame) -> AsClause:
     return AsClause(named.name, adapter, arguments, by_name, named.span)
 
 
-def help_of_forms() -> str:
-    """What `help('AS')` tells: all forms with their arguments."""
+def help_of_result_forms() -> str:
+    """Returns the text of `help('AS')`: all result forms with their arguments."""
     told = [f"{form.usage}\n    {form.help}" for form in forms()]
     return "\n".join(["AS", "What a query's rows become.", *told])
 
 
-def _first(query: Query, count: int, frame: Frame) -> Query:
-    """The query with so many rows at most."""
+def _with_limit(query: Query, count: int, frame: Frame) -> Query:
+    """Returns the query with a limit on its rows."""
     if query.limit is not None:
         count = min(count, checked_count(frame.value(query.limit), "LIMIT", query.limit))
     return replace(query, limit=Literal(query.span, count))
 
 
-def _worlds(query: Query, frame: Frame) -> list[World]:
-    """The worlds that a query's sources are, each at its tick, once."""
+def _source_worlds(query: Query, frame: Frame) -> list[World]:
+    """Returns the worlds among a query's sources, each at its tick and once."""
     found: dict[World, None] = {}
     for source in query.sources:
         if isinstance(source.value, Query):
-            found.update(dict.fromkeys(_worlds(source.value, frame)))
+            found.update(dict.fromkeys(_source_worlds(source.value, frame)))
         elif isinstance(source.value, Name | TimeIndex):
             value = frame.value(source.value)
             if isinstance(value, World):
@@ -155,5 +158,5 @@ def _worlds(query: Query, frame: Frame) -> list[World]:
     return list(found)
 
 
-def _unchecked(_: object) -> None:
-    """Columns of one name are no trouble."""
+def _accept_columns(_: object) -> None:
+    """Accepts any columns, also two of one name."""

@@ -1,4 +1,4 @@
-"""Which plan a query runs by: made once for its types, kept, and made anew when these change."""
+"""Finds the plan of a query, made once for the types of its sources and cached."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.formatting import short_repr, type_in_words
 from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
 from ssduck.interpreter.signatures import TypeHints
-from ssduck.interpreter.sources import INLINE, all_elements, beside_past, shapes_of
+from ssduck.interpreter.sources import INLINE, all_elements, source_types, with_present_ticks
 from ssduck.language.analysis import (
     aliases_of,
     is_impure,
@@ -38,17 +38,17 @@ from ssduck.sql.types import Signature, SqlType
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# So many queries keep their plans; then all are forgotten and made anew as they are needed.
+# The largest number of cached plans; beyond it, all are forgotten and made anew when needed.
 MOST_PLANS = 500
 _UNKNOWN = SqlType("any")
 
 
-class _SmallError(NotSqlError):
-    """A query is quicker row by row.
+class _SmallQueryError(NotSqlError):
+    """A query is faster row by row.
 
     Attributes:
-        values: those of its sources.
-        shapes: what they are.
+        values: the values of its sources.
+        shapes: the types of its sources.
     """
 
     def __init__(self, values: list[Any], shapes: tuple[SourceType, ...]) -> None:
@@ -58,19 +58,19 @@ class _SmallError(NotSqlError):
 
 
 class FunctionScope(EvaluationScope, Protocol):
-    """What a planner needs of the interpreter: a scope that tells of users' functions."""
+    """The interface of the interpreter to a planner: a scope that also knows users' functions."""
 
     def function(self, name: str) -> Function | None:
-        """A function by its name."""
+        """Returns the function of a name."""
 
 
 class Planner:
-    """Runs queries, and keeps their plans.
+    """Runs queries, and caches their plans.
 
     Args:
-        database: where their SQL runs.
-        scope: variables and functions.
-        limits: what a query may use.
+        database: the database that runs their SQL.
+        scope: the variables and functions.
+        limits: the limits of a query.
         row_by_row: whether every query runs row by row in Python.
     """
 
@@ -82,26 +82,31 @@ class Planner:
         self._limits = limits
         self._row_by_row = row_by_row
         self._plans: dict[Query, list[PlannedQuery]] = {}
-        self._rows: dict[Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]] = {}
-        # Nested queries in FROM that must be evaluated before, by the query around them.
-        self._evaluated: dict[Query, set[str]] = {}
+        self._row_by_row_queries: dict[
+            Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]
+        ] = {}
+        # The nested queries in FROM, by the query around them, that must be evaluated before it.
+        self._evaluated_aliases: dict[Query, set[str]] = {}
 
     def forget(self) -> None:
-        """Forget all plans: a function, or what a world is called, has changed."""
+        """Forgets all plans, as a function or the name of a world has changed."""
         for plans in self._plans.values():
             for planned in plans:
                 planned.forget()
         self._plans.clear()
-        self._rows.clear()
-        self._evaluated.clear()
+        self._row_by_row_queries.clear()
+        self._evaluated_aliases.clear()
 
     def run(self, query: Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
-        """What a query selects; the caller holds the worlds.
+        """Returns the rows of a query; the caller holds the worlds.
+
+        A plan is first optimistic: its SQL fails where only Python gives the right answer, for a
+        number out of range, say. Then the cautious plan runs, which leaves such parts to Python.
 
         Args:
             query: the query.
-            frame: what is around it.
-            check: is told the columns before the query runs.
+            frame: the scope and the rows around it.
+            check: a function that is called with the columns before the query runs.
         """
         if not self._row_by_row:
             for cautious in (False, True):
@@ -109,41 +114,47 @@ class Planner:
                     return self._run_planned(query, frame, check, cautious=cautious)
                 except SqlFailedError:
                     continue
-                except _SmallError as error:
-                    return self._rows_of(query, error.shapes, frame, check).run(frame, error.values)
+                except _SmallQueryError as error:
+                    return self._row_by_row_query(query, error.shapes, frame, check).run(
+                        frame, error.values
+                    )
                 except NotSqlError:
                     break
         return self._run_row_by_row(query, frame, check)
 
-    def spelled(self, query: Query, frame: Frame) -> tuple[ResolvedQuery, list[Sequence[Any]]]:
-        """A query, bare names looked up, and the elements of its sources."""
+    def resolved_parts(
+        self, query: Query, frame: Frame
+    ) -> tuple[ResolvedQuery, list[Sequence[Any]]]:
+        """Returns a query with its names resolved, and the elements of its sources."""
         values = [frame.value(source.value) for source in query.sources]
-        values = beside_past(values, frame.own_elements())
-        shapes = shapes_of(query, values, self._database.schema_of)
-        return resolve(query, shapes, self._typed(frame)), all_elements(values)
+        values = with_present_ticks(values, frame.own_elements())
+        shapes = source_types(query, values, self._database.schema_of)
+        return resolve(query, shapes, self._types_in(frame)), all_elements(values)
 
     def plan(self, query: Query, frame: Frame) -> Plan | None:
-        """The plan that a query would run by; None if it runs row by row."""
+        """Returns the plan of a query; None if it runs row by row."""
         if self._row_by_row:
             return None
         try:
-            return self._found(query, frame, self._typed(frame), cautious=False)[0].plan
+            return self._plan_for(query, frame, self._types_in(frame), cautious=False)[0].plan
         except NotSqlError:
             return None
 
-    def written(self, query: Query, frame: Frame) -> tuple[Plan | None, dict[str, Any]]:
-        """A query's plan as SQL, and the values of its parameters."""
-        typed = self._typed(frame)
+    def sql_plan(self, query: Query, frame: Frame) -> tuple[Plan | None, dict[str, Any]]:
+        """Returns the plan of a query for its SQL text, and the values of its parameters."""
+        types = self._types_in(frame)
         try:
-            planned, values = self._found(query, frame, typed, cautious=False, quickest=False)
+            planned, values = self._plan_for(
+                query, frame, types, cautious=False, may_be_small=False
+            )
         except NotSqlError:
             return None, {}
-        return planned.plan, planned.parameters(typed.frame(), values)
+        return planned.plan, planned.parameters(types.frame(), values)
 
     def relation(self, query: Query, frame: Frame) -> Any:
-        """A relation outside a query: a query of one row, without sources."""
-        typed = self._typed(frame)
-        planned, _ = self._found(query, frame, typed, cautious=True)
+        """Returns the value of a relation outside a query, by a query of one row."""
+        types = self._types_in(frame)
+        planned, _ = self._plan_for(query, frame, types, cautious=True)
         if planned.plan.left:
             (call,) = query.items
             assert isinstance(call, Call)
@@ -156,7 +167,7 @@ class Planner:
             raise ArgumentError(
                 f"{call.name} does not take ({told}): {RELATIONS[call.name].usage}", span=query.span
             )
-        (row,) = planned.run(typed.frame(), ()).values  # type: ignore[union-attr]
+        (row,) = planned.run(types.frame(), ()).values  # type: ignore[union-attr]
         return row[0]
 
     # -- as SQL -----------------------------------------------------------------------------
@@ -164,26 +175,35 @@ class Planner:
     def _run_planned(
         self, query: Query, frame: Frame, check: Callable[[Any], None], *, cautious: bool
     ) -> Selected:
-        typed = self._typed(frame)
-        planned, values = self._found(query, frame, typed, cautious=cautious)
-        if planned.is_hopeless():
+        """Runs a query by its plan."""
+        types = self._types_in(frame)
+        planned, values = self._plan_for(query, frame, types, cautious=cautious)
+        if planned.skips_sql():
             raise SqlFailedError
         check(planned.columns)
-        return planned.run(typed.frame(), values)
+        return planned.run(types.frame(), values)
 
-    def _typed(self, frame: Frame) -> InterpreterTypes:
+    def _types_in(self, frame: Frame) -> InterpreterTypes:
+        """Returns the types and names that a frame offers the translator."""
         return InterpreterTypes(self._scope, frame, self._database)
 
-    def _found(
+    def _plan_for(
         self,
         query: Query,
         frame: Frame,
-        typed: InterpreterTypes,
+        types: InterpreterTypes,
         *,
         cautious: bool,
-        quickest: bool = True,
+        may_be_small: bool = True,
     ) -> tuple[PlannedQuery, list[Any]]:
-        """The plan for sources and variables of these types, and the sources' values.
+        """Returns the plan for the types of a query's sources, and the values of these.
+
+        Args:
+            query: the query.
+            frame: the scope and the rows around it.
+            types: the types and names in the frame.
+            cautious: whether the plan leaves to Python all that may fail in SQL.
+            may_be_small: whether a small query is left to Python.
 
         Raises:
             NotSqlError: the query runs row by row.
@@ -192,25 +212,26 @@ class Planner:
             raise NotSqlError
         while True:
             elements = frame.own_elements()
-            values = beside_past(self._values(query, frame), elements)
+            values = with_present_ticks(self._values(query, frame), elements)
             self._check_records(query, values)
             if any(isinstance(value, Entity) and value.moment is not None for value in elements):
                 raise NotSqlError  # handles in it go with a row of a query around it
-            shapes = shapes_of(query, values, self._database.schema_of)
-            if quickest and query.sources and is_small(query, shapes, values):
-                raise _SmallError(values, shapes)
-            found = self._kept(query, shapes, typed, cautious=cautious)
+            shapes = source_types(query, values, self._database.schema_of)
+            if may_be_small and query.sources and is_small(query, shapes, values):
+                raise _SmallQueryError(values, shapes)
+            found = self._cached_plan(query, shapes, types, cautious=cautious)
             if found is not None:
                 return found, values
             try:
-                plan = translate(query, shapes, typed, cautious=cautious)
+                plan = translate(query, shapes, types, cautious=cautious)
             except NotInlineError as error:
-                self._evaluated.setdefault(query, set()).add(str(error))
+                self._evaluated_aliases.setdefault(query, set()).add(str(error))
                 continue
-            return self._keep(query, plan), values
+            return self._cache_plan(query, plan), values
 
     def _values(self, query: Query, frame: Frame) -> list[Any]:
-        evaluated = self._evaluated.get(query, set())
+        """Returns the sources' values; `INLINE` for a nested query that is a part of the SQL."""
+        evaluated = self._evaluated_aliases.get(query, set())
         return [
             INLINE
             if is_inline(source.value)
@@ -221,20 +242,22 @@ class Planner:
             for alias, source in zip(aliases_of(query), query.sources, strict=True)
         ]
 
-    def _kept(
+    def _cached_plan(
         self,
         query: Query,
         shapes: tuple[SourceType, ...],
-        typed: InterpreterTypes,
+        types: InterpreterTypes,
         *,
         cautious: bool,
     ) -> PlannedQuery | None:
+        """Returns the cached plan for these types; None if there is none."""
         for planned in self._plans.get(query, ()):
-            if planned.plan.cautious == cautious and typed.fit(planned.plan, shapes):
+            if planned.plan.cautious == cautious and types.fits(planned.plan, shapes):
                 return planned
         return None
 
-    def _keep(self, query: Query, plan: Plan) -> PlannedQuery:
+    def _cache_plan(self, query: Query, plan: Plan) -> PlannedQuery:
+        """Caches a plan, and registers the users' functions in it with the database."""
         if sum(map(len, self._plans.values())) >= MOST_PLANS:
             self.forget()
         for signature in plan.signatures:
@@ -246,13 +269,13 @@ class Planner:
         return planned
 
     def _check_records(self, query: Query, values: Sequence[Any]) -> None:
-        """Complain of the past of a world that is recorded for another interpreter, too.
+        """Checks that pasts come from this interpreter's records.
 
-        It is warned of masses that records do not tell.
+        It also warns of masses that a record does not have.
         """
-        weighs = MASSES in tables_of(query)
+        reads_masses = MASSES in tables_of(query)
         for value in values:
-            if weighs and isinstance(value, PastTicks):
+            if reads_masses and isinstance(value, PastTicks):
                 value.record.warn_of_masses()
             known = isinstance(value, PastTicks) and value.world in self._database.worlds.values()
             if known and self._database.record_of(value.world) is not value.record:
@@ -263,59 +286,66 @@ class Planner:
     # -- row by row -------------------------------------------------------------------------
 
     def _run_row_by_row(self, query: Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
+        """Runs a query row by row."""
         changed = states(query)
         values = [
             [] if mentions(source.value, changed) else frame.value(source.value)
             for source in query.sources
         ]
-        values = beside_past(values, frame.own_elements())
+        values = with_present_ticks(values, frame.own_elements())
         self._check_records(query, values)
-        shapes = shapes_of(query, values, self._database.schema_of)
-        return self._rows_of(query, shapes, frame, check).run(frame, values)
+        shapes = source_types(query, values, self._database.schema_of)
+        return self._row_by_row_query(query, shapes, frame, check).run(frame, values)
 
-    def _rows_of(
+    def _row_by_row_query(
         self,
         query: Query,
         shapes: tuple[SourceType, ...],
         frame: Frame,
         check: Callable[[Any], None],
     ) -> RowByRowQuery:
-        rows = self._known_rows(query, shapes, frame)
+        """Returns the query to run row by row, its columns checked."""
+        rows = self._cached_row_by_row_query(query, shapes, frame)
         check(rows.columns)
         return rows
 
-    def _known_rows(
+    def _cached_row_by_row_query(
         self, query: Query, shapes: tuple[SourceType, ...], frame: Frame
     ) -> RowByRowQuery:
-        typed = self._typed(frame)
-        for known, rows in self._rows.get(query, ()):
-            if known == shapes and typed.knows(rows.resolved.bare) and typed.defers(rows.deferred):
+        """Returns the cached query to run row by row, or makes it."""
+        types = self._types_in(frame)
+        for known, rows in self._row_by_row_queries.get(query, ()):
+            if (
+                known == shapes
+                and types.has_same_names(rows.resolved.bare)
+                and types.has_same_lists(rows.deferred)
+            ):
                 return rows
-        if sum(map(len, self._rows.values())) >= MOST_PLANS:
+        if sum(map(len, self._row_by_row_queries.values())) >= MOST_PLANS:
             self.forget()
-        resolved = resolve(query, shapes, typed)
+        resolved = resolve(query, shapes, types)
         names = {part.name for part in query.walk() if isinstance(part, Name)}
-        deferred = {name: typed.deferred(name) for name in names}
+        deferred = {name: types.deferred(name) for name in names}
         of_past = any(shape.moments for shape in shapes)
         rows = RowByRowQuery(
             query, resolved, self._scope, self._limits.depth, deferred, of_past=of_past
         )
-        self._rows.setdefault(query, []).append((shapes, rows))
+        self._row_by_row_queries.setdefault(query, []).append((shapes, rows))
         return rows
 
 
 def _sees_rows(node: Node) -> bool:
-    """Whether a nested query sees rows that are in Python."""
+    """Tells whether a nested query uses rows of the query around it, which are in Python."""
     return isinstance(node, Query) and sees_outside(node)
 
 
 class InterpreterTypes:
-    """What the translator asks: names from the interpreter, types from the values.
+    """The names and types of a frame, for the translator (`ssduck.sql.plan.TypeEnvironment`).
 
     Args:
-        scope: variables and functions.
-        frame: what is around the query.
-        database: knows the schemas of worlds.
+        scope: the variables and functions.
+        frame: the scope and the rows around the query.
+        database: the database, which knows the schemas of worlds.
     """
 
     def __init__(self, scope: FunctionScope, frame: Frame, database: Database) -> None:
@@ -329,22 +359,22 @@ class InterpreterTypes:
         self.meant = scope.meant
 
     def frame(self) -> Frame:
-        """The frame with what was evaluated already, so that it is evaluated once a run."""
+        """Returns the frame with the values computed so far, so that a run computes each once."""
         frame = self._frame
         return Frame(
             frame.scope, frame.elements, frame.local, frame.given, frame.columns, self._values
         )
 
     def has_variable(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Tells whether a variable has that name."""
         return name in self._frame.local or self._scope.has_variable(name)
 
     def has_source(self, alias: str) -> bool:
-        """Whether a query around this one has a source of that name."""
+        """Tells whether a query around this one has a source of that name."""
         return alias in self._frame.elements
 
     def tag(self, node: Node) -> SqlType:
-        """The type of a constant part."""
+        """Returns the type of a constant part."""
         if node in self._failed:
             return _UNKNOWN
         if node not in self._values:
@@ -352,11 +382,11 @@ class InterpreterTypes:
                 self._values[node] = self._frame.value(node)
             except (ArgumentError, EvaluationError, FunctionError):
                 self._failed.add(node)
-                return _UNKNOWN  # it is an error only if a row comes to it
+                return _UNKNOWN  # an error only if a row reaches it
         return tag_of(self._values[node], self._database.schema_of)
 
     def world(self, node: Node) -> str | None:
-        """The schema of the world that a constant part is."""
+        """Returns the schema of the world that a constant part is; None for other parts."""
         if not isinstance(node, Name | TimeIndex):
             return None
         self.tag(node)
@@ -364,33 +394,33 @@ class InterpreterTypes:
         return self._database.schema_of(value) if isinstance(value, World) else None
 
     def deferred(self, name: str) -> Node | None:
-        """The list that a variable holds for the query that uses it."""
+        """Returns the list in a variable that the query evaluates; None for other values."""
         if name in self._frame.local or not self._scope.has_variable(name):
             return None
         value = self._scope.variable(name)
         return value.node if isinstance(value, LazyList) else None
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
-        """How SQL calls a user's function with such arguments."""
+        """Returns the SQL signature of a user's function; None if SQL cannot call it."""
         function = self._scope.function(name)
         if function is None or function.builtin or not isinstance(function.hints, TypeHints):
             return None
         return function.hints.signature(name, arguments)
 
-    def knows(self, bare: dict[str, bool]) -> bool:
-        """Whether these names are variables, or not, as they were."""
+    def has_same_names(self, bare: dict[str, bool]) -> bool:
+        """Tells whether names still are variables, or still are none."""
         return all(self.has_variable(name) == known for name, known in bare.items())
 
-    def defers(self, deferred: Mapping[str, Node | None]) -> bool:
-        """Whether these variables hold the lists that they held."""
+    def has_same_lists(self, deferred: Mapping[str, Node | None]) -> bool:
+        """Tells whether variables still hold the same deferred lists."""
         return all(self.deferred(name) is node for name, node in deferred.items())
 
-    def fit(self, plan: Plan, shapes: Sequence[SourceType]) -> bool:
-        """Whether a plan runs as it is for these sources and the present variables."""
+    def fits(self, plan: Plan, shapes: Sequence[SourceType]) -> bool:
+        """Tells whether a plan is right for these sources and the present variables."""
         return (
             plan.shapes == shapes
-            and self.knows(plan.bare)
-            and self.defers(plan.deferred)
+            and self.has_same_names(plan.bare)
+            and self.has_same_lists(plan.deferred)
             and all(self.tag(node) == tag for node, tag in plan.constants.items())
             and all(self.world(node) == schema for node, schema in plan.worlds.items())
         )

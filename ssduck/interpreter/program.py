@@ -1,4 +1,4 @@
-"""Programs that were parsed."""
+"""Parsed programs."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ssduck.language.tree import Program
 
 @dataclass(frozen=True, eq=False)
 class CompiledProgram:
-    """A program that was parsed; running it again parses nothing.
+    """A parsed program; running it parses nothing again.
 
     Attributes:
-        text: how it was written.
-        tree: what it means.
+        text: the text of the program.
+        tree: the syntax tree.
     """
 
     text: str
@@ -24,23 +24,23 @@ class CompiledProgram:
     _sql_of: Callable[[Program, str], str]
 
     def sql(self, dialect: str = "duckdb") -> str:
-        """The SQL of the query that the program ends with, the values of variables put in.
+        """Returns the SQL of the query that ends the program, with variables' values inserted.
 
         Args:
-            dialect: one of sqlglot's: `"duckdb"`, `"postgres"`, `"sqlite"` …
+            dialect: the name of a dialect of sqlglot: `"duckdb"`, `"postgres"`, `"sqlite"` …
 
         Raises:
-            UnsupportedError: a part is left to Python, or is nothing that dialect has.
+            UnsupportedError: Python evaluates a part of the query, or the dialect lacks it.
         """
         return self._sql_of(self.tree, dialect)
 
 
 def tree_of(program: str | CompiledProgram) -> Program:
-    """What a program means that is given as text or was parsed before.
+    """Returns the syntax tree of a program given as text or compiled.
 
     Raises:
-        ArgumentError: it is neither.
-        ParseError: with the place of the first thing that is wrong.
+        ArgumentError: the program is neither.
+        ParseError: the text is no program; the error has the place.
     """
     if isinstance(program, CompiledProgram):
         return program.tree

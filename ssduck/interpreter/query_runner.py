@@ -14,7 +14,7 @@ from sqlglot import exp
 from ssduck.database.database import Database, Statement
 from ssduck.database.values import to_sql
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError, warn
-from ssduck.interpreter.sources import all_elements, arrow_of, elements_of
+from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (
     aliases_of,
@@ -51,7 +51,7 @@ from ssduck.sql.types import SqlType
 # So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
 # tried again.
 MOST_FAILURES = 3
-TRIED_AGAIN = 64
+RETRY_INTERVAL = 64
 # A search or a product of lists with at most so many rows a state is not worth a statement.
 FEW_ROWS = 64
 # So many combinations of the sources are kept from state to state.
@@ -59,7 +59,7 @@ MOST_COMBINATIONS = 10_000
 # Of more ticks than this, values are written into a statement that is planned each time.
 LONG = 10_000
 # Longer lists are not written into a statement.
-MOST_WRITTEN = 1000
+MOST_LITERALS = 1000
 
 
 class SqlFailedError(Exception):
@@ -81,14 +81,14 @@ class PlannedQuery:
         self._database = database
         self._statement: Statement | None = None
         # The parameters that are no numbers, as they were last time.
-        self._texts: dict[str, Any] | None = None
+        self._last_texts: dict[str, Any] | None = None
         self._converters = {
             output.tag: database.converter(output.tag)
             for output in (*plan.known.values(), *plan.elements.values(), *(plan.outputs or ()))
         }
         self._clauses: Clauses | None = None
         if plan.outputs is None:
-            known = {node: self._column(output) for node, output in plan.known.items()}
+            known = {node: self._column_reader(output) for node, output in plan.known.items()}
             compiler = ExpressionCompiler(
                 scope,
                 known,
@@ -103,18 +103,18 @@ class PlannedQuery:
         """What it selects."""
         return self.plan.rest.columns
 
-    def _column(self, output: OutputColumn) -> Thunk:
+    def _column_reader(self, output: OutputColumn) -> Thunk:
         index, convert = output.index, self._converters[output.tag]
         if convert is None:
             return lambda frame: frame.columns[index]
         return lambda frame: convert(frame.columns[index])
 
-    def is_hopeless(self) -> bool:
+    def skips_sql(self) -> bool:
         """Whether its SQL has failed so often that it is not tried this time."""
         if self._failures < MOST_FAILURES:
             return False
         self._failures += 1
-        return self._failures % TRIED_AGAIN != 0
+        return self._failures % RETRY_INTERVAL != 0
 
     def forget(self) -> None:
         """Let the database forget it."""
@@ -124,7 +124,7 @@ class PlannedQuery:
 
     def parameters(self, outer: Frame, values: Sequence[Any]) -> dict[str, Any]:
         """The values of the SQL's parameters."""
-        return _parameters(self.plan, outer, self._by_alias(values))
+        return _parameter_values(self.plan, outer, self._by_alias(values))
 
     def _by_alias(self, values: Sequence[Any]) -> dict[str, Any]:
         aliases = [shape.alias for shape in self.plan.shapes]
@@ -142,10 +142,10 @@ class PlannedQuery:
         """
         sources = self._by_alias(values)
         try:
-            fetched = self._fetched(outer, sources)
+            fetched = self._fetch(outer, sources)
         except SqlError as error:
             if self.plan.cautious or error.is_final:
-                raise _of_relation(error) from error
+                raise _relation_error(error) from error
             if error.is_refused:  # our mistake: the answer is right, but slow
                 warn(f"DuckDB refused a query's SQL: {error.message}")
             self._failures += 1
@@ -157,10 +157,10 @@ class PlannedQuery:
             raise SqlFailedError from error
         self._failures = 0
         if self._clauses is None:
-            return self._outputs(fetched)
+            return self._output_rows(fetched)
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)
 
-    def _outputs(self, fetched: list[tuple[Any, ...]]) -> Selected:
+    def _output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
         """The rows as they are, if nothing is left to Python."""
         outputs = self.plan.outputs or []
         converters = [self._converters[output.tag] for output in outputs]
@@ -185,10 +185,12 @@ class PlannedQuery:
             return found
         return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
 
-    def _fetched(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+    def _fetch(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
         plan, database = self.plan, self._database
-        parameters = _parameters(plan, outer, sources)
-        if any(_is_long(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source):
+        parameters = _parameter_values(plan, outer, sources)
+        if any(
+            _is_long_past(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source
+        ):
             # What is written in a statement DuckDB compares whole blocks of rows with.
             return database.connection.rows(
                 plan.select.transform(written(parameters)).sql("duckdb")
@@ -205,7 +207,7 @@ class PlannedQuery:
             for alias, name in plan.tables.items():
                 shape = next(shape for shape in plan.shapes if shape.alias == alias)
                 assert shape.tag is not None
-                database.connection.show(name, arrow_of(elements_of(sources[alias]), shape.tag))
+                database.connection.show(name, arrow_table(elements_of(sources[alias]), shape.tag))
                 shown.append(name)
             return database.connection.rows(plan.sql, parameters or None)
         finally:
@@ -217,12 +219,12 @@ class PlannedQuery:
 
         They are part of its text, so that it is worth its while only when they stay the same.
         """
-        if not _are_same(self._texts, texts):
+        if not _are_same(self._last_texts, texts):
             self.forget()
-            self._texts = texts
+            self._last_texts = texts
             if texts:
                 return None
-        if self._statement is None and _size(texts) <= MOST_WRITTEN:
+        if self._statement is None and _element_count(texts) <= MOST_LITERALS:
             select = self.plan.select.transform(written(texts)) if texts else self.plan.select
             assert isinstance(select, exp.Select)
             self._statement = Statement(self._database.plans, select, self.plan.numbers)
@@ -235,7 +237,7 @@ class PlannedQuery:
         plan = self.plan
         around: dict[str | None, Any] = dict(outer.elements)
         around.pop(None, None)
-        getters = [(shape.alias, self._element(shape, sources)) for shape in plan.shapes]
+        getters = [(shape.alias, self._element_reader(shape, sources)) for shape in plan.shapes]
         only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
         kept = {MEMOS: {}, **outer.kept}
         step = outer.scope.meter.step
@@ -248,7 +250,7 @@ class PlannedQuery:
                 elements[None] = elements[only]
             yield outer.row(elements, kept, columns)
 
-    def _element(
+    def _element_reader(
         self, shape: SourceType, sources: Mapping[str, Any]
     ) -> Callable[[tuple[Any, ...]], Any]:
         """The current element of a source; where SQL has only its number, by that."""
@@ -263,7 +265,7 @@ class PlannedQuery:
         return lambda columns: convert(columns[index])
 
 
-def _of_relation(error: SqlError) -> SelectScriptError:
+def _relation_error(error: SqlError) -> SelectScriptError:
     """What a relation's formula says of its arguments, as an error of the language."""
     told = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
     if told is None or told[2] not in RELATIONS:
@@ -271,21 +273,21 @@ def _of_relation(error: SqlError) -> SelectScriptError:
     return ArgumentError(told[1], span=error.span)
 
 
-def _is_long(past: Any) -> bool:
+def _is_long_past(past: Any) -> bool:
     """Whether so many ticks are looked at that planning does not matter."""
     return bool(past.last - past.first > LONG)
 
 
 def _are_same(before: dict[str, Any] | None, now: dict[str, Any]) -> bool:
     """Whether they would be written alike: 0.0 and -0.0 are equal, and are not."""
-    return before == now and (_size(now) > MOST_WRITTEN or repr(before) == repr(now))
+    return before == now and (_element_count(now) > MOST_LITERALS or repr(before) == repr(now))
 
 
-def _size(value: Any) -> int:
+def _element_count(value: Any) -> int:
     if isinstance(value, dict):
-        return sum(map(_size, value.values()))
+        return sum(map(_element_count, value.values()))
     if isinstance(value, list):
-        return sum(map(_size, value))
+        return sum(map(_element_count, value))
     return 1
 
 
@@ -309,14 +311,14 @@ def _graph_paths(
     return Paths([Paths([Rows([step], names) for step in path]) for path in found_paths])
 
 
-def _parameters(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:
+def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:
     """The values of the SQL's parameters."""
     bound = {}
     for binding in plan.bindings:
         if binding.source is not None and binding.end:
             bound[binding.name] = getattr(sources[binding.source], binding.end)
         elif binding.source is not None:
-            bound[binding.name] = _listed(elements_of(sources[binding.source]), binding.tag)
+            bound[binding.name] = _list_parameter(elements_of(sources[binding.source]), binding.tag)
         elif binding.node is not None:
             bound[binding.name] = _bound_value(outer, binding.node, binding.column)
     return bound
@@ -331,7 +333,7 @@ def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
         raise
 
 
-def _listed(elements: Sequence[Any], tag: SqlType) -> list[Any]:
+def _list_parameter(elements: Sequence[Any], tag: SqlType) -> list[Any]:
     """What stands for the elements of a source in SQL: of what SQL does not know, the count."""
     return [0] * len(elements) if tag.element is None else [to_sql(value) for value in elements]
 
@@ -343,7 +345,7 @@ class RowByRowQuery:
         query: the query.
         resolved: the same with its names looked up.
         scope: variables and functions.
-        deepest: how many rows a path may have.
+        max_depth: how many rows a path may have.
         deferred: the variables in it that hold lists for the query that uses them.
         of_past: whether a source is the past of a world, with which handles go.
 
@@ -357,7 +359,7 @@ class RowByRowQuery:
         query: Query,
         resolved: ResolvedQuery,
         scope: EvaluationScope,
-        deepest: int,
+        max_depth: int,
         deferred: Mapping[str, Node | None],
         *,
         of_past: bool = False,
@@ -394,7 +396,7 @@ class RowByRowQuery:
         self._clauses = Clauses(rest, compiler)
         self._search: Hierarchy | None = None
         if hierarchical:
-            self._search = Hierarchy(query, self._clauses, compiler, deepest)
+            self._search = Hierarchy(query, self._clauses, compiler, max_depth)
         self._sources_change = any(mentions(s.value, states(query)) for s in query.sources)
 
     @property
@@ -476,12 +478,12 @@ def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) 
         return False
     if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
         return False
-    return not any(map(_takes_a_statement, query.children()))
+    return not any(map(_needs_sql, query.children()))
 
 
 @known
-def _takes_a_statement(node: Node) -> bool:
+def _needs_sql(node: Node) -> bool:
     """Whether a part is, or has in it, a relation or a query."""
     if isinstance(node, Query) or (isinstance(node, Call) and node.name in RELATIONS):
         return True
-    return any(map(_takes_a_statement, node.children()))
+    return any(map(_needs_sql, node.children()))

@@ -1,4 +1,4 @@
-"""What the hints of a Python function tell SQL of it."""
+"""Reads the type hints of Python functions, so that SQL can call them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,27 @@ _TYPES: dict[object, SqlType] = {bool: FLAG, int: INTEGER, float: REAL, str: TEX
 
 @dataclass(frozen=True)
 class TypeHints:
-    """The types of a function's parameters, all of them positional, and of its result."""
+    """The types of a function's parameters, all of them positional, and of its result.
+
+    Attributes:
+        parameters: the types of the parameters.
+        required: the number of parameters without a default.
+        result: the type of the result.
+    """
 
     parameters: tuple[SqlType, ...]
     required: int
     result: SqlType
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
-        """How SQL calls the function with such arguments; None if they do not fit."""
+        """Returns the SQL signature of the function for such arguments; None if they do not fit."""
         if not self.required <= len(arguments) <= len(self.parameters):
             return None
-        taken = [
-            _taken(parameter, argument)
+        accepted = [
+            _accepted_type(parameter, argument)
             for parameter, argument in zip(self.parameters, arguments, strict=False)
         ]
-        parameters = tuple(tag for tag in taken if tag is not None)
+        parameters = tuple(tag for tag in accepted if tag is not None)
         if len(parameters) < len(arguments):
             return None
         # SQL does not tell upper from lower case, and one name has one signature.
@@ -39,8 +45,8 @@ class TypeHints:
         return Signature(name, f"{name} {told:08x}", parameters, self.result)
 
 
-def _taken(parameter: SqlType, argument: SqlType) -> SqlType | None:
-    """An argument's type as the function takes it; None if it does not."""
+def _accepted_type(parameter: SqlType, argument: SqlType) -> SqlType | None:
+    """Returns the type of an argument as the function takes it; None if it does not fit."""
     if parameter.type == "entity":
         return argument if argument.type == "entity" and argument.schema else None
     if parameter.type == "real" and argument.is_number:
@@ -54,8 +60,14 @@ def _taken(parameter: SqlType, argument: SqlType) -> SqlType | None:
     return parameter if parameter.type == argument.type else None
 
 
-def hints_of(call: Callable[..., Any]) -> TypeHints | None:
-    """The types that a function's hints tell of; None if some are missing or are not SQL's."""
+def type_hints_of(call: Callable[..., Any]) -> TypeHints | None:
+    """Returns the types in a function's hints; None if one is missing or has no SQL type.
+
+    >>> def double(x: float) -> float:
+    ...     return 2 * x
+    >>> type_hints_of(double).result.type
+    'real'
+    """
     try:
         parameters = inspect.signature(call).parameters.values()
         hints = typing.get_type_hints(call)
@@ -63,19 +75,20 @@ def hints_of(call: Callable[..., Any]) -> TypeHints | None:
         return None
     if any(p.kind not in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) for p in parameters):
         return None
-    taken = [_tag(hints.get(parameter.name)) for parameter in parameters]
-    result = _tag(hints.get("return"))
-    tags = tuple(tag for tag in taken if tag is not None)
-    if result is None or result.type == "entity" or len(tags) < len(taken):
+    accepted = [_sql_type(hints.get(parameter.name)) for parameter in parameters]
+    result = _sql_type(hints.get("return"))
+    tags = tuple(tag for tag in accepted if tag is not None)
+    if result is None or result.type == "entity" or len(tags) < len(accepted):
         return None
     return TypeHints(tags, sum(p.default is p.empty for p in parameters), result)
 
 
-def _tag(hint: object) -> SqlType | None:
+def _sql_type(hint: object) -> SqlType | None:
+    """Returns the SQL type of a hint; None if there is none."""
     if hint is Entity:
         return SqlType("entity")
     if typing.get_origin(hint) is list:
         (inner,) = typing.get_args(hint)
-        element = _tag(inner)
+        element = _sql_type(inner)
         return None if element is None or element.type == "entity" else SqlType("list", element)
     return _TYPES.get(hint) if isinstance(hint, type) else None

@@ -25,7 +25,7 @@ from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 # A longer list may be of any worlds.
-MOST_LOOKED_AT = 100
+MOST_EXAMINED = 100
 
 
 def elements_of(value: Any) -> Sequence[Any]:
@@ -90,13 +90,13 @@ def _table(value: Any) -> _Table | None:
     match type(value).__module__.partition(".")[0], type(value).__name__:
         case "pandas", "DataFrame":
             columns = [value.iloc[:, place] for place in range(value.shape[1])]
-            return _Table(list(map(str, value.columns)), list(map(_of_pandas, columns)))
+            return _Table(list(map(str, value.columns)), list(map(_pandas_values, columns)))
         case "polars", "DataFrame":
-            return _Table(value.columns, list(map(_of_polars, value.get_columns())))
+            return _Table(value.columns, list(map(_polars_values, value.get_columns())))
     return None
 
 
-def _of_pandas(column: Any) -> list[Any]:
+def _pandas_values(column: Any) -> list[Any]:
     """A column's values: Python's, None where there is none."""
     if column.dtype != object:
         with suppress(pa.ArrowException, TypeError):  # there are kinds that Arrow has not
@@ -105,22 +105,24 @@ def _of_pandas(column: Any) -> list[Any]:
                 values: list[Any] = found.to_pylist()
                 return values
     pairs = zip(column.tolist(), column.isna().tolist(), strict=True)
-    return [None if missing else _of_numpy(value) for value, missing in pairs]
+    return [None if missing else _python_value(value) for value, missing in pairs]
 
 
-def _of_numpy(value: Any) -> Any:
+def _python_value(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
-def _of_polars(column: Any) -> list[Any]:
+def _polars_values(column: Any) -> list[Any]:
     """A column's values; Arrow sees the addresses of Python's objects, and no 128 bits."""
     kind = str(column.dtype)
     if kind == "Object" or "128" in kind:
-        return [_of_numpy(value) for value in column.to_list()]
+        return [_python_value(value) for value in column.to_list()]
     return values_of(column.to_arrow())
 
 
-def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple[SourceType, ...]:
+def source_types(
+    query: Query, values: Sequence[Any], schema_of: SchemaOf
+) -> tuple[SourceType, ...]:
     """What the sources of a query are.
 
     Args:
@@ -133,7 +135,7 @@ def shapes_of(query: Query, values: Sequence[Any], schema_of: SchemaOf) -> tuple
     """
     aliases = aliases_of(query)
     return tuple(
-        _shape(alias, value, schema_of) for alias, value in zip(aliases, values, strict=True)
+        _source_type(alias, value, schema_of) for alias, value in zip(aliases, values, strict=True)
     )
 
 
@@ -144,7 +146,7 @@ class _Inline:
 INLINE = _Inline()
 
 
-def _shape(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
+def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if value is INLINE:
         return SourceType(alias, given=False)
     if isinstance(value, World):
@@ -157,12 +159,12 @@ def _shape(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if isinstance(value, PresentTick):
         return SourceType(alias, schema_of(value.world), moments="now")
     elements = elements_of(value)
-    tag = _common(elements, schema_of)
+    tag = _element_type(elements, schema_of)
     dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
     return SourceType(alias, tag=tag, dicts=dicts, known=bool(elements))
 
 
-def _common(elements: Sequence[Any], schema_of: SchemaOf) -> SqlType:
+def _element_type(elements: Sequence[Any], schema_of: SchemaOf) -> SqlType:
     tag = tag_of_any(elements, schema_of)
     if tag is None or tag.type == "nothing":
         return ANY
@@ -175,7 +177,7 @@ def _is_scalar(tag: SqlType) -> bool:
     return tag.type in ("entity", "real", "integer", "text", "flag")
 
 
-def arrow_of(elements: Sequence[Any], tag: SqlType) -> pa.Table:
+def arrow_table(elements: Sequence[Any], tag: SqlType) -> pa.Table:
     """Records as a table: `n` from 1, and a column a key."""
     columns: dict[str, Any] = {"n": pa.array(range(1, len(elements) + 1), pa.int64())}
     for index, (key, part) in enumerate(tag.fields):
@@ -201,7 +203,7 @@ _ARROW_TYPES = {
 }
 
 
-def beside_past(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
+def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
     """The values of sources; a world whose past is one as well, as it is at its present tick.
 
     Args:
@@ -228,7 +230,7 @@ def beside_past(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
     ]
 
 
-def within(value: Any) -> list[World] | None:
+def worlds_in(value: Any) -> list[World] | None:
     """The worlds that a value is of: a world, an entity, a list of such; None if nobody knows."""
     match value:
         case World():
@@ -239,7 +241,7 @@ def within(value: Any) -> list[World] | None:
             return [value.world]
         case None | str() | int() | float() | Result():
             return []
-        case list() | tuple() if len(value) <= MOST_LOOKED_AT:
-            found = [within(element) for element in value]
+        case list() | tuple() if len(value) <= MOST_EXAMINED:
+            found = [worlds_in(element) for element in value]
             return None if None in found else [world for inner in found for world in inner or ()]
     return None

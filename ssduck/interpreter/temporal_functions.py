@@ -142,7 +142,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not math.isnan(value)
 
 
-FORMS: dict[str, TemporalFunction] = {
+TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
     form.name: form
     for form in (
         TemporalFunction(

@@ -11,10 +11,12 @@ import threading
 from contextlib import contextmanager
 from pathlib import Path
 
+import duckdb
 import pybullet
 import pytest
 
 import ssduck
+from ssduck.database.connection import Connection
 from ssduck.database.database import Database
 from ssduck.database.macros import TABLE_MACROS
 from ssduck.schema import MODELS, TABLES
@@ -566,3 +568,20 @@ def test_a_closed_interpreter_says_so(tmp_path):
     ss.close()
     with pytest.raises(ssduck.SelectScriptError, match=r"[Cc]losed"):
         ss.sql("SELECT 1")
+
+
+class Failing:
+    """A recorder whose ticks cannot be stored, for a reason that nobody thought of."""
+
+    is_stored_here = False
+
+    def flush(self):
+        raise RuntimeError("nobody thought of it")
+
+
+def test_what_cannot_be_stored_leaves_no_database_open():
+    connection = Connection(":memory:", None, ssduck.Limits(), [Failing()])
+    with pytest.raises(RuntimeError, match="nobody thought of it"):
+        connection.close()
+    with pytest.raises(duckdb.ConnectionException, match="closed"):
+        connection._connection.execute("SELECT 1")

@@ -463,7 +463,7 @@ def conditions(children):
 
 @pytest.mark.slow
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=75, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(condition=st.recursive(COMPARED, conditions, max_leaves=6))
 def test_sql_and_python_agree(ss, condition):

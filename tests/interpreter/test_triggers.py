@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import ArgumentError, SimulatorError, UnknownNameError, UnsupportedError
-from ssduck.interpreter.triggers.diff import changed, copied, is_true, likeness, rows_of
+from ssduck.interpreter.triggers.diff import canonical_key, copy_of, difference, is_true, rows_of
 from ssduck.interpreter.triggers.registry import TriggerWarning
 from ssduck.world import running
 from tests.support.timing import HANGS
@@ -364,7 +364,7 @@ def test_what_is_added_and_removed_makes_one_of_the_other(before, now):
     def bag(rows):
         return Counter(map(repr, rows))
 
-    change = changed(before, now)
+    change = difference(before, now)
     assert bag(before) + bag(change.added) - bag(change.removed) == bag(now)
     assert not bag(change.added) & bag(change.removed)
     assert bool(change) == (bag(before) != bag(now))
@@ -418,14 +418,14 @@ UNLIKE = [
 
 @pytest.mark.parametrize(("one", "other"), ALIKE)
 def test_results_that_are_alike(one, other):
-    assert likeness(one) == likeness(other)
-    assert hash(likeness(one)) == hash(likeness(other))
-    assert likeness(copied(one)) == likeness(one)
+    assert canonical_key(one) == canonical_key(other)
+    assert hash(canonical_key(one)) == hash(canonical_key(other))
+    assert canonical_key(copy_of(one)) == canonical_key(one)
 
 
 @pytest.mark.parametrize(("one", "other"), UNLIKE)
 def test_results_that_are_not(one, other):
-    assert likeness(one) != likeness(other)
+    assert canonical_key(one) != canonical_key(other)
 
 
 def test_what_stands_for_a_result_does_not_change_with_it():
@@ -434,17 +434,17 @@ def test_what_stands_for_a_result_does_not_change_with_it():
         (odd := Odd([1]), lambda v: v.number.append(2)),
         ([[1]], lambda v: v[0].append(2)),
     ):
-        before, copy = likeness(value), copied(value)
+        before, copy = canonical_key(value), copy_of(value)
         change(value)
-        assert likeness(value) != before
-        assert likeness(copy) == before
+        assert canonical_key(value) != before
+        assert canonical_key(copy) == before
     assert odd.number == [1, 2]
 
 
 def test_handles_are_alike_if_they_are_of_the_same_entity(sim):
-    assert likeness(sim["ball"]) == likeness(sim["ball"])
-    assert copied([sim["ball"]]) == [sim["ball"]]
-    assert likeness(sim) == likeness(sim)
+    assert canonical_key(sim["ball"]) == canonical_key(sim["ball"])
+    assert copy_of([sim["ball"]]) == [sim["ball"]]
+    assert canonical_key(sim) == canonical_key(sim)
 
 
 @pytest.mark.parametrize(
@@ -1028,7 +1028,7 @@ def test_programs_whose_results_are_known_to_stay(ss, sim, program, is_known):
     ss.add_variable("least", 5)
     ss.add_variable("v", 5)
     ss.add_trigger("t", program, 1, lambda _: None)
-    assert (ss._triggers._by_name["t"].basis is not None) == is_known
+    assert (ss._triggers._by_name["t"].dependencies is not None) == is_known
 
 
 def test_two_worlds_that_step_together(ss, sim, other, told):

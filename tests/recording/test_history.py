@@ -493,6 +493,14 @@ def test_raw_sql_looks_up_what_was_told_then(
             assert value == (pytest.approx(other, abs=1e-9) if value is not None else other)
 
 
+@pytest.fixture(scope="module")
+def moments(looked_at: ssduck.Interpreter) -> list[tuple[int, list[Any], Any]]:
+    """The entities of each recorded tick, and their shapes."""
+    past = looked_at.past("kitchen")
+    worlds = [(tick, past.record.at(tick)) for tick in past.ticks]
+    return [(tick, list(world), world.shapes()) for tick, world in worlds]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["near(a.this, b.this, 0.3)", "collides(a.this, b.this)"])
 @pytest.mark.parametrize(
@@ -507,7 +515,7 @@ def test_raw_sql_looks_up_what_was_told_then(
     ],
 )
 def test_all_ticks_at_once_are_each_tick(
-    looked_at: ssduck.Interpreter, form: str, where: str
+    looked_at: ssduck.Interpreter, moments: list[Any], form: str, where: str
 ) -> None:
     kitchen = looked_at.call_variable("kitchen")
     looked_at.add_variable("robot", kitchen["roomba_625x"])
@@ -515,12 +523,9 @@ def test_all_ticks_at_once_are_each_tick(
     found = looked_at.eval(program)
     relation = form.partition("(")[0]
     wanted: list[Any] = []
-    record = looked_at.past("kitchen").record
-    for tick in looked_at.past("kitchen").ticks:
-        then = record.at(tick)
-        shapes = then.shapes()
-        for a in then:
-            for b in then:
+    for tick, entities, shapes in moments:
+        for a in entities:
+            for b in entities:
                 if not _is_chosen(where, a, b, tick):
                     continue
                 holds = (

@@ -19,7 +19,7 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
-from ssduck.interpreter.linter import MOST_UNBORNE
+from ssduck.interpreter.linter import MOST_UNKNOWN
 
 PEOPLE = [
     {"name": "Ada", "age": 36, "group": "a"},
@@ -579,7 +579,7 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
         ss.add_variable("names", ["can", *(f"no {number}" for number in range(1000))])
         with pytest.warns(ProgramWarning) as caught:
             assert ss.eval(f"{K} WHERE id IN names AS list;") == ["can"]
-    assert len(caught) == MOST_UNBORNE
+    assert len(caught) == MOST_UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -675,7 +675,7 @@ def test_warnings_are_of_the_users_line(world, door):
 
 
 def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
-    fetched = queries.PlannedQuery._fetched
+    fetched = queries.PlannedQuery._fetch
 
     def refused(planned, *args):
         if not planned.plan.cautious:
@@ -685,7 +685,7 @@ def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
     text = "SELECT id FROM kitchen WHERE 10 / (1 + mass(this)) > 5 AS list;"
     with _interpreter(world, row_by_row=False) as ss:
         expected = ss.eval(text)
-    monkeypatch.setattr(queries.PlannedQuery, "_fetched", refused)
+    monkeypatch.setattr(queries.PlannedQuery, "_fetch", refused)
     with _interpreter(world, row_by_row=False) as ss:
         with pytest.warns(UserWarning, match="DuckDB refused a query's SQL: no such") as caught:
             assert ss.eval(text) == expected

@@ -1,4 +1,4 @@
-"""Callbacks in a thread of their own, fed by a bounded queue."""
+"""Runs callbacks in a thread of their own, fed by a bounded queue."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 
 
 class CallbackQueue:
-    """What waits for a callback, which a thread calls with it, one after another.
+    """A queue of values and a thread that calls back with each of them in turn.
 
-    When it is full, the oldest is dropped. The thread knows nothing but this object and the
-    callback; it begins with the first that is put, and ends with `close`.
+    A full queue drops its oldest value. The thread refers to nothing but this object and the
+    callback. It starts with the first value, and ends with `close`.
 
     Args:
-        call: what is called; it raises nothing.
-        size: how many may wait, besides the one that the callback is at.
-        name: what the thread is called.
+        call: the callback; it must raise nothing.
+        size: the largest number of waiting values, besides the one in the callback.
+        name: the name of the thread.
 
     Attributes:
-        dropped: how many were never handed over.
+        dropped: the number of values that were dropped.
     """
 
     def __init__(self, call: Callable[[Any], object], size: int, name: str) -> None:
@@ -34,11 +34,11 @@ class CallbackQueue:
 
     @property
     def pending(self) -> int:
-        """How many wait."""
+        """The number of waiting values."""
         return len(self._waiting)
 
     def put(self, value: Any) -> None:
-        """Hand something over; the oldest that waits goes if there is no room."""
+        """Adds a value, and drops the oldest one if the queue is full."""
         with self._changed:
             if not self._is_open:
                 return
@@ -51,7 +51,7 @@ class CallbackQueue:
             self._changed.notify()
 
     def close(self) -> None:
-        """Hand over no more; what waits is dropped, and the thread ends."""
+        """Drops the waiting values and ends the thread."""
         with self._changed:
             self._is_open = False
             self.dropped += len(self._waiting)
@@ -59,7 +59,7 @@ class CallbackQueue:
             self._changed.notify()
 
     def join(self, seconds: float) -> bool:
-        """Wait until the thread has ended; tells whether it has."""
+        """Waits for the end of the thread, or for a time, s; tells whether it has ended."""
         if not self._thread.ident or self._thread is threading.current_thread():
             return True
         self._thread.join(seconds)

@@ -1,7 +1,7 @@
-"""When a trigger fires: the terms that it was added on, and which results are told of.
+"""Decides when a trigger fires: its configuration, and which results count as new.
 
-A result that is another one than what was last told of is told of once it has held for long
-enough: it has *settled*.
+A result that differs from the last one delivered counts once it has is_settled for the debounce
+time: then it has *settled*.
 """
 
 from __future__ import annotations
@@ -14,7 +14,14 @@ from weakref import WeakKeyDictionary
 from ssduck import validation
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
-from ssduck.interpreter.triggers.diff import bag, changed, copied, is_true, likeness, rows_of
+from ssduck.interpreter.triggers.diff import (
+    canonical_key,
+    copy_of,
+    difference,
+    is_true,
+    multiset,
+    rows_of,
+)
 from ssduck.world.world import World
 
 When: TypeAlias = Literal["change", "rising", "falling"]
@@ -22,10 +29,10 @@ When: TypeAlias = Literal["change", "rising", "falling"]
 
 @dataclass(frozen=True)
 class TriggerConfig:
-    """When a trigger fires, and what it hands over; see `Interpreter.add_trigger`.
+    """When a trigger fires, and what its callback gets; see `Interpreter.add_trigger`.
 
     Raises:
-        ArgumentError: one of them is none that a trigger can have.
+        ArgumentError: a value is wrong.
     """
 
     name: str
@@ -58,61 +65,63 @@ class TriggerConfig:
 
 
 class Debouncer:
-    """What a callback was last told of, and what it is to be told of once that has held.
+    """Holds the result that was last delivered, and the one that is about to settle.
 
-    Before the first result there are no rows, nothing is true, and any result is a change.
+    Before the first result there are no rows, the result is false, and any result is a change.
     """
 
-    def __init__(self, terms: TriggerConfig) -> None:
-        self._terms = terms
-        self._told_rows: list[Any] = []
+    def __init__(self, config: TriggerConfig) -> None:
+        self._config = config
+        self._delivered_rows: list[Any] = []
         self._settled: Any = None
-        if terms.when != "change":
+        if config.when != "change":
             self._settled = (False,)
-        elif terms.rows:
-            self._settled = bag([])
-        self._next: Any = None
-        self._since: WeakKeyDictionary[World, float] | None = None
+        elif config.rows:
+            self._settled = multiset([])
+        self._candidate: Any = None
+        self._candidate_since: WeakKeyDictionary[World, float] | None = None
 
     def fires(self, result: Any, worlds: Sequence[World]) -> tuple[Any] | None:
-        """What is handed over for a result, in a tuple; None if it does not fire.
+        """Returns the value to deliver for a result, in a tuple; None if the trigger does not fire.
 
         Args:
-            result: that of the evaluation.
-            worlds: those whose time passes.
+            result: the result of the evaluation.
+            worlds: the worlds whose time counts.
         """
         if not self._settles(self._compared(result), worlds):
             return None
-        if self._terms.when != "change" and self._settled[0] is not (self._terms.when == "rising"):
+        if self._config.when != "change" and self._settled[0] is not (
+            self._config.when == "rising"
+        ):
             return None
-        if not self._terms.rows:
-            return (copied(result),)
-        rows = copied(rows_of(result))
-        before, self._told_rows = self._told_rows, rows
-        return (changed(before, copied(rows)),)
+        if not self._config.rows:
+            return (copy_of(result),)
+        rows = copy_of(rows_of(result))
+        before, self._delivered_rows = self._delivered_rows, rows
+        return (difference(before, copy_of(rows)),)
 
     def _compared(self, result: Any) -> Any:
-        """What is compared with what was told: in a tuple, for None stands for nothing yet."""
-        if self._terms.when != "change":
+        """Returns the key that is compared, in a tuple, as None stands for no result."""
+        if self._config.when != "change":
             return (is_true(result),)
-        return bag(rows_of(result)) if self._terms.rows else (likeness(result),)
+        return multiset(rows_of(result)) if self._config.rows else (canonical_key(result),)
 
     def _settles(self, value: Any, worlds: Sequence[World]) -> bool:
-        """Whether it is another value, and has been so for long enough."""
+        """Tells whether a key is new and has is_settled for the debounce time."""
         if value == self._settled:
-            self.unsettle()
+            self.reset()
             return False
-        if self._since is None or value != self._next:
-            self._next = value
-            self._since = WeakKeyDictionary({world: world.time for world in worlds})
-        since = self._since
-        held = any(w.reached(since.get(w, w.time) + self._terms.debounce) for w in worlds)
-        if held or not self._terms.debounce:
+        if self._candidate_since is None or value != self._candidate:
+            self._candidate = value
+            self._candidate_since = WeakKeyDictionary({world: world.time for world in worlds})
+        since = self._candidate_since
+        is_settled = any(w.reached(since.get(w, w.time) + self._config.debounce) for w in worlds)
+        if is_settled or not self._config.debounce:
             self._settled = value
-            self.unsettle()
+            self.reset()
             return True
         return False
 
-    def unsettle(self) -> None:
-        """Forget what was to be told: it does not hold any more."""
-        self._next = self._since = None
+    def reset(self) -> None:
+        """Forgets the result that was about to settle."""
+        self._candidate = self._candidate_since = None

@@ -1,8 +1,8 @@
-"""Triggers: programs that are evaluated as simulated time passes, and callbacks for what changes.
+"""Triggers: programs that run as simulated time passes, and callbacks for changes of their results.
 
-A trigger is *due* every `interval` seconds of simulated time, counted from when it was added, of
-each world that its program is about. It then evaluates its program; where the result is another
-one than its callback was last told of, it *fires*: the callback gets the result.
+A trigger is *due* every `interval` seconds of simulated time, counted from when it was added, in
+each world that its program reads. It then evaluates its program. If the result differs from the
+last one delivered, it *fires*: the callback gets the result.
 """
 
 from __future__ import annotations
@@ -25,42 +25,42 @@ from ssduck.language.value_keys import ATOMS
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# Seconds that closing waits for a callback that is running in a thread of its own.
+# The time for which closing waits for a callback in a thread of its own, s.
 PATIENCE = 5.0
 _LIVE = World | Entity
 
 
 class Evaluator(Protocol):
-    """What triggers need of an interpreter."""
+    """The interface of the interpreter to its triggers."""
 
     @property
     def worlds(self) -> list[World]:
         """The worlds that are bound to variables, the first one first."""
 
     def compile(self, text: str) -> CompiledProgram:
-        """A program that is parsed once and evaluated often."""
+        """Parses a program."""
 
     def eval(self, program: CompiledProgram) -> Any:
-        """The result of a program."""
+        """Returns the result of a program."""
 
     def variable(self, name: str) -> Any:
-        """A variable's value."""
+        """Returns the value of a variable."""
 
     def has_variable(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Tells whether a variable has that name."""
 
     def meant(self, name: str) -> str:
-        """What calls the function of that name: the user's, where it replaces another."""
+        """Returns the name that calls a function: the user's function, if it overrides another."""
 
     def is_users(self, name: str) -> bool:
-        """Whether that calls a user's function."""
+        """Tells whether a name calls a user's function."""
 
-    def _worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
-        """The worlds that parts may be about; None if their values alone tell."""
+    def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
+        """Returns the worlds that nodes may read; None if only their values tell."""
 
 
 class TriggerMethods:
-    """What an interpreter lets its users do with triggers."""
+    """The methods of an interpreter on triggers."""
 
     _triggers: TriggerRegistry
 
@@ -76,68 +76,68 @@ class TriggerMethods:
         rows: bool = False,
         queue: int | None = None,
     ) -> None:
-        """Call a function when the result of a program changes as simulated time passes.
+        """Calls a function when the result of a program changes as simulated time passes.
 
-        The program is evaluated at once, and then every `interval` seconds of the simulated time
-        of each world that it is about; where it does not tell, or is about none, of all. The
-        first result is a change. What the callback is given is its own.
+        The program is evaluated at once, and then every `interval` seconds of simulated time of
+        each world that it reads; of all worlds if that is not known or there is none. The first
+        result counts as a change. The callback gets a copy of the result.
 
         Without a queue the callback runs in the thread that steps the world, between two steps.
-        It may query and change worlds, and add and remove triggers. It may step them, too: a
-        world that is being stepped around it runs through; what became due of other triggers
-        meanwhile is evaluated after the next step, of this one it is passed over. An error of
-        the program or of the callback is a `TriggerWarning`, once for each that is different,
-        and is told by `triggers`.
+        It may query and change worlds, and add and remove triggers. It may also step worlds: other
+        triggers that become due meanwhile are evaluated after the next step, this one is not.
+        An error in the program or the callback becomes a `TriggerWarning`, once for each different
+        error, and is listed by `triggers`.
 
         Args:
-            name: to find it by.
-            program: its text, or what `compile` gave.
-            interval: simulated seconds; less than a step, 0 included: after every step.
-            callback: is called with the result, or with what `rows` says.
-            when: `"change"`: when the result is another one; `"rising"`: when it becomes true;
+            name: the name of the trigger.
+            program: the text, or a compiled program.
+            interval: the simulated time between evaluations, s; if it is less than a step, 0
+                included, after every step.
+            callback: the function to call with the result, or with the rows that `rows` asks for.
+            when: `"change"`: when the result differs; `"rising"`: when it becomes true;
                 `"falling"`: when it becomes false. No rows, None, 0, NaN and an empty text are
-                false, and so is what was before the first result.
-            debounce: simulated seconds for which a new result has to hold, at each evaluation,
+                false, and the trigger begins false.
+            debounce: the simulated time, s, for which a new result has to hold at each evaluation
                 before it counts.
-            rows: whether the callback gets `Changed(added, removed)`, the rows by which the
-                result differs from what it was last told of; their order does not matter then,
-                and at first there are none.
-            queue: the callback runs in a thread of its own, and so many results may wait for
-                it; when there are more, the oldest is dropped.
+            rows: whether the callback gets `Changed(added, removed)`, the rows in which the result
+                differs from the last one delivered. Their order does not matter, and at first
+                there are none.
+            queue: the number of results that may wait for the callback, which then runs in a
+                thread of its own; if more wait, the oldest is dropped.
 
         Raises:
             SelectScriptError: the program cannot be evaluated; the trigger is not added.
-            ArgumentError: there is one of that name, or an argument is wrong.
+            ArgumentError: a trigger of that name exists, or an argument is wrong.
         """
-        terms = TriggerConfig(name, interval, when, debounce, rows, queue)
-        self._triggers.add(terms, program, callback)
+        config = TriggerConfig(name, interval, when, debounce, rows, queue)
+        self._triggers.add(config, program, callback)
 
     def del_trigger(self, name: str) -> None:
-        """Remove a trigger: its callback is not called any more; one that runs goes on.
+        """Removes a trigger; its callback is not called any more, but a running one goes on.
 
         Raises:
-            UnknownNameError: there is none, with the nearest names.
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
         """
         self._triggers.remove(name)
 
     def pause_trigger(self, name: str) -> None:
-        """Let a trigger not be evaluated until `resume_trigger`.
+        """Stops the evaluations of a trigger until `resume_trigger`.
 
         Raises:
-            UnknownNameError: there is none, with the nearest names.
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
         """
         self._triggers.pause(name)
 
     def resume_trigger(self, name: str) -> None:
-        """Let a trigger be evaluated again, from the next multiple of its interval on.
+        """Resumes the evaluations of a trigger at the next multiple of its interval.
 
         Raises:
-            UnknownNameError: there is none, with the nearest names.
+            UnknownNameError: no trigger has that name; the error suggests the nearest names.
         """
         self._triggers.resume(name)
 
     def triggers(self) -> list[TriggerState]:
-        """What has become of each trigger, in the order in which they were added."""
+        """Returns the state of each trigger, in the order in which they were added."""
         return self._triggers.states()
 
     # The tutorial's spellings.
@@ -146,25 +146,25 @@ class TriggerMethods:
 
 
 class TriggerRegistry:
-    """The triggers of an interpreter; follows the worlds that they are about.
+    """The triggers of an interpreter; observes the worlds that they read.
 
     Args:
-        interpreter: what evaluates their programs.
+        interpreter: the interpreter that evaluates their programs.
     """
 
     def __init__(self, interpreter: Evaluator) -> None:
         self._interpreter = interpreter
         self._by_name: dict[str, Trigger] = {}
         self._lock = threading.Lock()
-        self._followed: WeakSet[World] = WeakSet()
+        self._observed: WeakSet[World] = WeakSet()
 
     def add(
         self,
-        terms: TriggerConfig,
+        config: TriggerConfig,
         program: str | CompiledProgram,
         callback: Callable[[Any], object],
     ) -> None:
-        """Add one, and evaluate it for the first time; see `Interpreter.add_trigger`."""
+        """Adds a trigger and evaluates it for the first time; see `Interpreter.add_trigger`."""
         if isinstance(program, str):
             program = self._interpreter.compile(program)
         elif not hasattr(program, "tree"):
@@ -173,15 +173,15 @@ class TriggerRegistry:
                 "gave"
             )
         validation.function(callback, "add_trigger: callback")
-        self._check_free(terms.name)
-        trigger = Trigger(terms, program, callback)
-        with trigger.turn():
-            trigger.count_on(self._follow(trigger))
-            told = self._looked_at(trigger)
+        self._check_free(config.name)
+        trigger = Trigger(config, program, callback)
+        with trigger.exclusive():
+            trigger.reschedule(self._observe(trigger))
+            delivery = self._next_delivery(trigger)
             with self._lock:
-                self._check_free(terms.name)
-                self._by_name = {**self._by_name, terms.name: trigger}
-            self._fire(trigger, told)
+                self._check_free(config.name)
+                self._by_name = {**self._by_name, config.name: trigger}
+            self._fire(trigger, delivery)
 
     def _check_free(self, name: str) -> None:
         if name in self._by_name:
@@ -191,21 +191,21 @@ class TriggerRegistry:
             )
 
     def remove(self, name: str) -> None:
-        """Remove one."""
+        """Removes a trigger."""
         with self._lock:
-            self._named(name).remove()
+            self._trigger(name).remove()
             self._by_name = {n: t for n, t in self._by_name.items() if n != name}
 
     def pause(self, name: str) -> None:
-        """Let one never be due."""
-        self._named(name).paused = True
+        """Stops the evaluations of a trigger."""
+        self._trigger(name).paused = True
 
     def resume(self, name: str) -> None:
-        """Let one be due again."""
-        trigger = self._named(name)
-        trigger.resume(self._about(trigger))
+        """Resumes the evaluations of a trigger."""
+        trigger = self._trigger(name)
+        trigger.resume(self._worlds_of(trigger))
 
-    def _named(self, name: str) -> Trigger:
+    def _trigger(self, name: str) -> Trigger:
         if name not in self._by_name:
             raise UnknownNameError(
                 f"there is no trigger {short_repr(name)}", suggestions=nearest(name, self._by_name)
@@ -213,100 +213,100 @@ class TriggerRegistry:
         return self._by_name[name]
 
     def states(self) -> list[TriggerState]:
-        """What has become of each, in the order in which they were added."""
+        """Returns the state of each trigger, in the order in which they were added."""
         return [trigger.state() for trigger in self._by_name.values()]
 
     def close(self) -> None:
-        """Remove all, and wait for callbacks that are running in threads of their own."""
+        """Removes all triggers, and waits for callbacks that run in threads of their own."""
         with self._lock:
             triggers, self._by_name = list(self._by_name.values()), {}
         for trigger in triggers:
             trigger.remove()
-        for world in list(self._followed):
+        for world in list(self._observed):
             world.unfollow(self)
-        self._followed.clear()
+        self._observed.clear()
         for trigger in triggers:
-            if trigger.inbox is not None and not trigger.inbox.join(PATIENCE):
+            if trigger.queue is not None and not trigger.queue.join(PATIENCE):
                 warn(
-                    f"trigger {trigger.terms.name!r}: its callback is still running",
+                    f"trigger {trigger.config.name!r}: its callback is still running",
                     TriggerWarning,
                 )
 
     # -- worlds (ssduck.world.observers.TickObserver) ----------------------------------------
 
     def due(self, world: World, /) -> float:
-        """When the next trigger is due in a world."""
-        triggers = [t for t in self._by_name.values() if world in self._about(t)]
+        """Returns the time at which the next trigger is due in a world."""
+        triggers = [t for t in self._by_name.values() if world in self._worlds_of(t)]
         return min((trigger.due(world) for trigger in triggers), default=math.inf)
 
     def ticked(self, world: World, /) -> None:
-        """Evaluate what is due in a world, in the order in which triggers were added."""
+        """Evaluates the triggers that are due in a world, in the order in which they were added."""
         for trigger in self._by_name.values():
-            # A callback may have removed or paused it meanwhile.
-            is_about = not trigger.removed and world in self._about(trigger)
+            # An earlier callback may have removed or paused it.
+            is_about = not trigger.removed and world in self._worlds_of(trigger)
             if is_about and world.reached(trigger.due(world)):
                 self._evaluate(trigger)
 
     def rebound(self) -> None:
-        """Follow what triggers are about, now that a name stands for another world."""
+        """Observes the worlds that triggers read, after a name was bound to another world."""
         for trigger in self._by_name.values():
-            self._follow(trigger)
+            self._observe(trigger)
 
     def _evaluate(self, trigger: Trigger) -> None:
-        with trigger.turn() as is_mine:
-            if not is_mine:
+        with trigger.exclusive() as is_exclusive:
+            if not is_exclusive:
                 return
-            trigger.count_on(self._about(trigger))
+            trigger.reschedule(self._worlds_of(trigger))
             try:
-                told = self._looked_at(trigger)
+                delivery = self._next_delivery(trigger)
             except Exception as error:  # noqa: BLE001  # whatever it is, the world goes on
                 trigger.fail(error)
                 return
-            self._fire(trigger, told)
+            self._fire(trigger, delivery)
 
-    def _fire(self, trigger: Trigger, told: tuple[Any] | None) -> None:
-        """Let one fire if there is something to tell."""
-        if told is not None:
-            trigger.fire(*told)
-            # Its callback may have stepped worlds: what was due meanwhile is passed over.
-            trigger.count_on(self._about(trigger))
+    def _fire(self, trigger: Trigger, delivery: tuple[Any] | None) -> None:
+        """Fires a trigger if there is a value to deliver."""
+        if delivery is not None:
+            trigger.fire(*delivery)
+            # The callback may have stepped worlds; evaluations that were due meanwhile are skipped.
+            trigger.reschedule(self._worlds_of(trigger))
 
-    def _looked_at(self, trigger: Trigger) -> tuple[Any] | None:
-        """Evaluate one; gives what its callback is to be told, in a tuple, or None."""
-        trigger.note_looked()
-        basis = self._basis(trigger)
-        if basis is None or basis != trigger.basis:
-            trigger.basis = None
+    def _next_delivery(self, trigger: Trigger) -> tuple[Any] | None:
+        """Evaluates a trigger, and returns the value to deliver, in a tuple; None for none."""
+        trigger.count_evaluation()
+        dependencies = self._dependencies_of(trigger)
+        if dependencies is None or dependencies != trigger.dependencies:
+            trigger.dependencies = None
             result = self._interpreter.eval(trigger.program)
-            # As it was before: a tick that is taken meanwhile is not missed.
-            trigger.basis = basis
+            # As read before the evaluation, so that a tick taken meanwhile is not missed.
+            trigger.dependencies = dependencies
         else:
             result = trigger.result
-        return trigger.note(result, self._follow(trigger))
+        return trigger.deliverable(result, self._observe(trigger))
 
-    def _basis(self, trigger: Trigger) -> Any:
-        """What the result of a program depends on, if that is known: a query's worlds' ticks."""
-        names, room = trigger.reads, self._interpreter
-        if names is None or any(room.is_users(room.meant(name)) for name in names):
+    def _dependencies_of(self, trigger: Trigger) -> Any:
+        """Returns the variables and ticks on which a result depends; None if unknown."""
+        names, scope = trigger.reads, self._interpreter
+        if names is None or any(scope.is_users(scope.meant(name)) for name in names):
             return None
-        known = [(name, room.variable(name)) for name in names if room.has_variable(name)]
+        known = [(name, scope.variable(name)) for name in names if scope.has_variable(name)]
         if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in known):
             return None
-        ticks = [(world, world.snapshot.number) for world in self._about(trigger)]
+        ticks = [(world, world.snapshot.number) for world in self._worlds_of(trigger)]
         return [(name, type(value), value) for name, value in known], ticks
 
-    def _about(self, trigger: Trigger) -> list[World]:
-        """The worlds that a program is about; all, if it does not tell or is about none."""
+    def _worlds_of(self, trigger: Trigger) -> list[World]:
+        """Returns the worlds that a program reads; all worlds if unknown or none."""
         found: list[World] | None = None
         with suppress(RecursionError):  # a list that is in itself
-            found = self._interpreter._worlds_of(trigger.program.tree.statements)  # noqa: SLF001
+            found = self._interpreter.worlds_of(trigger.program.tree.statements)
         return list(dict.fromkeys(found or self._interpreter.worlds))
 
-    def _follow(self, trigger: Trigger) -> list[World]:
-        """Follow the worlds that a trigger is about, and all that it may come to be about."""
-        worlds = self._about(trigger)
+    def _observe(self, trigger: Trigger) -> list[World]:
+        """Observes the worlds that a trigger reads, and all that it may come to read."""
+        worlds = self._worlds_of(trigger)
         for world in (*worlds, *self._interpreter.worlds):
-            if world not in self._followed:
+            if world not in self._observed:
                 world.follow(self)
-                self._followed.add(world)
+                self._observed.add(world)
         return worlds

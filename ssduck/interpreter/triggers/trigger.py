@@ -1,4 +1,4 @@
-"""One trigger: when it is due, what its result depends on, its callback, what has become of it."""
+"""One trigger: its schedule, the dependencies of its result, its callback and its state."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ssduck.errors import warn
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.callback_queue import CallbackQueue
 from ssduck.interpreter.triggers.conditions import Debouncer, TriggerConfig
-from ssduck.interpreter.triggers.diff import copied
+from ssduck.interpreter.triggers.diff import copy_of
 from ssduck.language.analysis import IMPURE, calls_of, variables_of
 from ssduck.language.tree import Program, Query, UnresolvedName
 from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
 
-# So many different errors of one trigger are warned of.
+# The largest number of different errors of one trigger that become warnings.
 MOST_WARNINGS = 100
-# What gives another value though nothing that it is given is another one.
+# Functions whose values change though their arguments do not.
 _CHANGING = IMPURE | {"getTime", "var"}
 
 
@@ -35,67 +35,70 @@ class Trigger:
     """One trigger: its program, its callback and its state.
 
     Attributes:
-        terms: when it fires.
-        program: what it evaluates.
+        config: when it fires.
+        program: the program that it evaluates.
         paused: whether it is never due.
         removed: whether its callback is not to be called any more.
-        reads: the names that the result depends on, if nothing else but ticks matters.
-        basis: what its last result depends on, where that is known.
+        reads: the names on which the result depends, if it depends on these and ticks only.
+        dependencies: the variables and ticks of its last result; None if they are unknown.
+        queue: the queue of its callback; None if the callback runs in the stepping thread.
     """
 
     def __init__(
-        self, terms: TriggerConfig, program: CompiledProgram, callback: Callable[[Any], object]
+        self, config: TriggerConfig, program: CompiledProgram, callback: Callable[[Any], object]
     ) -> None:
-        self.terms = terms
+        self.config = config
         self.program = program
         self.paused = False
         self.removed = False
-        self.reads = _read_by(program.tree)
-        self.basis: Any = None
+        self.reads = _names_read_by(program.tree)
+        self.dependencies: Any = None
         self._busy = threading.Lock()
-        self._beats: WeakKeyDictionary[World, Schedule] = WeakKeyDictionary()
-        self._settling = Debouncer(terms)
-        self._log = _Log(terms.name)
-        self._call: Callable[[Any], object] = _guarded(callback, self._log)
-        self.inbox: CallbackQueue | None = None
-        if terms.queue is not None:
-            self.inbox = CallbackQueue(_quiet(self._call), terms.queue, f"trigger {terms.name}")
-            self._call = self.inbox.put
-            # The thread ends with the trigger, of which it knows nothing.
-            weakref.finalize(self, self.inbox.close)
+        self._schedules: WeakKeyDictionary[World, Schedule] = WeakKeyDictionary()
+        self._debouncer = Debouncer(config)
+        self._log = _Log(config.name)
+        self._call: Callable[[Any], object] = _with_errors_logged(callback, self._log)
+        self.queue: CallbackQueue | None = None
+        if config.queue is not None:
+            self.queue = CallbackQueue(
+                _without_warnings(self._call), config.queue, f"trigger {config.name}"
+            )
+            self._call = self.queue.put
+            # The thread does not refer to the trigger, and ends with it.
+            weakref.finalize(self, self.queue.close)
 
     @contextmanager
-    def turn(self) -> Iterator[bool]:
-        """Whether it is not at work already, be it in another thread or around this call."""
-        is_mine = self._busy.acquire(blocking=False)
+    def exclusive(self) -> Iterator[bool]:
+        """Tells whether no evaluation is going on, in another thread or around this call."""
+        is_exclusive = self._busy.acquire(blocking=False)
         try:
-            yield is_mine
+            yield is_exclusive
         finally:
-            if is_mine:
+            if is_exclusive:
                 self._busy.release()
 
     def due(self, world: World) -> float:
-        """When it is due in a world that it is about; never while it is at work."""
+        """Returns the time at which it is due in a world; infinity while it is evaluated."""
         if self.paused or self._busy.locked():
             return math.inf
-        return self._beat(world).due
+        return self._schedule(world).due
 
-    def _beat(self, world: World) -> Schedule:
-        beat = self._beats.get(world)
-        if beat is None:
-            beat = self._beats[world] = Schedule(world, self.terms.interval)
-        return beat
+    def _schedule(self, world: World) -> Schedule:
+        schedule = self._schedules.get(world)
+        if schedule is None:
+            schedule = self._schedules[world] = Schedule(world, self.config.interval)
+        return schedule
 
-    def count_on(self, worlds: Sequence[World]) -> None:
-        """Be due again one interval further on."""
+    def reschedule(self, worlds: Sequence[World]) -> None:
+        """Sets the next due time to the next multiple of the interval."""
         for world in worlds:
-            self._beat(world).count_on(world)
+            self._schedule(world).reschedule(world)
 
     def resume(self, worlds: Sequence[World]) -> None:
-        """Be due again, from the next multiple of the interval on."""
+        """Resumes the evaluations at the next multiple of the interval."""
         if self.paused:
-            self._settling.unsettle()  # what held before may not have held meanwhile
-            self.count_on(worlds)
+            self._debouncer.reset()  # what held before may not have held meanwhile
+            self.reschedule(worlds)
             self.paused = False
 
     @property
@@ -103,45 +106,45 @@ class Trigger:
         """The last result."""
         return self._log.result
 
-    def note(self, result: Any, worlds: Sequence[World]) -> tuple[Any] | None:
-        """Take note of a result; gives what the callback is to be told, in a tuple, or None."""
-        told = self._settling.fires(result, worlds)
-        self._log.result = copied(result)
-        return told
+    def deliverable(self, result: Any, worlds: Sequence[World]) -> tuple[Any] | None:
+        """Records a result, and returns the value to deliver, in a tuple; None for none."""
+        delivery = self._debouncer.fires(result, worlds)
+        self._log.result = copy_of(result)
+        return delivery
 
-    def note_looked(self) -> None:
-        """Take note that it was due and is looked at."""
+    def count_evaluation(self) -> None:
+        """Counts an evaluation."""
         self._log.evaluations += 1
 
-    def fire(self, told: Any) -> None:
-        """Call the callback, or have it called."""
+    def fire(self, delivery: Any) -> None:
+        """Calls the callback, or puts the value into its queue."""
         if not self.removed:
             self._log.firings += 1
-            self._call(told)
+            self._call(delivery)
 
     def fail(self, error: Exception) -> None:
-        """Take note that the program failed."""
-        self._settling.unsettle()
+        """Records that the program failed."""
+        self._debouncer.reset()
         self._log.report(error, "program")
 
     def remove(self) -> None:
-        """Call the callback no more."""
+        """Stops calling the callback."""
         self.removed = True
-        if self.inbox is not None:
-            self.inbox.close()
+        if self.queue is not None:
+            self.queue.close()
 
     def state(self) -> TriggerState:
-        """What has become of it."""
-        inbox = self.inbox
+        """Returns its state."""
+        queue = self.queue
         return TriggerState(
-            terms=self.terms,
+            config=self.config,
             program=self.program.text,
             paused=self.paused,
             evaluations=self._log.evaluations,
             firings=self._log.firings,
-            pending=inbox.pending if inbox else 0,
-            dropped=inbox.dropped if inbox else 0,
-            result=copied(self._log.result),
+            pending=queue.pending if queue else 0,
+            dropped=queue.dropped if queue else 0,
+            result=copy_of(self._log.result),
             failures=self._log.failures,
             error=self._log.error,
         )
@@ -149,22 +152,22 @@ class Trigger:
 
 @dataclass(frozen=True)
 class TriggerState:
-    """What has become of a trigger.
+    """The state of a trigger.
 
     Attributes:
-        terms: when it fires.
-        program: its text.
+        config: when it fires.
+        program: the text of its program.
         paused: whether it waits for `resume_trigger`.
-        evaluations: how often it was due and looked at.
-        firings: how often it fired.
-        pending: how many results wait for a callback with a queue.
-        dropped: how many of those went because the queue was full, or was closed.
-        result: the last one, whether it fired or not; None before the first.
-        failures: how often its program or its callback failed.
-        error: the last error of these; None before the first.
+        evaluations: the number of evaluations.
+        firings: the number of firings.
+        pending: the number of results that wait for a callback with a queue.
+        dropped: the number of those that were dropped because the queue was full or was closed.
+        result: the last result, whether it fired or not; None before the first.
+        failures: the number of failures of its program or its callback.
+        error: the last of these errors; None before the first.
     """
 
-    terms: TriggerConfig
+    config: TriggerConfig
     program: str
     paused: bool
     evaluations: int
@@ -177,17 +180,17 @@ class TriggerState:
 
     @property
     def name(self) -> str:
-        """Its name."""
-        return self.terms.name
+        """The name of the trigger."""
+        return self.config.name
 
     @property
     def interval(self) -> float:
-        """Simulated seconds between two evaluations."""
-        return self.terms.interval
+        """The simulated time between two evaluations, s."""
+        return self.config.interval
 
 
 class Schedule:
-    """When a trigger is due in one world: every `interval` seconds from `start`, no drift.
+    """The due times of a trigger in one world: every `interval` seconds, without drift.
 
     An interval shorter than a step, 0 included, is due after every step.
     """
@@ -196,20 +199,20 @@ class Schedule:
         self._start = world.time
         self._interval = interval
         self.due = -math.inf
-        self.count_on(world)
+        self.reschedule(world)
 
-    def count_on(self, world: World) -> None:
-        """Be due at the first multiple of the interval that is not reached yet."""
+    def reschedule(self, world: World) -> None:
+        """Sets the due time to the first multiple of the interval in the future."""
         if self._interval > world.slack:
             passed = world.time + world.slack - self._start
             times = math.floor(passed / self._interval) + 1
             self.due = self._start + times * self._interval
 
 
-def _read_by(program: Program) -> frozenset[str] | None:
-    """The names of variables and functions that a query may use.
+def _names_read_by(program: Program) -> frozenset[str] | None:
+    """Returns the names of variables and functions that a query may use.
 
-    None for a program that is none, or whose result may change between two ticks.
+    None for another program than a query, or if the result may change between two ticks.
     """
     match program.statements:
         case [Query() as query] if not program.explain:
@@ -222,7 +225,7 @@ def _read_by(program: Program) -> frozenset[str] | None:
 
 
 class _Log:
-    """What has become of a trigger; all that the thread of its callback knows of it."""
+    """The history of a trigger; the thread of its callback refers to nothing else of it."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -234,17 +237,17 @@ class _Log:
         self._warned: set[str] = set()
 
     def report(self, error: Exception, what: str) -> None:
-        """Take note of an error, and warn of it if it is the first of its kind."""
+        """Counts an error, and warns of it if it is the first of its text."""
         self.failures += 1
         self.error = error
-        told = f"trigger {self.name!r}: its {what} failed: {type(error).__name__}: {error}"
-        if told not in self._warned and len(self._warned) < MOST_WARNINGS:
-            self._warned.add(told)
-            warn(told, TriggerWarning)
+        message = f"trigger {self.name!r}: its {what} failed: {type(error).__name__}: {error}"
+        if message not in self._warned and len(self._warned) < MOST_WARNINGS:
+            self._warned.add(message)
+            warn(message, TriggerWarning)
 
 
-def _guarded(callback: Callable[[Any], object], log: _Log) -> Callable[[Any], object]:
-    """A callback whose errors do not stop the world."""
+def _with_errors_logged(callback: Callable[[Any], object], log: _Log) -> Callable[[Any], object]:
+    """Wraps a callback so that its errors do not stop the world."""
 
     def call(result: Any) -> None:
         try:
@@ -255,8 +258,8 @@ def _guarded(callback: Callable[[Any], object], log: _Log) -> Callable[[Any], ob
     return call
 
 
-def _quiet(call: Callable[[Any], object]) -> Callable[[Any], object]:
-    """For a thread, in which nobody would catch a warning that is made an error."""
+def _without_warnings(call: Callable[[Any], object]) -> Callable[[Any], object]:
+    """Wraps a callback for a thread, where nothing catches a warning that is made an error."""
 
     def quiet(result: Any) -> None:
         with suppress(TriggerWarning):
