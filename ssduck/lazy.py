@@ -1,7 +1,7 @@
-"""Names of packages that are imported when they are used.
+"""Lets packages export names that are imported on first use.
 
-Importing a module imports the packages that it is in. With these a package names what it offers,
-and costs nothing until somebody asks for it.
+Importing a module imports the packages around it. With `exports`, a package declares its public
+names, and the import of their modules waits until they are used.
 """
 
 from __future__ import annotations
@@ -14,17 +14,23 @@ from typing import Any
 def exports(
     package: str, names: Mapping[str, Sequence[str]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """The functions `__getattr__` and `__dir__` of a package.
+    """Returns the functions `__getattr__` and `__dir__` of a package.
 
     Args:
-        package: its name.
-        names: what it offers, by the module below it that has it.
+        package: the name of the package.
+        names: the public names by the submodule that defines them.
+
+    >>> get, names = exports("ssduck", {"limits": ("Limits",), "errors": ("ParseError",)})
+    >>> names()
+    ['Limits', 'ParseError']
+    >>> get("Limits").__module__
+    'ssduck.limits'
     """
-    homes = {name: module for module, own in names.items() for name in own}
+    modules = {name: module for module, exported in names.items() for name in exported}
 
     def get(name: str) -> Any:
-        if name not in homes:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{homes[name]}"), name)
+        return getattr(import_module(f"{package}.{modules[name]}"), name)
 
-    return get, lambda: sorted(homes)
+    return get, lambda: sorted(modules)

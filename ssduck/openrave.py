@@ -1,8 +1,8 @@
-"""The module that stands for `openravepy`: SelectScript's tutorial runs with it.
+"""Stands in for `openravepy`, so that SelectScript's tutorial runs unchanged.
 
-It has the classes of handles, and the modules that the tutorial talks to: the occupancy grid of
-its filter plugin. A module is made by `RaveCreateModule` and takes commands as texts. What the
-plugin has is a part of ssduck, so that there is nothing to load.
+The module has the classes of handles and the occupancy grid of the tutorial's filter plugin.
+`RaveCreateModule` makes an OpenRAVE module, which takes commands as texts. The plugin is a part
+of ssduck; there is nothing to load.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ __all__ = [
 
 
 class OccupancyGridMap:
-    """The cells that the bodies of a world occupy at a height.
+    """Computes the cells that the bodies of a world occupy at a height.
 
-    Commands: `SetTranslation x y z`, the grid's corner and its height, m; `SetSize nx ny size`,
-    how many cells there are and how wide they are, m; `Scan`, which gives a byte a cell, 1 for
-    occupied, x by x and along y within; `SetLineWidth` and `Render`, which draw nothing here.
+    Commands: `SetTranslation x y z` sets the corner and the height of the grid, m;
+    `SetSize nx ny size` sets the numbers of cells and their side, m; `Scan` returns a byte for
+    each cell, 1 for occupied, with y varying fastest; `SetLineWidth` and `Render` do nothing.
 
     Args:
-        world: whose bodies they are, as they are when `Scan` is sent.
+        world: the world, read when `Scan` is sent.
     """
 
     def __init__(self, world: World) -> None:
@@ -52,12 +52,12 @@ class OccupancyGridMap:
         self._size = (0, 0, 0.0)
 
     def SendCommand(self, command: str) -> bytes | str:  # noqa: N802  # OpenRAVE's name
-        """Run a command; what it gives, or nothing.
+        """Runs a command and returns its result, or an empty text.
 
         Raises:
-            ArgumentError: there is no such command, or it does not take these numbers.
+            ArgumentError: the command does not exist or does not accept the numbers.
         """
-        name, *given = command.split() or [""]
+        name, *arguments = command.split() or [""]
         commands: dict[str, Callable[..., bytes | str]] = {
             "SetTranslation": self._set_translation,
             "SetSize": self._set_size,
@@ -71,7 +71,7 @@ class OccupancyGridMap:
                 suggestions=nearest(name, commands),
             )
         try:
-            return commands[name](*map(float, given))
+            return commands[name](*map(float, arguments))
         except (TypeError, ValueError) as error:
             raise ArgumentError(f"occupancygridmap: {short_repr(command)}: {error}") from error
 
@@ -104,15 +104,19 @@ MODULES: dict[str, Callable[[World], OccupancyGridMap]] = {"occupancygridmap": O
 def RaveCreateModule(  # noqa: N802  # OpenRAVE's name
     env: World, name: str
 ) -> OccupancyGridMap | None:
-    """A module of that name for a world; None if there is none, as there."""
+    """Returns a new module for a world; None, as in OpenRAVE, if the name is unknown."""
     make = MODULES.get(name.lower())
     return None if make is None else make(env)
 
 
 def RaveInitialize() -> None:  # noqa: N802  # OpenRAVE's name
-    """Do nothing: there is nothing to begin with."""
+    """Does nothing: ssduck needs no initialization."""
 
 
 def RaveLoadPlugin(path: str) -> bool:  # noqa: N802  # OpenRAVE's name
-    """Whether a plugin is there: of the file's name, only `filter`, which is a part of ssduck."""
+    """Whether a plugin is available: only `filter` is, as a part of ssduck.
+
+    >>> RaveLoadPlugin("build/filter.so"), RaveLoadPlugin("other.so")
+    (True, False)
+    """
     return path.replace("\\", "/").rpartition("/")[2].partition(".")[0] == "filter"

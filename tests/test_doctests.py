@@ -7,6 +7,7 @@ from importlib import import_module
 import pytest
 
 import ssduck
+from ssduck.adapters import registry
 
 MODULES = sorted(
     module.name
@@ -17,6 +18,7 @@ OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_examples_of_docstrings_give_what_they_say(name):
+def test_examples_of_docstrings_give_what_they_say(name, monkeypatch):
+    monkeypatch.setattr(registry, "_ADAPTERS", dict(registry._ADAPTERS))
     result = doctest.testmod(import_module(name), optionflags=OPTIONS)
     assert result.failed == 0

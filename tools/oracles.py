@@ -36,31 +36,31 @@ MOVED = 4
 HEAD = """\
 # Shapes
 
-What the exact relations (`clearance`, `collides`, `penetration`, `nearestPoints`, …) know of each
-combination of shapes. This page is written by `python -m tools.oracles --write`: {count} random
-pairs (first seed {seed}), half of them with parallel edges and faces that meet, were compared with
-oracles of their own geometry, but that faces are cut into the same triangles where a mesh takes
-part. Among them are things in the holes of rings, tubes, cups, frames, profiles, boxes with a
-cavity and bowls. None of the combinations raises an error.
+How exactly the relations of shapes (`clearance`, `collides`, `penetration`, `nearestPoints`, …)
+compare each combination of shapes. `python -m tools.oracles --write` writes this page: it
+compared {count} random pairs (first seed {seed}), half of them with parallel edges and touching
+faces, with oracles. The oracles have their own geometry, except that they cut faces into the same
+triangles if a mesh takes part. Among them are things in the holes of rings, tubes, cups, frames,
+profiles, boxes with a cavity and bowls. No combination raises an error.
 
-| how | means |
+| method | meaning |
 |---|---|
 | formula | closed form |
 | surfaces | FCL's distance of triangle surfaces, certified by a separating direction |
 | round | the same, refined until a direction separates the cylinder itself up to 1e-7 m |
 | mesh | FCL's distance of triangle surfaces |
 
-The depth is the length of the shortest translation that separates the shapes; of meshes it is
+The depth is the length of the shortest translation that separates the shapes. For meshes it is
 that of the deepest corner or crossing triangle, which is at most as long.
 
-A cylinder against a mesh is a prism with 64 sides in it: its surface is off by up to 0.0013 of
-its radius. A closed mesh is the solid that it encloses, and one that is convex
-is a hull. An open mesh is a surface. A plane is the half-space below it. Hulls may be flat.
+Against a mesh, a cylinder is a prism with 64 sides: its surface is off by up to 0.0013 of its
+radius. A closed mesh is the solid that it encloses; a convex closed mesh is a hull. An open mesh
+is a surface. A plane is the half-space below it. Hulls may be flat.
 
-Errors are the worst that were found, in metres, of shapes up to 1 m, rounded up to a power of
-ten; a clearance or a depth in each combination.
+Errors are the worst ones found, in metres, for shapes up to 1 m, rounded up to a power of ten;
+each combination has a clearance or a depth.
 
-| a | b | how | clearance | depth | bound |
+| a | b | method | clearance | depth | bound |
 |---|---|---|---|---|---|
 """
 

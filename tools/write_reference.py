@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
-from ssduck.adapters.registry import forms
+from ssduck.adapters.registry import all_adapters
 from ssduck.language.builtins import BUILTINS
 from ssduck.schema import TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
@@ -24,24 +24,25 @@ DOCS = Path(__file__).resolve().parent.parent / "docs" / "reference"
 RELATIONS_HEAD = '''# Relations and functions
 
 Metres, newtons, radians, kilograms; world frame; quaternions w, x, y, z. A relation of an entity
-with itself is False, a distance 0. An unknown value, of a body whose pose is no number, is NULL
-(None in Python), never NaN: no condition on it holds in SQL, nor does its opposite. What Python
-evaluates takes None for false, and cannot compare it.
+with itself is False, a distance is 0. An unknown value, such as that of a body whose pose is not
+a number, is NULL (None in Python), never NaN. In SQL, neither a condition on it nor its negation
+holds. Python treats None as false and cannot compare it.
 
 ## Boxes and shapes
 
-`above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` are of positions and axis-aligned
-boxes: formulas over columns, and fast. The relations that say `Asks the narrow phase` are of the
-shapes themselves: two balls side by side may overlap and yet be apart. DuckDB then calls Python,
-but only for the pairs that are said there, wherever the relation stands: in `WHERE` and `SELECT`,
-under `NOT` and in `OR`. A pair is compared once a tick, however often it is asked for. `clearance`
-compares every pair that it is asked for; where a distance will do, `near(a, b, d)` is cheaper.
+`above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` use positions and boxes. They
+are formulas over columns, and fast. Relations that say `Asks the narrow phase` use the shapes
+themselves: the boxes of two balls side by side may overlap while the balls are apart. DuckDB then
+calls Python, but only for the candidate pairs that the entry names, wherever the relation stands:
+in `WHERE` and `SELECT`, under `NOT` and in `OR`. A pair is compared once in a tick, however often
+it is asked for. `clearance` compares every pair that it is asked for; if a bound is enough,
+`near(a, b, d)` is cheaper.
 
-Of two sources that are one world, `collides`, `near`, `touching`, `on`, `supports`, `restsOn`,
-`contains` and `enclosed` in the WHERE of a SelectScript query find all of the tick's pairs at once:
-`collides` takes milliseconds for a thousand bodies. In raw SQL, DuckDB compares the boxes of every
-row with those of every other one, which from some 3,000 bodies on takes longer than the shapes do;
-the pairs are there as tables, too:
+If two sources are the same world, `collides`, `near`, `touching`, `on`, `supports`, `restsOn`,
+`contains` and `enclosed` in the `WHERE` of a SelectScript query find all pairs of the tick at
+once; `collides` needs milliseconds for a thousand bodies. In raw SQL, DuckDB compares the boxes
+of every row with those of every other row. From about 3,000 bodies on, this takes longer than the
+shapes do. Raw SQL therefore has tables of pairs:
 
 ```python
 import ssduck
@@ -55,11 +56,12 @@ ss.sql("SELECT a, b FROM kitchen.pairs_within(0.02) WHERE a < b")  # of clearanc
 ss.sql("SELECT a, b FROM colliding_pairs(0.001)")  # deeper than a millimetre in each other
 ```
 
-An entity is all its shapes, those of all its links: a relation of two holds for their closest
-shapes. A plane is a solid half-space: what is under the ground collides with it. A closed mesh is
-solid, an open one a surface. What has no shapes, a sensor say, meets nothing and is infinitely far
-from all. What is disabled or not drawn has its shapes as before. The rows of `entities` that are
-compared are of one tick: the current one, or a recorded one (see [Time](time.md)).
+An entity consists of the shapes of all its links: a relation of two entities holds for their
+closest shapes. A plane is a solid half-space, so everything below the ground collides with it. A
+closed mesh is solid, an open one is a surface. An entity without shapes, such as a sensor,
+touches nothing and is infinitely far from everything. Disabled and invisible entities have their
+shapes as before. The compared rows of `entities` are of one tick: the current one, or a recorded
+one (see [Time](time.md)).
 
 ```python
 import ssduck
@@ -78,46 +80,47 @@ print(ss.statistics()["kitchen"])  # how many pairs that took, and how many call
 
 ## Rest and intrusion
 
-Simulators do not let things rest surface on surface. PyBullet presses boxes, balls, cylinders and
-capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from it
-by a margin of 1 mm each: so a cup of hulls on a plate of hulls has a clearance of 1.99 mm. Each
-shape's margin is in the table of shapes (`margin`), as the simulator has it at the tick; records
-keep the one that the body came with. What to ask for:
+In simulators, things at rest do not touch exactly. PyBullet presses boxes, balls, cylinders and
+capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from
+it by a margin of 1 mm each. So a cup of hulls on a plate of hulls has a clearance of 1.99 mm. The
+table `shapes` has each shape's margin at the tick (`margin`); records have the margin with which
+the body was first recorded. Ask as follows:
 
 | question | ask |
 |---|---|
-| does b rest on a? | `on(a, b)`, margins included |
-| do they touch? | `touching(a, b)`, margins included |
+| does b rest on a? | `on(a, b)`, which includes margins |
+| do they touch? | `touching(a, b)`, which includes margins |
 | are they pressed together? | `inContact(a, b)`: the solver found a force |
-| how near are the surfaces? | `clearance(a, b)`, `near(a, b, d)`: of the shapes alone |
-| is one in the other? | `collides(a, b, 1e-3)`: deeper than 1 mm; `collides(a, b)` may only rest |
+| how near are the surfaces? | `clearance(a, b)`, `near(a, b, d)`: the shapes alone |
+| is one in the other? | `collides(a, b, 1e-3)`: deeper than 1 mm, not only at rest |
 
-`clearance`, `penetration`, `contactForce` and `nearestPoints` of (a, b) and of (b, a) are the same
-to the last bit, and so they are of the present, of recorded ticks and of opened records.
+`clearance`, `penetration`, `contactForce` and `nearestPoints` of (a, b) and of (b, a) are the
+same to the last bit. They are also the same for the current tick, recorded ticks and opened
+records.
 
 ## On, in and beside
 
-These are told by shapes and poses alone, so that they are the same live, at a past tick, in a
-record and in a what-if world. What the physics solver found is `inContact` and `contactForce`.
+These relations use shapes and poses alone. So they are the same live, at a past tick, in a record
+and in a what-if world. `inContact` and `contactForce` report what the physics solver found.
 
-- `on(a, b)`: b stands on a by itself, for its centre is over a. `supports(a, b)`: a carries b,
-  maybe with others, and b's centre may be anywhere: both blocks support the plank that bridges
-  them. Contacts within 30 degrees of up carry alone. Steeper ones, up to 80 degrees, carry where
-  they need each other to push up: the sides of a groove, three balls under a fourth, a slope where
-  a wall holds against it. Friction and moments are not looked at, so that a ladder is carried by
-  the floor only.
+- `on(a, b)`: b stands on a by itself, because its centre is over a. `supports(a, b)`: a carries
+  b, alone or with others, wherever b's centre is; two blocks both support the plank that bridges
+  them. A contact within 30 degrees of up carries alone. Steeper contacts, up to 80 degrees, carry
+  if they need each other to push up: the sides of a groove, three balls under a fourth, a slope
+  where a wall holds the body. Friction and moments are ignored, so only the floor carries a
+  ladder.
 - `restsOn(a, b)`: b is on a, or on something that rests on a, and so on.
-- `contains(a, b)` and `inside(a, b)` are of a's convex hull: a ball between the legs of a table is
-  in it. `enclosed(a, b)` asks for walls: rays from the centre of b's box meet a on both sides along
-  two of a's three axes at least. Cups, drawers, shelves and rooms enclose; a table, a tray and a
-  corner do not. Rays meet the surfaces of meshes from within, too, but no convex shape that they
-  begin in: of two blocks in each other neither is enclosed. So that a box is not in the cup that it
-  holds, an axis along which b reaches past a at both ends does not count.
-- `nextTo(a, b)`: beside each other, on nothing of each other's and in nothing, and with nothing
-  between them: on some horizontal line that runs through both, no third body is between. The lines
-  run along the connection of the nearest points and along that of the boxes' centres, through the
-  nearest points and through 25 places over the breadth and the height that both have in common; a
-  gap that is smaller than the space between these may be missed.
+- `contains(a, b)` and `inside(a, b)` use a's convex hull: a ball between the legs of a table is
+  in it. `enclosed(a, b)` needs walls: rays from the centre of b's box must meet a on both sides
+  along at least two of a's three axes. Cups, drawers, shelves and rooms enclose; tables, trays
+  and corners do not. Rays meet the surfaces of meshes from within, too, but no convex shape in
+  which they begin: of two blocks in each other, neither is enclosed. An axis along which b
+  extends past a at both ends does not count, so a box is not in the cup that it holds.
+- `nextTo(a, b)`: a and b are beside each other, neither is on or in the other, and nothing is
+  between them: there is a horizontal line through both with no third body between. The lines that
+  are tried run along the connection of the nearest points and along that of the boxes' centres,
+  through the nearest points and through 25 places over the breadth and height that both share. A
+  gap that is smaller than the space between these lines may be missed.
 
 ```python
 import ssduck
@@ -136,15 +139,16 @@ ss.eval("""
 
 ## Is it open
 
-`joint(e, name)` is where a joint is, in radians or metres. `isOpen(e, name)` checks if it is open
-by half of its range, `isClosed(e, name)` if it is open by a 20th at most; another share may be
-given. The closed end is that of the two limits that is nearer to 0, or the lower one. Without a
-name, any joint that has limits is to be open, or all of them closed; what has none is neither. A
-name that the entity has no joint of is an error that tells the nearest one; so a query of several
-entities says first which are meant. In raw SQL, whose conditions come in no order, it is NULL of an
-entity without such a joint, and an error where no entity of the world has one. In Python,
-`entity.joints` tells of each joint its `position` and its `openness`. Of a past tick they are known
-if the table `joints` was recorded.
+`joint(e, name)` is the position of a joint, in radians or metres. `isOpen(e, name)` says whether
+it is open by at least half of its range, `isClosed(e, name)` whether it is open by at most a
+20th; another share may be given. The closed end is the limit nearer to 0, or the lower one.
+Without a name, `isOpen` needs any joint with limits to be open, and `isClosed` all of them to be
+closed; an entity without such joints is neither. A name that the entity has no joint of is an
+error that suggests the nearest one, so a query about several entities must first select the right
+ones. Raw SQL evaluates conditions in any order; there the value is NULL for an entity without
+such a joint, and an error if no entity of the world has one. In Python, each joint in
+`entity.joints` has a `position` and an `openness`. For past ticks, the table `joints` must have
+been recorded.
 
 ```python
 import ssduck
@@ -162,27 +166,29 @@ ss.sql("SELECT name FROM entities e WHERE isOpen(e, 'f1', 0.1)").fetchall()  # [
 A relation is a function of entities in SelectScript (`above(table, this)`) and a function of rows
 of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In raw SQL:
 
-- `on`, `position` and `time` are words of SQL's: they are written in quotes, `"on"(a, b)`, or by
-  their second names, `onTop(a, b)`, `positionOf(e)`, `timeOf(e)`, which SelectScript knows, too.
-- An alias must not be the name of a column: `FROM entities x` hides the row `x` behind the column.
+- `on`, `position` and `time` are keywords. Write them in quotes, `"on"(a, b)`, or use their
+  second names `onTop(a, b)`, `positionOf(e)`, `timeOf(e)`, which SelectScript knows, too.
+- An alias must not be the name of a column: `FROM entities x` hides the row `x` behind the
+  column.
 - A point is a struct: `inSphere(e, {'x': 0, 'y': 0, 'z': 1}, 0.5)`.
-- Every relation may have its world before it: `kitchen.above(a, b)`. What looks something up
-  (shapes, contacts, sensings) is for one world. With several worlds, write the one that is meant;
-  rows of another run (see the column `run`) are an error:
-  `FROM kitchen.entities a, kitchen.entities b WHERE kitchen.collides(a, b)`.
-- `contains` of two texts is DuckDB's own; of a list or a map, write `list_contains` or
+- Every relation may be prefixed with its world: `kitchen.above(a, b)`. Relations that look
+  something up (shapes, contacts, sensings) are for one world; with several worlds, write the
+  prefix. Rows of another run (see the column `run`) are an error: `FROM kitchen.entities a,
+  kitchen.entities b WHERE kitchen.collides(a, b)`.
+- `contains` of two texts is DuckDB's own; for a list or a map, write `list_contains` or
   `map_contains`.
-- DuckDB lists what they do: `SELECT function_name, comment FROM duckdb_functions()`; what columns
-  hold: `SELECT table_name, column_name, comment FROM duckdb_columns()`.
+- DuckDB lists the relations with `SELECT function_name, comment FROM duckdb_functions()`, and the
+  columns with `SELECT table_name, column_name, comment FROM duckdb_columns()`.
 
 ## Relations
 '''
 
 TABLES_HEAD = """# Tables
 
-Each world is a schema of its name (`kitchen.entities`); the tables of the first world go without
-it (`entities`). All rows are of the world's last tick. `links`, `joints`, `shapes`, `contacts` and
-`sensings` are read from the simulator from when they are first asked for.
+Each world is a schema of its name (`kitchen.entities`). The tables of the first world are also
+available without it (`entities`). All rows are of the world's last tick. `links`, `joints`,
+`shapes`, `contacts` and `sensings` are read from the simulator only after a query has asked for
+them.
 
 Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
 those of link frames, not of centres of mass.
@@ -213,7 +219,7 @@ def relations_page() -> str:
         about, usage = function.help.split("\nUsage: ")
         lines.append(f"| `{usage}` | {about} |")
     lines += ["\n## Result forms\n", "| AS | what it gives |", "|---|---|"]
-    for adapter in forms():
+    for adapter in all_adapters():
         usage = adapter.usage.replace("|", "\\|")
         lines.append(f"| `{usage}` | {adapter.help} |")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""What an adapter is and what it is given: `Adapter`, `Selection`."""
+"""Defines result forms: an `Adapter` makes the value after AS of a `Selection` of rows."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from ssduck.world.entities import Entity
 if TYPE_CHECKING:
     from ssduck.world.world import World
 
-_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-# What an adapter reads: rows; columns by their names; entities; the query, and rows if it asks.
+_VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+# The input of an adapter; `Adapter.needs` describes each.
 Need: TypeAlias = Literal["rows", "columns", "entities", "query"]
 
 
 class Selection:
-    """What a query selected, as an adapter sees it: all of one tick, unless it is a window.
+    """The rows that a query selects, as an adapter sees them.
 
-    With GROUP BY or CONNECT BY, an adapter is given a selection for each group or path.
+    All rows are of one tick, unless the query reads a range of ticks. With GROUP BY or CONNECT
+    BY, an adapter gets one selection for each group or path.
 
     Args:
-        read: gives so many rows at most; all for None.
+        read: returns at most the given number of rows, all of them for None.
         query: the query.
-        worlds: gives the worlds that the query is about, at their ticks.
+        worlds: returns the worlds of the query, each at its tick.
     """
 
     def __init__(
@@ -44,30 +45,30 @@ class Selection:
         self.query = query
 
     def read(self) -> Rows:
-        """The rows with their columns' names; the query runs when they are first asked for."""
+        """Returns the rows with the names of their columns; the first call runs the query."""
         if self._rows is None:
             self._rows = self._read(None)
         return self._rows
 
-    def end(self) -> None:
-        """The query is over: what was not read yet would be of another tick."""
-        self._read = _ended
+    def close(self) -> None:
+        """Refuses further reading: rows read later would be of another tick."""
+        self._read = _refuse_reading
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:
-        """A tuple a row, in order: one value a column."""
+        """The rows in order, each a tuple with a value for each column."""
         return self.read().values
 
     def head(self, count: int) -> list[tuple[Any, ...]]:
-        """The first rows, at most that many; no others are worked out if none were before."""
+        """Returns at most `count` rows from the beginning; further rows are not computed for it."""
         return (self._read(count) if self._rows is None else self._rows).values[:count]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns' names.
+        """The names of the columns.
 
         Raises:
-            ArgumentError: `to` gives a column another name from row to row.
+            ArgumentError: `to` gives a column different names in different rows.
         """
         names = self.read().names
         if not isinstance(names, list):
@@ -78,21 +79,21 @@ class Selection:
 
     @cached_property
     def entities(self) -> list[Entity]:
-        """The entities in the rows, lists in them included, each once, as they first appear.
+        """The entities in the rows and in lists in them, each once, in order of appearance.
 
-        Of a window, one is there for each tick.
+        If the query reads a range of ticks, each entity appears once for each tick.
         """
-        found: dict[tuple[Entity, int | None], Entity] = {}
+        entities: dict[tuple[Entity, int | None], Entity] = {}
         for row in self.rows:
-            _gather(row, found)
-        return list(found.values())
+            _collect_entities(row, entities)
+        return list(entities.values())
 
     @property
     def worlds(self) -> list[World]:
-        """The worlds that the query is about, each as it is at the tick of the query.
+        """The worlds of the query, each at the tick of the query.
 
         Raises:
-            ArgumentError: the entities are of several ticks of a world.
+            ArgumentError: the entities belong to several ticks of a world.
         """
         states: dict[World, World] = {}
         for entity in self.entities:
@@ -106,42 +107,42 @@ class Selection:
 
     @property
     def world(self) -> World:
-        """The one world that the query is about, as it is at the tick of the query.
+        """The only world of the query, at the tick of the query.
 
         Raises:
-            ArgumentError: it is about none, about several, or about several ticks.
+            ArgumentError: the query has no world, several worlds, or several ticks of one.
         """
         worlds = self.worlds
         if len(worlds) != 1:
-            told = ", ".join(world.name for world in worlds) or "none"
-            raise ArgumentError(f"this needs entities of one world; those of the query: {told}")
+            names = ", ".join(world.name for world in worlds) or "none"
+            raise ArgumentError(f"this needs entities of one world; those of the query: {names}")
         return worlds[0]
 
     @property
     def tick(self) -> int:
-        """The number of the tick that `world` is at."""
+        """The tick number of `world`."""
         return self.world.snapshot.number
 
     @property
     def time(self) -> float:
-        """The simulated time that `world` is at, s."""
+        """The simulated time of `world`, s."""
         return self.world.time
 
 
 @dataclass(frozen=True)
 class Adapter:
-    """A form of the result: what follows AS.
+    """A result form: the name after AS and the function that makes a value of the rows.
 
     Attributes:
-        names: what programs call it.
-        help: what it makes of the rows, in a sentence or two.
-        make: selection and the arguments behind AS to value.
-        needs: what it reads. `"rows"`: all rows; `"columns"`: the same, and the columns' names
-            must differ; `"entities"`: there must be some, or no rows; `"query"`: what it asks
-            the selection for, and nothing runs before.
-        select: the query that is run in the place of the one that was asked; None for the same.
-        writes: whether it writes a file, which `Limits` may forbid.
-        tables: what it reads of the tick beside the entities, so that the tick has it.
+        names: the names of the form in programs.
+        help: a description of the value in one or two sentences.
+        make: a function of the selection and the arguments after AS; returns the value.
+        needs: the input. `"rows"`: all rows; `"columns"`: all rows, and column names that
+            differ; `"entities"`: all rows, with at least one entity if there are rows;
+            `"query"`: nothing in advance, rows are read when `make` asks for them.
+        select: replaces the query by another one before it runs; None runs the query itself.
+        writes: whether the form writes a file, which `Limits` may forbid.
+        tables: the tables of a tick, beside `entities`, that the form reads.
     """
 
     names: tuple[str, ...]
@@ -154,32 +155,32 @@ class Adapter:
 
     @cached_property
     def signature(self) -> inspect.Signature:
-        """What `make` takes; the selection first."""
+        """The signature of `make`; the first parameter is the selection."""
         return inspect.signature(self.make)
 
     @cached_property
     def is_plain(self) -> bool:
-        """Whether it needs no arguments."""
+        """Whether the form can do without arguments."""
         _, *parameters = self.signature.parameters.values()
-        return all(p.default is not p.empty or p.kind in _ANY_NUMBER for p in parameters)
+        return all(p.default is not p.empty or p.kind in _VARIADIC for p in parameters)
 
     @property
     def usage(self) -> str:
-        """`AS name(arguments)`, as in its help."""
+        """The usage line of the help: `AS name(arguments)`."""
         _, *parameters = self.signature.parameters.values()
         plain = [p.replace(annotation=inspect.Parameter.empty) for p in parameters]
-        listed = ", ".join(map(str, plain))
-        return f"AS {' | '.join(self.names)}" + (f"({listed})" if listed else "")
+        arguments = ", ".join(map(str, plain))
+        return f"AS {' | '.join(self.names)}" + (f"({arguments})" if arguments else "")
 
 
-def _ended(_: int | None) -> Rows:
+def _refuse_reading(_: int | None) -> Rows:
     raise ArgumentError("the query is over; a form reads its rows before it returns")
 
 
-def _gather(value: Any, found: dict[tuple[Entity, int | None], Entity]) -> None:
+def _collect_entities(value: Any, entities: dict[tuple[Entity, int | None], Entity]) -> None:
     if isinstance(value, Entity):
         tick = None if value.moment is None else value.moment.tick
-        found.setdefault((value, tick), value)
+        entities.setdefault((value, tick), value)
     elif isinstance(value, list | tuple):
         for part in value:
-            _gather(part, found)
+            _collect_entities(part, entities)

@@ -1,7 +1,7 @@
-"""Selected relations as clauses: their arguments are selected beside what they yield.
+"""Turns selected relations into logic clauses, by also selecting their arguments.
 
 `SELECT above(a.this, b.this)` becomes `SELECT to([a.this, b.this, above(a.this, b.this)],
-'above')`, so that one query gives all that a clause is made of.
+'above')`, so that one query returns all parts of a clause.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, 
 
 @dataclass(frozen=True)
 class Clause:
-    """What a relation yields for some arguments.
+    """A relation, its arguments and its result.
 
     Attributes:
-        relation: its name.
-        arguments: their values.
-        result: what it yields.
+        relation: the name of the relation.
+        arguments: the values of the arguments.
+        result: the value of the relation.
     """
 
     relation: str
@@ -33,23 +33,23 @@ class Clause:
 
 
 def with_arguments(query: Query) -> Query:
-    """The query that gives, of each column, the arguments and the result.
+    """Returns the query with each column replaced by a list of arguments and result.
 
     Raises:
-        ArgumentError: a column is no relation, and `to` gives it no name.
+        ArgumentError: a column is not a relation and has no name by `to`.
     """
     if not query.items:
         raise ArgumentError(
             "SELECT * selects no relations; select isRobot(this), say", span=query.span
         )
-    return replace(query, items=tuple(_with_arguments(item, query) for item in query.items))
+    return replace(query, items=tuple(_item_with_arguments(item, query) for item in query.items))
 
 
 def clauses(selection: Selection) -> Iterator[Clause]:
-    """What a query of `with_arguments` has found, False and unknown results included.
+    """Yields the clauses of a query of `with_arguments`, also those that are false or unknown.
 
     Raises:
-        ArgumentError: `to` gives a name that is no text.
+        ArgumentError: `to` gives a name that is not a string.
     """
     rows = selection.read()
     names = rows.names if isinstance(rows.names, list) else [rows.names] * len(rows.values)
@@ -59,15 +59,15 @@ def clauses(selection: Selection) -> Iterator[Clause]:
             yield Clause(name, arguments, result)
 
 
-def _with_arguments(item: Node, query: Query) -> Node:
+def _item_with_arguments(item: Node, query: Query) -> Node:
     span = item.span
     match item:
         case Call(name="to", arguments=(value, name)):
             arguments = _arguments(value, query)
             if arguments is None:
-                arguments = _sources(value, query)
-        case Call(name=called) | Name(name=called) if called != "to":
-            arguments, value, name = _arguments(item, query), item, Literal(span, called)
+                arguments = _mentioned_sources(value, query)
+        case Call(name=relation) | Name(name=relation) if relation != "to":
+            arguments, value, name = _arguments(item, query), item, Literal(span, relation)
             assert arguments is not None
         case _:
             raise ArgumentError(
@@ -79,7 +79,7 @@ def _with_arguments(item: Node, query: Query) -> Node:
 
 
 def _arguments(value: Node, query: Query) -> tuple[Node, ...] | None:
-    """The arguments of a relation; a plain name is one of `this`. None if it is none."""
+    """Returns the arguments of a relation, None for other expressions; a bare name has `this`."""
     match value:
         case Call(arguments=arguments):
             return arguments
@@ -92,8 +92,8 @@ def _arguments(value: Node, query: Query) -> tuple[Node, ...] | None:
     return None
 
 
-def _sources(value: Node, query: Query) -> tuple[Node, ...]:
-    """The sources that a value mentions, in their order; a single source always."""
+def _mentioned_sources(value: Node, query: Query) -> tuple[Node, ...]:
+    """Returns the sources that an expression mentions, in order; a single source always."""
     if len(query.sources) == 1:
         return (This(value.span, None),)
     mentioned = free_aliases(value)

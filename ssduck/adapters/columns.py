@@ -1,4 +1,4 @@
-"""Columns of Python's values as Arrow's: which type they get, and what is no column."""
+"""Converts columns of Python values to Arrow arrays, and chooses their types."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from ssduck.sql.types import EXACT
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# What 64 and 128 bits hold; DuckDB's HUGEINT travels as such decimals, too.
-_MOST = 2**63
-_LARGEST = 10**38
+# The bounds of 64-bit integers and of 38-digit decimals, which also carry DuckDB's HUGEINT.
+_INT64_END = 2**63
+_DECIMAL_END = 10**38
 
 
 def table_of(selection: Selection) -> pa.Table:
-    """The rows as an Arrow table.
+    """Returns the rows as an Arrow table.
 
     Raises:
-        ArgumentError: the values of a column are of several types, or two have one name.
+        ArgumentError: a column holds values of several types, or two columns share a name.
     """
-    names = distinct(selection.columns)
+    names = checked_names(selection.columns)
     columns = zip(*selection.rows, strict=True) if selection.rows else [()] * len(names)
     arrays = [array_of(name, list(column)) for name, column in zip(names, columns, strict=True)]
     return pa.table(arrays, names=list(names))
 
 
-def distinct(names: Sequence[Any]) -> Sequence[str]:
-    """Columns' names.
+def checked_names(names: Sequence[Any]) -> Sequence[str]:
+    """Returns the names of columns after checking them.
 
     Raises:
-        ArgumentError: one is no text, or two are the same.
+        ArgumentError: a name is not a string, or two names are equal.
     """
     for index, name in enumerate(names):
         validation.text(name, "a column is to be called by a text")
@@ -48,21 +48,28 @@ def distinct(names: Sequence[Any]) -> Sequence[str]:
 
 
 def array_of(name: str, values: Iterable[Any]) -> pa.Array:
-    """A column.
+    """Returns a column as an Arrow array.
 
     Args:
-        name: what it is called.
-        values: entities become their names, tuples lists, None null.
+        name: the name of the column, for messages.
+        values: entities become their names, tuples become lists, None becomes null.
 
     Raises:
-        ArgumentError: they are of several types, or of one that Arrow has not.
+        ArgumentError: the values have several types, or a type that Arrow lacks.
+
+    >>> array_of("height", [1, None, 2.5]).type
+    DataType(double)
     """
     plain = [plain_value(value) for value in values]
     return pa.array(plain, _type_of(plain, name))
 
 
 def plain_value(value: Any) -> Any:
-    """A value without ssduck's and numpy's types: entities and worlds by name, lists."""
+    """Returns a value without types of ssduck and numpy: entities and worlds become names.
+
+    >>> plain_value((np.float64(0.5), np.arange(2)))
+    [0.5, [0, 1]]
+    """
     match value:
         case Entity() | World():
             return value.name
@@ -83,9 +90,9 @@ def _type_of(values: list[Any], name: str) -> pa.DataType:
     if kinds == {int}:
         return _integers(present, name)
     if kinds == {int, float}:
-        return _reals(present, name)
+        return _mixed_numbers(present, name)
     if len(kinds) > 1:
-        a, b = (next(v for v in present if type(v) is kind) for kind in _told(present))
+        a, b = (next(v for v in present if type(v) is kind) for kind in _first_two_types(present))
         raise ArgumentError(
             f"the column {name!r} holds {type_in_words(a)} ({short_repr(a)}) and "
             f"{type_in_words(b)} ({short_repr(b)}); "
@@ -110,22 +117,22 @@ def _type_of(values: list[Any], name: str) -> pa.DataType:
 _PLAIN = {bool: pa.bool_(), float: pa.float64(), str: pa.string(), bytes: pa.binary()}
 
 
-def _told(values: list[Any]) -> list[type]:
-    """The first two types."""
+def _first_two_types(values: list[Any]) -> list[type]:
+    """Returns the first two types of values."""
     return list(dict.fromkeys(map(type, values)))[:2]
 
 
 def _integers(values: list[int], name: str) -> pa.DataType:
-    least, most = min(values), max(values)
-    if least >= -_MOST and most < _MOST:
+    smallest, largest = min(values), max(values)
+    if smallest >= -_INT64_END and largest < _INT64_END:
         return pa.int64()
-    if least > -_LARGEST and most < _LARGEST:
+    if smallest > -_DECIMAL_END and largest < _DECIMAL_END:
         return pa.decimal128(38, 0)
     raise ArgumentError(f"the column {name!r} holds an integer of more than 38 digits")
 
 
-def _reals(values: list[float], name: str) -> pa.DataType:
-    """Integers beside other numbers become such."""
+def _mixed_numbers(values: list[float], name: str) -> pa.DataType:
+    """Returns the type of integers mixed with floats, which must all be exact as floats."""
     for value in values:
         if type(value) is int and abs(value) > EXACT:
             raise ArgumentError(
@@ -137,5 +144,5 @@ def _reals(values: list[float], name: str) -> pa.DataType:
 
 
 def _struct(values: list[dict[Any, Any]], name: str) -> pa.DataType:
-    keys = distinct(list(dict.fromkeys(chain.from_iterable(values))))
+    keys = checked_names(list(dict.fromkeys(chain.from_iterable(values))))
     return pa.struct([(k, _type_of([v.get(k) for v in values], f"{name}.{k}")) for k in keys])

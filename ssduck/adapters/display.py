@@ -1,4 +1,4 @@
-"""Answers on the command line: as a table, as JSON, as CSV."""
+"""Writes values for people and programs: as a table, as JSON, as CSV."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
     from ssduck.adapters.text_table import FittedTable
 
-# How wide the output is at least where there is no terminal to tell.
+# The width of output that goes elsewhere than to a terminal, in characters.
 WIDTH = 100
 
 
 @dataclass(frozen=True)
 class DisplayTable:
-    """An answer as rows.
+    """A value as rows for display.
 
     Attributes:
-        columns: their names, none if the rows are lists.
-        rows: may differ in length if there are no columns.
-        named: whether the answer itself names the columns.
-        types: of the columns, as DuckDB calls them; none if they are not known.
+        columns: the names of the columns; empty if the rows are lists.
+        rows: the rows; they may differ in length if `columns` is empty.
+        named: whether the names of the columns come from the value.
+        types: DuckDB's names of the columns' types; empty if unknown.
     """
 
     columns: Sequence[str]
@@ -42,7 +42,7 @@ class DisplayTable:
 
 
 class RowsOfColumns(ABC):
-    """Rows whose columns have names and types: what `ss.sql` gives."""
+    """Rows whose columns have names and types, as `ss.sql` returns them."""
 
     @property
     @abstractmethod
@@ -52,21 +52,25 @@ class RowsOfColumns(ABC):
     @property
     @abstractmethod
     def types(self) -> list[str]:
-        """The types of the columns, as DuckDB calls them."""
+        """DuckDB's names of the columns' types."""
 
     @abstractmethod
     def fetchall(self) -> list[tuple[Any, ...]]:
-        """The rows that were not fetched yet, as tuples."""
+        """Returns the rows not fetched yet, as tuples."""
 
     @abstractmethod
     def __iter__(self) -> Iterator[tuple[Any, ...]]:
-        """All rows, as tuples."""
+        """Iterates over all rows, as tuples."""
 
 
-def answer_of(value: Any) -> DisplayTable:
-    """A value as rows: lists of dicts and of lists row by row, else a row a value."""
+def display_table(value: Any) -> DisplayTable:
+    """Returns a value as rows: an element of a list is a row, any other value is one row.
+
+    >>> display_table([{"id": "sink", "volume": 0.03}]).columns
+    ['id', 'volume']
+    """
     if isinstance(value, RowsOfColumns):
-        return DisplayTable(_distinct(value.columns), list(value), types=value.types)
+        return DisplayTable(_numbered_duplicates(value.columns), list(value), types=value.types)
     if isinstance(value, dict):
         return DisplayTable(["key", "value"], list(value.items()))
     if value is None:
@@ -83,47 +87,47 @@ def answer_of(value: Any) -> DisplayTable:
     return DisplayTable(["value"], [[element] for element in value], named=False)
 
 
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Columns of the same name are told apart by a number."""
-    found: list[str] = []
+def _numbered_duplicates(names: Sequence[str]) -> list[str]:
+    """Returns names without repetitions, by appending numbers."""
+    unique: list[str] = []
     for name in names:
         numbered = (f"{name}_{number}" for number in range(2, 2 + len(names)))
-        found.append(next(n for n in (name, *numbered) if n not in found))
-    return found
+        unique.append(next(n for n in (name, *numbered) if n not in unique))
+    return unique
 
 
 def _write_table(value: Any) -> None:
-    answer = answer_of(value)
-    if answer.columns and not answer.named:
-        for row in answer.rows:
+    table = display_table(value)
+    if table.columns and not table.named:
+        for row in table.rows:
             print_line(readable(row[0]))
-    elif answer.columns or answer.rows:
-        print_table(answer)
-    if answer.columns and not answer.rows and value is not None:
+    elif table.columns or table.rows:
+        print_table(table)
+    if table.columns and not table.rows and value is not None:
         print_line("(no rows)")
 
 
 def _write_json(value: Any) -> None:
     if isinstance(value, RowsOfColumns):
-        columns = _distinct(value.columns)
+        columns = _numbered_duplicates(value.columns)
         value = [dict(zip(columns, row, strict=True)) for row in value.fetchall()]
     ascii_only = (sys.stdout.encoding or "").lower() not in ("utf-8", "utf8")
     if not (isinstance(value, list) and any(isinstance(row, list | dict) for row in value)):
         print_line(json.dumps(as_json(value), ensure_ascii=ascii_only))
         return
     start = "[\n"
-    for row in value:  # a row a line can be read by people too
+    for row in value:  # one row per line is readable for people, too
         sys.stdout.write(start + json.dumps(as_json(row), ensure_ascii=ascii_only))
         start = ",\n"
     print_line("\n]")
 
 
 def _write_csv(value: Any) -> None:
-    answer = answer_of(value)
+    table = display_table(value)
     writer = csv.writer(sys.stdout, lineterminator="\n")
-    if answer.columns:
-        writer.writerow(answer.columns)
-    writer.writerows([[_cell(element) for element in row] for row in answer.rows])
+    if table.columns:
+        writer.writerow(table.columns)
+    writer.writerows([[_cell(element) for element in row] for row in table.rows])
 
 
 WRITERS: dict[str, Callable[[Any], None]] = {
@@ -134,7 +138,11 @@ WRITERS: dict[str, Callable[[Any], None]] = {
 
 
 def as_json(value: Any) -> Any:
-    """A value as JSON has it: entities and worlds by name, numbers that are none as null."""
+    """Converts a value for JSON: entities and worlds to names, NaN and infinity to null.
+
+    >>> as_json({"time": 0.5, "distance": math.inf})
+    {'time': 0.5, 'distance': None}
+    """
     match value:
         case None | bool() | int() | str():
             return value
@@ -146,10 +154,10 @@ def as_json(value: Any) -> Any:
             return {_key(key): as_json(element) for key, element in value.items()}
         case bytes():
             return value.hex()
-    return _of_other_type(value)
+    return _other_as_json(value)
 
 
-def _of_other_type(value: Any) -> Any:
+def _other_as_json(value: Any) -> Any:
     import numpy as np
 
     from ssduck.world.entities import Entity
@@ -172,7 +180,7 @@ def _key(key: Any) -> str:
 
 
 def _cell(value: Any) -> str:
-    """A value in a CSV file: a text, or JSON; an unknown value is empty."""
+    """Returns the text of a value in a CSV file: a string as it is, NULL as nothing, else JSON."""
     plain = as_json(value)
     if plain is None:
         return ""
@@ -180,7 +188,11 @@ def _cell(value: Any) -> str:
 
 
 def readable(value: Any, *, inside: bool = False) -> str:
-    """A value for people: numbers rounded to six digits, entities by name."""
+    """Returns the text of a value for people: six digits of numbers, entities by name.
+
+    >>> readable([1 / 3, "sink", None])
+    "[0.333333, 'sink', NULL]"
+    """
     match value:
         case float():
             return f"{value + 0.0:.{6 if abs(value) < 1e6 else 15}g}"  # -0.0 + 0.0 is 0.0
@@ -189,8 +201,9 @@ def readable(value: Any, *, inside: bool = False) -> str:
         case list() | tuple():
             return f"[{', '.join(readable(element, inside=True) for element in value)}]"
         case dict():
-            told = partial(readable, inside=True)
-            return f"{{{', '.join(f'{told(key)}: {told(part)}' for key, part in value.items())}}}"
+            nested = partial(readable, inside=True)
+            items = (f"{nested(key)}: {nested(part)}" for key, part in value.items())
+            return f"{{{', '.join(items)}}}"
         case None:
             return "NULL"
         case bool():
@@ -202,12 +215,12 @@ def readable(value: Any, *, inside: bool = False) -> str:
 
 
 def print_line(text: str) -> None:
-    """Write a line to standard output as it is."""
+    """Writes a line to standard output unchanged."""
     sys.stdout.write(f"{text}\n")
 
 
-def console_of_answers() -> Console:
-    """Where text is printed as it is: square brackets are no markup, numbers not coloured."""
+def plain_console() -> Console:
+    """Returns a console that prints text unchanged: no markup, no coloured numbers."""
     from rich.console import Console
 
     console = Console(markup=False, highlight=False, emoji=False)
@@ -217,52 +230,52 @@ def console_of_answers() -> Console:
 
 
 def terminal_width() -> int | None:
-    """How wide the terminal is that standard output goes to; None if it goes elsewhere."""
+    """Returns the width of the terminal of standard output; None if output goes elsewhere."""
     from rich.console import Console
 
     console = Console()
     return console.width if console.is_terminal else None
 
 
-def print_table(answer: DisplayTable) -> None:
-    """A table that fits the terminal; elsewhere it is as wide as it is."""
-    console = console_of_answers()
+def print_table(table: DisplayTable) -> None:
+    """Prints a table, fitted to the terminal if standard output is one."""
+    console = plain_console()
     if console.is_terminal:
-        console.print(fitted(answer))
+        console.print(fitted_table(table))
     else:
-        sys.stdout.writelines(f"{line}\n" for line in lines_of(answer))
+        sys.stdout.writelines(f"{line}\n" for line in text_lines(table))
 
 
-def fitted(answer: DisplayTable, note: str = "") -> FittedTable:
-    """A table that fits a terminal.
+def fitted_table(table: DisplayTable, note: str = "") -> FittedTable:
+    """Returns a table that fits itself to the width of a terminal.
 
     Args:
-        answer: the rows.
-        note: what a line below tells of them.
+        table: the rows.
+        note: a line below the rows.
     """
     from ssduck.adapters.text_table import FittedTable, TextColumn
 
-    told = (answer.columns, answer.types) if answer.types else (answer.columns,)
-    heads = list(zip(*(map(_on_one_line, names) for names in told), strict=True))
-    lines = [[_on_one_line(value) for value in row] for row in answer.rows]
+    head_lines = (table.columns, table.types) if table.types else (table.columns,)
+    heads = list(zip(*(map(_on_one_line, names) for names in head_lines), strict=True))
+    lines = [[_on_one_line(value) for value in row] for row in table.rows]
     cells = list(zip_longest(*lines, fillvalue="")) or [()] * len(heads)
-    if not answer.named:
+    if not table.named:
         heads = [()] * len(cells)
-    parts = zip(heads, cells, _numeric(answer), strict=True)
+    parts = zip(heads, cells, _are_numeric(table), strict=True)
     return FittedTable([TextColumn(*part) for part in parts], note)
 
 
-def lines_of(answer: DisplayTable) -> Iterator[str]:
-    """The lines of a table that is read by programs, or kept."""
+def text_lines(table: DisplayTable) -> Iterator[str]:
+    """Yields the lines of a table at full width, for files and other programs."""
     from rich.cells import cell_len
 
-    lines = [[_on_one_line(value) for value in row] for row in answer.rows]
-    if answer.named:
-        lines.insert(0, [_on_one_line(name) for name in answer.columns])
+    lines = [[_on_one_line(value) for value in row] for row in table.rows]
+    if table.named:
+        lines.insert(0, [_on_one_line(name) for name in table.columns])
     widths = [max(map(cell_len, cells)) for cells in zip_longest(*lines, fillvalue="")]
-    if answer.named:
+    if table.named:
         lines.insert(1, ["-" * width for width in widths])
-    numeric = _numeric(answer)
+    numeric = _are_numeric(table)
     for line in lines:
         padded = (
             " " * (width - cell_len(text)) + text
@@ -273,11 +286,11 @@ def lines_of(answer: DisplayTable) -> Iterator[str]:
         yield "  ".join(padded).rstrip()
 
 
-def _numeric(answer: DisplayTable) -> list[bool]:
-    """Which columns hold numbers only; they are aligned at the right."""
-    columns = zip_longest(*answer.rows)
-    found = [all(map(_is_number, column)) for column in columns]
-    return found or [False] * len(answer.columns)
+def _are_numeric(table: DisplayTable) -> list[bool]:
+    """Returns, for each column, whether it holds numbers only and so is aligned right."""
+    columns = zip_longest(*table.rows)
+    numeric = [all(map(_is_number, column)) for column in columns]
+    return numeric or [False] * len(table.columns)
 
 
 def _is_number(value: Any) -> bool:
@@ -287,6 +300,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _on_one_line(value: Any) -> str:
-    """As `shown`; line ends and what else would upset a terminal are escaped."""
+    """Returns the text of `readable` with line ends and control characters escaped."""
     text = readable(value)
     return text if text.isprintable() else repr(text)[1:-1]

@@ -1,4 +1,4 @@
-"""The selected entities as a world of their own."""
+"""Makes a new world of the selected entities."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ssduck.world.world import World
 
 
 def environment(selection: Selection) -> World:
-    """A new, running world of the selected entities; see `World.excerpt`."""
+    """Returns a new, running world of the selected entities; see `World.excerpt`."""
     return selection.world.excerpt(selection.entities)
 
 

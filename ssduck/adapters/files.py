@@ -1,4 +1,4 @@
-"""Forms that write a file: where to, and that it takes the place of another at once."""
+"""Checks the paths of files that result forms write, and replaces files atomically."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ssduck.formatting import short_repr
 
 
 def check_file(selection: Selection, file: Any) -> Path:
-    """The path of the one file that a query writes.
+    """Returns the path of the file that a query writes.
 
     Raises:
-        ArgumentError: it is no path of a file, or there are groups or paths, of which each would
-            replace the file of the one before.
+        ArgumentError: it is not a file path, or the query has GROUP BY or CONNECT BY, so that
+            each group or path would replace the file of the previous one.
     """
     query = selection.query
     if query.group or query.recursion is not None:
@@ -32,7 +32,7 @@ def check_file(selection: Selection, file: Any) -> Path:
 
 
 def _is_path(file: str) -> bool:
-    """Whether a file can have that path."""
+    """Whether a file can have the path."""
     try:
         file.encode()
     except UnicodeEncodeError:
@@ -41,18 +41,18 @@ def _is_path(file: str) -> bool:
 
 
 def replace_file(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file beside a path, then put it there, so that nobody sees a part of it.
+    """Writes a temporary file and renames it, so that no reader sees an incomplete file.
 
     Raises:
-        ArgumentError: it cannot be written.
+        ArgumentError: the file cannot be written.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
     try:
         try:
-            with beside.open("wb") as stream:
+            with temporary.open("wb") as stream:
                 write(stream)
-            beside.replace(path)
+            temporary.replace(path)
         finally:
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise ArgumentError(f"{path}: {error.strerror or error}") from error

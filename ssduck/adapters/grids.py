@@ -1,4 +1,4 @@
-"""Grids: what shapes occupy, how many sensors see a place, values summed over a plane."""
+"""Defines the grid result forms: occupied cells, sensor coverage, values summed over a plane."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.entities import Entity, Sensor
 
-# Cells that sensors look at together.
-_TOGETHER = 1_000_000
-# Bounds that are not given are rounded outward to that, m, as in the tutorial.
-_STEP = 0.01
-# What is over by less than this share of a step or a cell is not over.
-_OVER = 1e-6
+# The number of cells whose visibility is computed at a time.
+_BATCH = 1_000_000
+# Default bounds are rounded outward to multiples of this, m, as in the tutorial.
+_BOUNDS_STEP = 0.01
+# Rounding ignores an excess of less than this share of a step or a cell.
+_TOLERANCE = 1e-6
 _PLANES = {"XY": (0, 1), "XZ": (0, 2), "YZ": (1, 2)}
 
 
-# -- what is occupied -----------------------------------------------------------------------------
+# -- occupied cells ------------------------------------------------------------------------------
 
 
 def _occupancy(
@@ -50,19 +50,19 @@ def _occupancy(
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 2)
     counts = _counts(lower, upper, size)
-    return _sliced(placed, lower, size, counts, (low, high))
+    return _occupied_cells(placed, lower, size, counts, (low, high))
 
 
 def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025) -> OccupancyGrid:
     z, size = validation.number(z_pos, "z_pos"), validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(None, placed, 2)
-    # The tutorial's module is asked for one cell more than the bounds have.
+    # The tutorial requests one cell more than the bounds have.
     nx, ny = (count + 1 for count in _counts(lower, upper, size))
-    return _sliced(placed, lower, size, (nx, ny), (z, z))
+    return _occupied_cells(placed, lower, size, (nx, ny), (z, z))
 
 
-def _sliced(
+def _occupied_cells(
     placed: PlacedSolids,
     lower: tuple[float, ...],
     size: float,
@@ -80,15 +80,15 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 3)
     nx, ny, nz = _counts(lower, upper, size)
-    raster, slicer = Raster((lower[0], lower[1]), size, (nx, ny)), Rasterizer(placed)
+    raster, rasterizer = Raster((lower[0], lower[1]), size, (nx, ny)), Rasterizer(placed)
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
         ground = lower[2] + layer * size
-        cells[:, :, layer] = slicer.cells(raster, ground, ground + size, reach=CELL_TOLERANCE)
+        cells[:, :, layer] = rasterizer.cells(raster, ground, ground + size, reach=CELL_TOLERANCE)
     return VoxelGrid(cells, lower, size)
 
 
-# -- what sensors see -----------------------------------------------------------------------------
+# -- sensor coverage ------------------------------------------------------------------------------
 
 
 def _sensor_grid(
@@ -100,32 +100,34 @@ def _sensor_grid(
         raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
     world = selection.world
     placed = placed_shapes(world, [e for e in world if not isinstance(e, Sensor)])
-    has_end = placed.of(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
-    lower, upper = _bounds(bounds, has_end, 2)
+    bounded = placed.of(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
+    lower, upper = _bounds(bounds, bounded, 2)
     nx, ny = _counts(lower, upper, size)
     cells = np.zeros((nx, ny), dtype=np.int32)
     raster = Raster((lower[0], lower[1]), size, (nx, ny))
-    together = max(1, _TOGETHER // ny)
-    for first in range(0, nx, together):
-        some = slice(first, first + together)
-        x, y = np.meshgrid(raster.centres(0)[some], raster.centres(1), indexing="ij")
+    columns = max(1, _BATCH // ny)
+    for first in range(0, nx, columns):
+        batch = slice(first, first + columns)
+        x, y = np.meshgrid(raster.centres(0)[batch], raster.centres(1), indexing="ij")
         points = np.stack((x.ravel(), y.ravel(), np.full(x.size, z)), axis=1)
         for sensor in sensors:
-            cells[some].reshape(-1)[_seen(sensor, placed, points, size / 2)] += 1
+            cells[batch].reshape(-1)[_visible_points(sensor, placed, points, size / 2)] += 1
     return SensorGrid(cells, raster.origin, size, z, tuple(sensor.name for sensor in sensors))
 
 
-def _seen(sensor: Sensor, placed: PlacedSolids, points: Array, off: float) -> Any:
-    """The numbers of the points (n, 3) that a sensor sees."""
+def _visible_points(sensor: Sensor, placed: PlacedSolids, points: Array, tolerance: float) -> Any:
+    """Returns the indices of the points (n, 3) that a sensor sees."""
     spec = sensor.spec
     view = SENSOR_TYPES[spec.type].view
     if view is None or not sensor.powered:
         return []
-    start, turn = np.array(sensor.position), np.array([sensor.orientation])
-    if not np.isfinite(np.concatenate((start, turn[0]))).all():
+    start, orientation = np.array(sensor.position), np.array([sensor.orientation])
+    if not np.isfinite(np.concatenate((start, orientation[0]))).all():
         raise ArgumentError(f"{sensor.name!r} is nowhere: its pose is no number")
-    matrix = rotation_matrices(turn)[0]
-    inside = np.flatnonzero(view((points - start) @ matrix, spec.max_range, spec.settings, off))
+    matrix = rotation_matrices(orientation)[0]
+    inside = np.flatnonzero(
+        view((points - start) @ matrix, spec.max_range, spec.settings, tolerance)
+    )
     others = placed.of(placed.owners != sensor.host)
     return inside[~are_blocked(others, start, points[inside])]
 
@@ -149,53 +151,53 @@ def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 
     _check_count((nx + 2 * blur, ny + 2 * blur))
     weights = _pyramid(blur)
     cells = np.zeros((nx + 2 * blur, ny + 2 * blur))
-    for entity, value in _valued(selection):
-        steps = (np.array(_place(entity))[list(_PLANES[plane])] - lower) / side
+    for entity, value in _entity_values(selection):
+        steps = (np.array(_finite_position(entity))[list(_PLANES[plane])] - lower) / side
         if ((steps >= 0) & (steps < (nx, ny))).all():
             i, j = steps.astype(np.intp) + blur
-            around = slice(i - blur + 1, i + blur), slice(j - blur + 1, j + blur)
-            cells[around] += value * weights
+            window = slice(i - blur + 1, i + blur), slice(j - blur + 1, j + blur)
+            cells[window] += value * weights
     return PlaneGrid(cells[blur:-blur, blur:-blur].copy(), tuple(lower.tolist()), side, plane)
 
 
 def _pyramid(blur: int) -> Array:
-    """Weights (2 blur - 1, 2 blur - 1) that fall with the steps from the middle; their sum is 1."""
+    """Returns weights (2 blur - 1, 2 blur - 1) that decrease from the middle; their sum is 1."""
     steps = np.abs(np.arange(1 - blur, blur))
     weights: Array = np.maximum(1.0 + blur - steps[:, None] - steps, 0.0)
     weights /= weights.sum()
     return weights
 
 
-def _valued(selection: Selection) -> list[tuple[Entity, float]]:
-    """The entity of each row, and the sum of the row's numbers."""
+def _entity_values(selection: Selection) -> list[tuple[Entity, float]]:
+    """Returns the entity of each row and the sum of the numbers of the row."""
     names = selection.columns
-    found = []
+    entity_values = []
     for row in selection.rows:
         entities = [value for value in row if isinstance(value, Entity)]
         if not entities:
             raise ArgumentError("a row has no entity, whose position says where its values go")
         values = [
-            _summed(value, name)
+            _sum(value, name)
             for name, value in zip(names, row, strict=True)
             if not isinstance(value, Entity)
         ]
-        found.append((entities[0], math.fsum(values)))
-    return found
+        entity_values.append((entities[0], math.fsum(values)))
+    return entity_values
 
 
-def _summed(value: Any, name: str) -> float:
-    """A number, or the sum of a list of them; what is unknown counts 0."""
+def _sum(value: Any, name: str) -> float:
+    """Returns a number or the sum of a list of numbers; NULL counts as 0."""
     if value is None:
         return 0.0
     if isinstance(value, list | tuple):
-        return math.fsum(_summed(part, name) for part in value)
+        return math.fsum(_sum(part, name) for part in value)
     if isinstance(value, int | float | np.number):
         return float(value)
     raise ArgumentError(f"column {name!r} is to be summed, but {short_repr(value)} is no number")
 
 
 def _with_entity(query: Query) -> Query:
-    """A query of one source with its entity as a column, which says where the values go."""
+    """Adds the entity of the only source as a column; its position selects the cell."""
     if len(query.sources) != 1 or not query.items or any(map(_is_entity, query.items)):
         return query
     span = query.span
@@ -214,29 +216,31 @@ def _is_entity(item: Any) -> bool:
 
 
 def _bounds(
-    given: Any, placed: PlacedSolids, count: int
+    bounds: Any, placed: PlacedSolids, count: int
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The corners that are given, or those around shapes, rounded outward to 1 cm."""
-    if given is not None:
-        return _given_bounds(given, count)
+    """Returns the corners of the bounds; by default those of the shapes, rounded outward."""
+    if bounds is not None:
+        return _given_bounds(bounds, count)
     if not len(placed):
         raise ArgumentError("nothing that is selected has shapes; give bounds for an empty grid")
     low, high = placed.boxes[:, :count].min(axis=0), placed.boxes[:, 3 : 3 + count].max(axis=0)
     if not np.isfinite((low, high)).all():
         raise ArgumentError("a plane has no end: give bounds, or leave it out by WHERE")
-    low = np.floor(low / _STEP + _OVER) * _STEP
-    high = np.maximum(np.ceil(high / _STEP - _OVER) * _STEP, low + _STEP)  # a wall is flat
-    # as they are written: 0.29, not 0.29000000000000004
+    low = np.floor(low / _BOUNDS_STEP + _TOLERANCE) * _BOUNDS_STEP
+    high = np.maximum(
+        np.ceil(high / _BOUNDS_STEP - _TOLERANCE) * _BOUNDS_STEP, low + _BOUNDS_STEP
+    )  # walls may be flat
+    # 0.29, not 0.29000000000000004
     return tuple(low.round(9).tolist()), tuple(high.round(9).tolist())
 
 
-def _given_bounds(given: Any, count: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Two corners, or what `aabb` gives; what they have more than the grid needs is left out."""
+def _given_bounds(bounds: Any, count: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Returns two corners of `count` coordinates; also accepts the value of `aabb`."""
     corner = "[x, y]" if count == 2 else "[x, y, z]"
     form = f"two corners {corner}, or the aabb of an entity"
-    if isinstance(given, list | tuple) and len(given) == 6:
-        given = [given[0::2], given[1::2]]
-    corners = validation.sequence(given, 2, f"bounds are {form}")
+    if isinstance(bounds, list | tuple) and len(bounds) == 6:
+        bounds = [bounds[0::2], bounds[1::2]]
+    corners = validation.sequence(bounds, 2, f"bounds are {form}")
     lower, upper = (
         tuple(
             validation.number_list(
@@ -249,11 +253,11 @@ def _given_bounds(given: Any, count: int) -> tuple[tuple[float, ...], tuple[floa
 
 
 def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tuple[int, ...]:
-    """How many cells there are from one corner to the other."""
+    """Returns the number of cells between the corners along each axis."""
     for low, high in zip(lower, upper, strict=True):
         if not low < high:
             raise ArgumentError(f"bounds: {low:g} is not below {high:g}")
-    steps = [(high - low) / size - _OVER for low, high in zip(lower, upper, strict=True)]
+    steps = [(high - low) / size - _TOLERANCE for low, high in zip(lower, upper, strict=True)]
     _check_count(steps)
     return tuple(max(1, math.ceil(step)) for step in steps)
 
@@ -261,17 +265,17 @@ def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tupl
 def _check_count(counts: Sequence[float]) -> None:
     counts = [max(1.0, count) for count in counts]
     if math.prod(counts) > MOST_CELLS:
-        told = " x ".join(f"{count:,.0f}" for count in counts)
+        listed = " x ".join(f"{count:,.0f}" for count in counts)
         raise ArgumentError(
-            f"{told} cells are more than {MOST_CELLS:,}; take larger cells, or bounds of a part"
+            f"{listed} cells are more than {MOST_CELLS:,}; take larger cells, or bounds of a part"
         )
 
 
-def _place(entity: Entity) -> list[float]:
-    place = entity.position
-    if not np.isfinite(place).all():
+def _finite_position(entity: Entity) -> list[float]:
+    position = entity.position
+    if not np.isfinite(position).all():
         raise ArgumentError(f"{entity.name!r} is nowhere: its position is no number")
-    return place
+    return position
 
 
 GRIDS = (

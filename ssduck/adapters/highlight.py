@@ -1,4 +1,4 @@
-"""Pictures of a world in which some entities stand out."""
+"""Renders pictures of a world in which some entities stand out."""
 
 from __future__ import annotations
 
@@ -16,60 +16,62 @@ if TYPE_CHECKING:
     from PIL import Image
 
 OUTLINE = (255, 90, 0)
-# How much of a faded pixel is white, and how wide an outline is, pixels.
-_FADED = 0.72
+# The share of white in a faded pixel, and the width of an outline, pixels.
+_FADE = 0.72
 _WIDTH = 2
 
 
 def highlighted(world: World, entities: Iterable[Entity], width: int, height: int) -> Image.Image:
-    """A picture by the world's camera: entities in colour and outlined, all else faded.
+    """Returns a picture by the world's camera with entities outlined and all else faded.
 
     Args:
-        world: the world; a recorded tick, or a what-if world, is built anew to be drawn.
-        entities: of the world; a sensor is shown by the body that it sits on.
+        world: the world; of a recorded tick or a what-if world, a copy is built and rendered.
+        entities: entities of the world; a sensor is shown by the body that it is mounted on.
         width: pixels.
         height: pixels.
 
     Raises:
-        RemovedEntityError: one is no longer there.
+        RemovedEntityError: an entity has been removed.
     """
     from PIL import Image
 
-    chosen = {_shown(entity) for entity in entities}
+    body_ids = {_visible_body(entity) for entity in entities}
     if not world.is_final:
-        return Image.fromarray(_drawn(world, chosen, width, height))
+        return Image.fromarray(_render_highlighted(world, body_ids, width, height))
     with warnings.catch_warnings():
-        # How fast joints are is nothing that a picture shows.
+        # A picture does not show the velocities of joints.
         warnings.filterwarnings("ignore", message=".*velocities of joints are not recorded")
         twin = world.excerpt(list(world))
     try:
-        names = {world.entity(id).name for id in chosen}
+        names = {world.entity(id).name for id in body_ids}
         ids = {entity.id for entity in twin if entity.name in names}
-        return Image.fromarray(_drawn(twin, ids, width, height))
+        return Image.fromarray(_render_highlighted(twin, ids, width, height))
     finally:
         twin.close()
 
 
-def _shown(entity: Entity) -> int:
-    """The id of the body that shows an entity."""
+def _visible_body(entity: Entity) -> int:
+    """Returns the id of the body that represents an entity in the picture."""
     if not entity.is_there:
         raise entity.removed()
     return entity.host if isinstance(entity, Sensor) else entity.id
 
 
-def _drawn(world: World, chosen: set[int], width: int, height: int) -> npt.NDArray[np.uint8]:
+def _render_highlighted(
+    world: World, body_ids: set[int], width: int, height: int
+) -> npt.NDArray[np.uint8]:
     with world.lock:
         picture = world.render(width, height).astype(np.float64)
-        shown = np.isin(world.segmentation(width, height), sorted(chosen))
+        is_highlighted = np.isin(world.segmentation(width, height), sorted(body_ids))
     grey = picture @ (0.299, 0.587, 0.114)
-    faded = (1.0 - _FADED) * grey[:, :, None] + _FADED * 255.0
-    found = np.where(shown[:, :, None], picture, faded)
-    found[_around(shown)] = OUTLINE
-    return found.round().astype(np.uint8)
+    faded = (1.0 - _FADE) * grey[:, :, None] + _FADE * 255.0
+    pixels = np.where(is_highlighted[:, :, None], picture, faded)
+    pixels[_outline(is_highlighted)] = OUTLINE
+    return pixels.round().astype(np.uint8)
 
 
-def _around(shown: npt.NDArray[np.bool_]) -> Any:
-    """The pixels beside what is shown."""
+def _outline(is_highlighted: npt.NDArray[np.bool_]) -> Any:
+    """Returns the pixels around those of the highlighted bodies."""
     from scipy.ndimage import binary_dilation
 
-    return binary_dilation(shown, iterations=_WIDTH) & ~shown
+    return binary_dilation(is_highlighted, iterations=_WIDTH) & ~is_highlighted

@@ -1,4 +1,4 @@
-"""Relations as clauses of logic programs: Prolog's, and those of answer set programming."""
+"""Defines the result forms of logic programs: Prolog clauses and facts for clingo."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from ssduck.formatting import short_repr, type_in_words
 Term: TypeAlias = Callable[[Any], str]
 
 
-def _told(found: Iterable[Clause], functor: Term, term: Term) -> list[str]:
-    """Clauses that hold as texts, sorted, each once.
+def _clause_texts(selected: Iterable[Clause], functor: Term, term: Term) -> list[str]:
+    """Returns the texts of clauses that hold, sorted and without repetitions.
 
-    What is False or unknown is left out, and so is True as a result.
+    Clauses that are false or unknown are left out; True as a result is not written.
     """
-    kept: set[str] = set()
-    for clause in found:
+    texts: set[str] = set()
+    for clause in selected:
         result = plain_value(clause.result)
         if result is False or result is None:
             continue
         parts = [*map(plain_value, clause.arguments), *([] if result is True else [result])]
-        listed = ",".join(map(term, parts))
-        kept.add(functor(clause.relation) + (f"({listed})" if parts else ""))
-    return sorted(kept)
+        arguments = ",".join(map(term, parts))
+        texts.add(functor(clause.relation) + (f"({arguments})" if parts else ""))
+    return sorted(texts)
 
 
 _WORDS = {True: "true", False: "false", None: "null"}
 
 
-def _unknown(value: Any) -> ArgumentError:
+def _not_a_term(value: Any) -> ArgumentError:
     return ArgumentError(f"{type_in_words(value)} is no term: {short_repr(value)}")
 
 
@@ -43,7 +43,7 @@ def _unknown(value: Any) -> ArgumentError:
 
 
 def _prolog(selection: Selection) -> list[str]:
-    return _told(clauses(selection), _atom, _term)
+    return _clause_texts(clauses(selection), _atom, _term)
 
 
 def _term(value: Any) -> str:
@@ -58,11 +58,11 @@ def _term(value: Any) -> str:
             return _atom(value)
         case list():
             return f"[{', '.join(map(_term, value))}]"
-    raise _unknown(value)
+    raise _not_a_term(value)
 
 
 def _float(value: float) -> str:
-    """A float as SWI-Prolog reads it: a point before the exponent, and its words for no number."""
+    """Returns a float in the syntax of SWI-Prolog, with a decimal point; also inf and NaN."""
     if not math.isfinite(value):
         return "1.5NaN" if math.isnan(value) else f"{math.copysign(1, value)}Inf"
     number, exponent, power = repr(value).partition("e")
@@ -74,7 +74,7 @@ _ESCAPED = {"\\": "\\\\", "'": "\\'", "\n": "\\n", "\t": "\\t"}
 
 
 def _atom(text: str) -> str:
-    """A text as an atom, in quotes if it needs them."""
+    """Returns a text as an atom, quoted if necessary."""
     if _PLAIN_ATOM.fullmatch(text):
         return text
     return f"'{''.join(map(_in_quotes, text))}'"
@@ -103,7 +103,7 @@ def _asp(selection: Selection, scale: float | None = None) -> list[str]:
     def term(value: Any) -> str:
         return _asp_term(value, scale)
 
-    return [f"{fact}." for fact in _told(clauses(selection), _predicate, term)]
+    return [f"{fact}." for fact in _clause_texts(clauses(selection), _predicate, term)]
 
 
 def _asp_term(value: Any, scale: float | None) -> str:
@@ -118,7 +118,7 @@ def _asp_term(value: Any, scale: float | None) -> str:
             return value if _CONSTANT.fullmatch(value) and value != "not" else _string(value)
         case list():
             return _tuple([_asp_term(part, scale) for part in value])
-    raise _unknown(value)
+    raise _not_a_term(value)
 
 
 def _scaled(value: float, scale: float) -> int:
@@ -146,7 +146,7 @@ def _predicate(name: str) -> str:
 
 
 def _string(text: str) -> str:
-    r"""A text in quotes; clingo knows the escapes \\, \" and \n only."""
+    r"""Returns a text in quotes with the only escapes that clingo has: \\, \" and \n."""
     if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
         raise ArgumentError(f"{short_repr(text)} has letters that clingo does not know")
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")

@@ -1,4 +1,4 @@
-"""Entities and what is between them as graphs: networkx's, and Graphviz' text."""
+"""Defines the graph result forms: networkx graphs and Graphviz texts of related entities."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.clauses import Clause, clauses, with_arguments
-from ssduck.adapters.columns import distinct, plain_value
+from ssduck.adapters.columns import checked_names, plain_value
 from ssduck.adapters.display import readable
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
@@ -16,7 +16,7 @@ from ssduck.formatting import short_repr
 from ssduck.language.tree import Call, ListLiteral, Name, Node, Query, This
 from ssduck.world.entities import Entity
 
-# None, or of several edges between two nodes the relation or the number of the row.
+# Distinguishes edges between the same nodes: the relation or the row number, None if single.
 Key: TypeAlias = str | int | None
 
 
@@ -25,9 +25,9 @@ class _Network:
     """Nodes and directed edges with attributes.
 
     Attributes:
-        entities: by name.
-        nodes: what is told of each, beside what it is.
-        edges: what is told of each, by from, to, and what tells it from others between these.
+        entities: the entities by name.
+        nodes: the attributes that the query selects, by the names of the nodes.
+        edges: the attributes of each edge, by its start, its end and its key.
     """
 
     entities: dict[str, Entity] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class _Network:
     edges: dict[tuple[str, str, Key], dict[str, Any]] = field(default_factory=dict)
 
     def node(self, entity: Entity) -> str:
-        """The name of an entity's node, which is made if it is not there."""
+        """Returns the name of the node of an entity, which it adds if necessary."""
         known = self.entities.setdefault(entity.name, entity)
         if known is not entity and known != entity:
             raise ArgumentError(
@@ -44,21 +44,23 @@ class _Network:
         self.nodes.setdefault(entity.name, {})
         return entity.name
 
-    def tell(self, entity: Entity, told: Mapping[str, Any]) -> None:
-        """Tell something of an entity."""
+    def describe(self, entity: Entity, attributes: Mapping[str, Any]) -> None:
+        """Adds attributes to the node of an entity."""
         name = self.node(entity)
-        _put(self.nodes[name], told, name, "name the columns by to(…, 'name')")
+        _set_attributes(self.nodes[name], attributes, name, "name the columns by to(…, 'name')")
 
-    def connect(self, a: Entity, b: Entity, key: Key, told: Mapping[str, Any]) -> None:
-        """Add an edge, or tell more of the one that is there."""
+    def connect(self, a: Entity, b: Entity, key: Key, attributes: Mapping[str, Any]) -> None:
+        """Adds an edge, or adds attributes to an existing one."""
         start, end = self.node(a), self.node(b)
-        attributes = self.edges.setdefault((start, end, key), {})
+        edge = self.edges.setdefault((start, end, key), {})
         remedy = "AS graph(multi=True) makes an edge a row"
-        _put(attributes, told, f"the edge from {start} to {end}", remedy)
+        _set_attributes(edge, attributes, f"the edge from {start} to {end}", remedy)
 
 
-def _put(attributes: dict[str, Any], told: Mapping[str, Any], what: str, remedy: str) -> None:
-    for key, value in told.items():
+def _set_attributes(
+    attributes: dict[str, Any], new: Mapping[str, Any], what: str, remedy: str
+) -> None:
+    for key, value in new.items():
         if attributes.setdefault(key, value) != value:
             raise ArgumentError(
                 f"{what} would be given two values of {key!r}: {short_repr(attributes[key])} and "
@@ -66,11 +68,11 @@ def _put(attributes: dict[str, Any], told: Mapping[str, Any], what: str, remedy:
             )
 
 
-# -- what is asked ----------------------------------------------------------------------------
+# -- the network of a query -------------------------------------------------------------------
 
 
-def _asked(query: Query) -> Query:
-    """The query itself if it selects entities; else its relations with their arguments."""
+def _graph_query(query: Query) -> Query:
+    """Returns the query itself if it selects entities; else also selects the arguments."""
     if not query.items or any(map(_is_entity, query.items)):
         return query
     return with_arguments(query)
@@ -85,11 +87,11 @@ def _is_entity(item: Node) -> bool:
     return isinstance(item, This)
 
 
-# Functions that give the entity itself.
+# Functions that return the entity itself.
 _ENTITIES = frozenset(("obj", "robot", "kinbody", "sensor"))
 
 
-def _is_of_relations(query: Query) -> bool:
+def _selects_relations(query: Query) -> bool:
     match query.items:
         case (Call(name="to", arguments=(ListLiteral(), _)), *_):
             return not any(map(_is_entity, query.items))
@@ -98,8 +100,8 @@ def _is_of_relations(query: Query) -> bool:
 
 def _network(selection: Selection, *, multi: bool) -> _Network:
     network = _Network()
-    selection.worlds  # noqa: B018  # is an error if the entities are of several ticks
-    if _is_of_relations(selection.query):
+    selection.worlds  # noqa: B018  # raises an error for entities of several ticks
+    if _selects_relations(selection.query):
         for clause in clauses(selection):
             _add_clause(network, clause, clause.relation if multi else None)
         return network
@@ -110,7 +112,7 @@ def _network(selection: Selection, *, multi: bool) -> _Network:
 
 
 def _add_clause(network: _Network, clause: Clause, key: Key) -> None:
-    """Of two entities an edge, of one something that is told of it."""
+    """Adds a clause: an edge between two entities, or an attribute of a single one."""
     entities = [value for value in clause.arguments if isinstance(value, Entity)]
     relation, result = clause.relation, clause.result
     if isinstance(result, Entity):
@@ -122,7 +124,7 @@ def _add_clause(network: _Network, clause: Clause, key: Key) -> None:
             if result is not False and result is not None:
                 network.connect(a, b, key, {relation: plain_value(result)})
         case (only,):
-            network.tell(only, {relation: plain_value(result)})
+            network.describe(only, {relation: plain_value(result)})
         case _:
             raise ArgumentError(
                 f"{relation} is of {len(entities)} entities; an edge is of two, and a node one"
@@ -130,19 +132,21 @@ def _add_clause(network: _Network, clause: Clause, key: Key) -> None:
 
 
 def _add_row(network: _Network, names: tuple[str, ...], row: tuple[Any, ...], key: Key) -> None:
-    """The first two entities are an edge, the other columns what is told of it."""
-    places = [place for place, value in enumerate(row) if isinstance(value, Entity)][:2]
-    others = [place for place in range(len(row)) if place not in places]
-    told = {
-        name: plain_value(row[place])
-        for name, place in zip(distinct([names[p] for p in others]), others, strict=True)
+    """Adds a row: an edge between its first two entities, with the other columns as attributes."""
+    entity_columns = [column for column, value in enumerate(row) if isinstance(value, Entity)][:2]
+    other_columns = [column for column in range(len(row)) if column not in entity_columns]
+    attributes = {
+        name: plain_value(row[column])
+        for name, column in zip(
+            checked_names([names[p] for p in other_columns]), other_columns, strict=True
+        )
     }
-    match [row[place] for place in places]:
+    match [row[column] for column in entity_columns]:
         case (a, b):
-            network.connect(a, b, key, told)
+            network.connect(a, b, key, attributes)
         case (only,):
-            network.tell(only, told)
-        case _ if None not in row:  # which stands for an entity that there is not
+            network.describe(only, attributes)
+        case _ if None not in row:  # None stands for a missing entity
             raise ArgumentError(f"a row has no entity: {short_repr(row)}")
 
 
@@ -153,16 +157,16 @@ def _graph(selection: Selection, multi: bool = False) -> Any:
     networkx = library("networkx", "graph")
     network = _network(selection, multi=multi)
     graph = networkx.MultiDiGraph() if multi else networkx.DiGraph()
-    for name, told in network.nodes.items():
-        # What the query tells comes first: its id is a name.
-        graph.add_nodes_from([(name, _facts(network.entities[name]) | told)])
-    for (a, b, key), told in network.edges.items():
-        graph.add_edges_from([(a, b, key, told) if multi else (a, b, told)])
+    for name, attributes in network.nodes.items():
+        # Selected values take precedence: the query's id is a name.
+        graph.add_nodes_from([(name, _entity_attributes(network.entities[name]) | attributes)])
+    for (a, b, key), attributes in network.edges.items():
+        graph.add_edges_from([(a, b, key, attributes) if multi else (a, b, attributes)])
     return graph
 
 
-def _facts(entity: Entity) -> dict[str, Any]:
-    """What is told of every entity: metres, and quaternions w, x, y, z."""
+def _entity_attributes(entity: Entity) -> dict[str, Any]:
+    """Returns the attributes of every node: metres, and quaternions w, x, y, z."""
     return {
         "name": entity.name,
         "kind": entity.kind,
@@ -176,21 +180,23 @@ _SHAPES = {"robot": "box", "kinbody": "ellipse", "sensor": "diamond"}
 
 
 def _dot(selection: Selection) -> str:
-    network = _network(selection, multi=not _is_of_relations(selection.query))
+    network = _network(selection, multi=not _selects_relations(selection.query))
     lines = ["digraph {"]
-    for name, told in network.nodes.items():
-        label = _quoted("\n".join([name, *_labels(told)]))
+    for name, attributes in network.nodes.items():
+        label = _quoted("\n".join([name, *_labels(attributes)]))
         shape = _SHAPES[network.entities[name].kind]
         lines.append(f"    {_quoted(name)} [label={label}, shape={shape}];")
-    for (a, b, _), told in network.edges.items():
-        label = f" [label={_quoted(chr(10).join(_labels(told)))}]" if told else ""
+    for (a, b, _), attributes in network.edges.items():
+        label = f" [label={_quoted(chr(10).join(_labels(attributes)))}]" if attributes else ""
         lines.append(f"    {_quoted(a)} -> {_quoted(b)}{label};")
     return "\n".join([*lines, "}"]) + "\n"
 
 
-def _labels(told: Mapping[str, Any]) -> list[str]:
-    """A line each: the name alone of what is True."""
-    return [key if value is True else f"{key} = {readable(value)}" for key, value in told.items()]
+def _labels(attributes: Mapping[str, Any]) -> list[str]:
+    """Returns a line for each attribute; for True, the name alone."""
+    return [
+        key if value is True else f"{key} = {readable(value)}" for key, value in attributes.items()
+    ]
 
 
 _ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\r": "\\r"}
@@ -207,13 +213,13 @@ NETWORK = (
         "A networkx graph: entities are nodes, relations of two directed edges. Extra: graph.",
         _graph,
         needs="entities",
-        select=_asked,
+        select=_graph_query,
     ),
     Adapter(
         ("dot",),
         "The same graph as a text for Graphviz, each edge with its relations.",
         _dot,
         needs="entities",
-        select=_asked,
+        select=_graph_query,
     ),
 )

@@ -1,4 +1,4 @@
-"""Libraries that ssduck does without, unless a form is asked for that needs one."""
+"""Imports optional libraries, which only some result forms need."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from ssduck.errors import UnsupportedError
 
 
 def library(name: str, extra: str) -> Any:
-    """A library that one of ssduck's extras brings.
+    """Returns a library that an extra of ssduck installs.
 
     Raises:
-        UnsupportedError: it is not installed, with the command that does it.
+        UnsupportedError: the library is not installed; the message says how to install it.
     """
     try:
         return import_module(name)

@@ -1,7 +1,7 @@
-"""What follows AS: forms that the rows of a query are turned into.
+"""Registers result forms and finds them by the name after AS.
 
-A form is an entry of one registry; a family of them is a module of this folder. `adapter` adds
-one; so does a package that has entry points of the group `ssduck.adapters`.
+Each module of this package defines the built-in forms of one topic. Users add forms with
+`adapter`, packages with entry points of the group `ssduck.adapters`.
 """
 
 from __future__ import annotations
@@ -33,45 +33,50 @@ _ADAPTERS: dict[str, Adapter] = {
     for name in form.names
 }
 _BUILT_IN = frozenset(_ADAPTERS)
-# These are words of the grammar, so in any case.
+# The grammar has these words, in upper or lower case.
 _WORDS = frozenset(name for form in VALUES for name in form.names)
 
 
 def adapter(
     *names: str, needs: Need = "rows", help: str | None = None, tables: Collection[str] = ()
 ) -> Callable[[Maker], Maker]:
-    """Make a function a form of results, that programs call by `AS name`.
+    """Makes a function a result form, which programs request by `AS name`.
 
-        @ssduck.adapter("count")
-        def count(selection, least=0):
-            "How many rows there are, if they are enough."
-            return max(len(selection.rows), least)
+    The function gets a `Selection` (`rows`, `columns`, `entities`, `world`, `tick`, `time`,
+    `query`) and the arguments after AS.
 
     Args:
-        names: what programs call it; the function's own name by default.
-        needs: what it reads; see `Adapter`. By default all rows.
-        help: what `help('AS')` tells; by default the function's docstring.
-        tables: what it reads of the tick beside the entities, so that the tick has it: `"links"`,
+        names: the names in programs; by default the name of the function.
+        needs: the input; see `Adapter`. By default all rows.
+        help: the text that `help('AS')` shows; by default the docstring of the function.
+        tables: the tables of a tick, beside `entities`, that the function reads: `"links"`,
             `"joints"`, `"shapes"`, `"contacts"`, `"sensings"`.
 
     Returns:
-        What makes a function such a form, and leaves the function as it is. The function is
-        given a `Selection` (`rows`, `columns`, `entities`, `world`, `tick`, `time`, `query`) and
-        the arguments that stand behind AS.
+        A decorator that registers a function and returns it unchanged.
 
     Raises:
-        ArgumentError: a name cannot be a form's, or is that of one of ssduck's own.
+        ArgumentError: a name is not an identifier, or belongs to a built-in form.
+
+    >>> import ssduck
+    >>> @ssduck.adapter("rowcount")
+    ... def rowcount(selection, least=0):
+    ...     "The number of rows, or `least` if there are fewer."
+    ...     return max(len(selection.rows), least)
+    >>> with ssduck.Interpreter() as ss:
+    ...     ss.eval("SELECT n.this FROM n=[1] AS rowcount(2);")
+    2
     """
     for name in names:
         _check_name(name)
 
     def register(make: Maker) -> Maker:
-        called = names or (make.__name__,)
-        for name in called:
+        registered = names or (make.__name__,)
+        for name in registered:
             _check_name(name)
-        told = help or inspect.getdoc(make) or "A form of your own."
-        form = Adapter(called, told, make, needs, tables=frozenset(tables))
-        _ADAPTERS.update(dict.fromkeys(called, form))
+        description = help or inspect.getdoc(make) or "A form of your own."
+        form = Adapter(registered, description, make, needs, tables=frozenset(tables))
+        _ADAPTERS.update(dict.fromkeys(registered, form))
         return make
 
     return register
@@ -86,62 +91,63 @@ def _check_name(name: Any) -> None:
 
 
 def find(name: str) -> Adapter:
-    """The form of a name.
-
-    One that is spelled so comes first, then one that is in another case.
+    """Returns the form of a name, preferring the exact spelling to one in another case.
 
     Raises:
-        UnknownNameError: there is none, with the nearest names.
-        ArgumentError: there are several in other cases; or the package that has it cannot be
-            imported, or has something else.
+        UnknownNameError: no form has the name; the error suggests the nearest names.
+        ArgumentError: several forms have the name in other cases; or the package that provides
+            the form cannot be imported or provides something else.
+
+    >>> find("df").usage
+    'AS df | pandas'
     """
     if name in _ADAPTERS:
         return _ADAPTERS[name]
-    elsewhere = _entry_points()
-    if name not in elsewhere:
-        return find(_spelled(name, {*_ADAPTERS, *elsewhere}))
-    _ADAPTERS[name] = _loaded(name, elsewhere[name])
+    provided = _entry_points()
+    if name not in provided:
+        return find(_exact_spelling(name, {*_ADAPTERS, *provided}))
+    _ADAPTERS[name] = _load(name, provided[name])
     return _ADAPTERS[name]
 
 
-def _spelled(name: str, known: Collection[str]) -> str:
-    """How the form is spelled that a program writes in another case.
+def _exact_spelling(name: str, known: Collection[str]) -> str:
+    """Returns the exact spelling of a form that a program writes in another case.
 
     Raises:
-        UnknownNameError: there is none, with the nearest names.
-        ArgumentError: there are several.
+        UnknownNameError: no form has the name; the error suggests the nearest names.
+        ArgumentError: several forms have the name.
     """
-    alike = sorted(other for other in known if other.casefold() == name.casefold())
-    if len(alike) > 1:
-        told = " or ".join(alike)
-        raise ArgumentError(f"AS {name} is ambiguous; write AS {told}")
-    if not alike:
+    spellings = sorted(other for other in known if other.casefold() == name.casefold())
+    if len(spellings) > 1:
+        listed = " or ".join(spellings)
+        raise ArgumentError(f"AS {name} is ambiguous; write AS {listed}")
+    if not spellings:
         raise UnknownNameError(
             f"there is no result form {short_repr(name)}", suggestions=nearest(name, known)
         )
-    return alike[0]
+    return spellings[0]
 
 
-def tables_of_forms(names: Iterable[str]) -> frozenset[str]:
-    """The tables that forms read beside that of entities; those that are no forms read none."""
-    found: frozenset[str] = frozenset()
+def tables_read_by(names: Iterable[str]) -> frozenset[str]:
+    """Returns the tables, beside `entities`, that forms read; unknown names count as none."""
+    tables: frozenset[str] = frozenset()
     for name in names:
-        forms = [_ADAPTERS[name]] if name in _ADAPTERS else _alike(name)
-        found = found.union(*(form.tables for form in forms))
-    return found
+        all_adapters = [_ADAPTERS[name]] if name in _ADAPTERS else _in_any_case(name)
+        tables = tables.union(*(form.tables for form in all_adapters))
+    return tables
 
 
-def _alike(name: str) -> list[Adapter]:
+def _in_any_case(name: str) -> list[Adapter]:
     folded = name.casefold()
     return [form for known, form in _ADAPTERS.items() if known.casefold() == folded]
 
 
-def forms() -> list[Adapter]:
-    """All forms, ssduck's own first; those of packages that cannot be imported left out."""
+def all_adapters() -> list[Adapter]:
+    """Returns all forms, the built-in ones first; packages that fail to import are left out."""
     for name in _entry_points().keys() - _ADAPTERS.keys():
         try:
             find(name)
-        except ArgumentError:  # whoever asks for it by name is told
+        except ArgumentError:  # reported when a program uses the form
             continue
     return list(dict.fromkeys(_ADAPTERS.values()))
 
@@ -150,18 +156,19 @@ def _entry_points() -> dict[str, Any]:
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
-def _loaded(name: str, point: Any) -> Adapter:
+def _load(name: str, point: Any) -> Adapter:
+    """Imports the form of an entry point: an `Adapter` or a function."""
     try:
-        found = point.load()
+        loaded = point.load()
     except Exception as error:
         raise ArgumentError(
             f"AS {name}: {point.value} cannot be loaded: {error_text(error)}"
         ) from error
-    if isinstance(found, Adapter):
-        return found
-    if not callable(found):
+    if isinstance(loaded, Adapter):
+        return loaded
+    if not callable(loaded):
         raise ArgumentError(f"AS {name}: {point.value} is no function and no Adapter")
-    return Adapter((name,), inspect.getdoc(found) or f"A form of {point.value}.", found)
+    return Adapter((name,), inspect.getdoc(loaded) or f"A form of {point.value}.", loaded)
 
 
-__all__ = ["Adapter", "Need", "Selection", "adapter", "find", "forms", "tables_of_forms"]
+__all__ = ["Adapter", "Need", "Selection", "adapter", "all_adapters", "find", "tables_read_by"]

@@ -1,4 +1,4 @@
-"""What `ss.sql` gives: rows that stay as they were when the query ran."""
+"""Defines `Result`, the rows that `ss.sql` returns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from ssduck.adapters.table_view import TableView
 
-# A result of more columns does not name them all.
+# Representations list at most this number of columns.
 _MOST_NAMED = 12
 _TYPES = {
     pa.null(): "null",
@@ -48,10 +48,14 @@ _FAMILIES = (
 
 
 class Result(RowsOfColumns):
-    """The rows of an SQL query, all of them fetched: stepping the world does not change them.
+    """The rows of an SQL query, all fetched, so that stepping the world does not change them.
 
     Args:
         table: the rows.
+
+    >>> result = Result(pa.table({"name": ["sink", "table"]}))
+    >>> result.types, result.fetchone(), len(result)
+    (['varchar'], ('sink',), 2)
     """
 
     def __init__(self, table: pa.Table) -> None:
@@ -65,44 +69,44 @@ class Result(RowsOfColumns):
 
     @property
     def types(self) -> list[str]:
-        """The types of the columns, as DuckDB calls them."""
+        """DuckDB's names of the columns' types."""
         return [_type_name(column.type) for column in self._table.columns]
 
     @property
     def shape(self) -> tuple[int, int]:
-        """How many rows and columns there are."""
+        """The numbers of rows and of columns."""
         return (self._table.num_rows, self._table.num_columns)
 
     def fetchall(self) -> list[tuple[Any, ...]]:
-        """The rows that were not fetched yet, as tuples."""
+        """Returns the rows not fetched yet, as tuples."""
         return self.fetchmany(self._table.num_rows)
 
     def fetchmany(self, size: int = 1) -> list[tuple[Any, ...]]:
-        """The next rows, at most that many.
+        """Returns the next rows, at most `size`, as tuples.
 
         Raises:
-            NumberError: that is no whole number, 0 or more.
+            NumberError: `size` is not a whole number of at least 0.
         """
         size = validation.integer(size, "fetchmany: size", minimum=0)
         part = self._table.slice(self._fetched, size)
         self._fetched += part.num_rows
-        columns = [values_of(column) for column in part.columns]
+        columns = [python_values(column) for column in part.columns]
         return list(zip(*columns, strict=True)) if columns else []
 
     def fetchone(self) -> tuple[Any, ...] | None:
-        """The next row, None behind the last."""
+        """Returns the next row; None after the last one."""
         rows = self.fetchmany(1)
         return rows[0] if rows else None
 
     def arrow(self) -> pa.Table:
-        """As a pyarrow table."""
+        """Returns the rows as a pyarrow table."""
         return self._table
 
     def df(self) -> pd.DataFrame:
-        """As a pandas data frame.
+        """Returns the rows as a pandas data frame.
 
         Raises:
-            UnsupportedError: pandas is not installed, and how to install it.
+            UnsupportedError: pandas is not installed; the message says how to install it.
         """
         from ssduck.adapters.optional import library
 
@@ -110,10 +114,10 @@ class Result(RowsOfColumns):
         return self._table.to_pandas()
 
     def pl(self) -> pl.DataFrame:
-        """As a polars data frame.
+        """Returns the rows as a polars data frame.
 
         Raises:
-            UnsupportedError: polars is not installed, and how to install it.
+            UnsupportedError: polars is not installed; the message says how to install it.
         """
         from ssduck.adapters.optional import library
 
@@ -131,48 +135,51 @@ class Result(RowsOfColumns):
         if count > _MOST_NAMED:
             half = _MOST_NAMED // 2
             names = [*names[:half], "…", *names[-half:]]
-        of = f"{count} columns: " if count > _MOST_NAMED else ""
-        return f"<Result: {rows} rows of {of}{', '.join(names)}>"
+        prefix = f"{count} columns: " if count > _MOST_NAMED else ""
+        return f"<Result: {rows} rows of {prefix}{', '.join(names)}>"
 
     def __str__(self) -> str:
-        """The first rows as a table."""
-        return repr(_shown(self))
+        """Returns the first rows as a text table."""
+        return repr(_view(self))
 
     def _repr_html_(self) -> str:
-        """A table for notebooks, of the first rows."""
-        return _shown(self)._repr_html_()  # notebooks call it so
+        """Returns the first rows as an HTML table for notebooks."""
+        return _view(self)._repr_html_()
 
     def __rich__(self) -> TableView:
-        return _shown(self)
+        return _view(self)
 
 
-def _shown(result: Result) -> TableView:
+def _view(result: Result) -> TableView:
     from ssduck.adapters.table_view import TableView
 
     return TableView(result)
 
 
-def values_of(column: pa.ChunkedArray | pa.Array) -> list[Any]:
-    """A column's values as DuckDB gives them: its 128-bit integers travel as decimals."""
+def python_values(column: pa.ChunkedArray | pa.Array) -> list[Any]:
+    """Returns the Python values of a column; integral decimals become int.
+
+    DuckDB exports its 128-bit integers as decimals.
+    """
     values: list[Any] = column.to_pylist()
     if pa.types.is_decimal(column.type) and (column.type.precision, column.type.scale) == (38, 0):
         return [None if value is None else int(value) for value in values]
     return values
 
 
-def _type_name(of: pa.DataType) -> str:
-    """What DuckDB calls a type of Arrow's."""
-    if pa.types.is_dictionary(of):  # an enumeration
-        return _type_name(of.value_type)
-    if pa.types.is_list(of) or pa.types.is_large_list(of):
-        return f"{_type_name(of.value_type)}[]"
-    if pa.types.is_fixed_size_list(of):
-        return f"{_type_name(of.value_type)}[{of.list_size}]"
-    if pa.types.is_decimal(of) and of not in _TYPES:
-        return f"decimal({of.precision},{of.scale})"
-    if pa.types.is_timestamp(of):
-        return "timestamp with time zone" if of.tz else "timestamp"
-    for is_one, name in _FAMILIES:
-        if is_one(of):
+def _type_name(type: pa.DataType) -> str:
+    """Returns DuckDB's name of an Arrow type."""
+    if pa.types.is_dictionary(type):  # an enumeration
+        return _type_name(type.value_type)
+    if pa.types.is_list(type) or pa.types.is_large_list(type):
+        return f"{_type_name(type.value_type)}[]"
+    if pa.types.is_fixed_size_list(type):
+        return f"{_type_name(type.value_type)}[{type.list_size}]"
+    if pa.types.is_decimal(type) and type not in _TYPES:
+        return f"decimal({type.precision},{type.scale})"
+    if pa.types.is_timestamp(type):
+        return "timestamp with time zone" if type.tz else "timestamp"
+    for is_family, name in _FAMILIES:
+        if is_family(type):
             return name
-    return _TYPES.get(of, str(of))
+    return _TYPES.get(type, str(type))

@@ -1,8 +1,9 @@
-"""Maps as ROS's map_server has them: a picture (PGM, P5) and a YAML file that says what it shows.
+"""Reads and writes maps of ROS's map_server: a picture (PGM, P5) and its YAML file.
 
-http://wiki.ros.org/map_server: a pixel x is occupied if (255 - x) / 255 is above `occupied_thresh`,
-free if it is below `free_thresh`, else unknown; with `negate` x / 255 counts. The lower left pixel
-is at `origin`. The key `z` is ssduck's own, and of no account to others.
+The format is described at http://wiki.ros.org/map_server. A pixel x is occupied if
+(255 - x) / 255 is above `occupied_thresh`, free if it is below `free_thresh`, otherwise unknown;
+with `negate`, x / 255 is compared instead. The lower left pixel is at `origin`. The key `z` is an
+addition of ssduck, which other programs ignore.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from ssduck.formatting import error_text
 
 FREE, OCCUPIED = 254, 0
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
-_NEEDED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+_REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
 
 def save(
@@ -29,7 +30,7 @@ def save(
     resolution: float,
     z: float | tuple[float, float],
 ) -> Path:
-    """Write both files; gives the path of the YAML file."""
+    """Writes both files and returns the path of the YAML file."""
     import yaml
     from PIL import Image
 
@@ -48,7 +49,7 @@ def save(
         "z": list(z) if isinstance(z, tuple) else z,
     }
     try:
-        str(path).encode()  # before anything is written: some names are no text
+        str(path).encode()  # fails before anything is written if the name cannot be encoded
         Image.fromarray(pixels).save(picture, "PPM")
         with path.open("w", encoding="utf-8", newline="\n") as file:
             yaml.safe_dump(values, file, sort_keys=False, default_flow_style=None, width=math.inf)
@@ -60,10 +61,10 @@ def save(
 def load(
     path: Path, *, unknown: bool | None
 ) -> tuple[npt.NDArray[np.bool_], tuple[float, ...], float, float | tuple[float, float]]:
-    """The cells, the origin, the resolution and the height, 0 if it is not said.
+    """Returns the cells, the origin, the resolution and the height (0 if the file has none).
 
     Raises:
-        ArgumentError: it is no such map, or is turned, or has cells that are unknown.
+        ArgumentError: the file is not such a map; the map is rotated; or it has unknown cells.
     """
     from PIL import Image
 
@@ -71,7 +72,7 @@ def load(
     try:
         with Image.open(path.parent / str(values["image"])) as picture:
             shade = np.asarray(picture.convert("L"), dtype=np.float64).T[:, ::-1] / 255.0
-        x, y, turn = map(float, values["origin"])
+        x, y, yaw = map(float, values["origin"])
         resolution = float(values["resolution"])
         thresholds = float(values["occupied_thresh"]), float(values["free_thresh"])
         height = values.get("z", 0.0)
@@ -84,22 +85,22 @@ def load(
         )
     if values.get("mode") == "raw":
         raise ArgumentError(f"{path}: the mode is raw; trinary and scale can be read")
-    if turn != 0.0:
-        raise ArgumentError(f"{path}: the map is turned by {turn:g} rad; grids are along the axes")
+    if yaw != 0.0:
+        raise ArgumentError(f"{path}: the map is turned by {yaw:g} rad; grids are along the axes")
     if values["negate"] not in (1, "true", "True"):
         shade = 1.0 - shade
     occupied, free = shade > thresholds[0], shade < thresholds[1]
-    lost = int((~occupied & ~free).sum())
-    if lost and unknown is None:
+    unknown_count = int((~occupied & ~free).sum())
+    if unknown_count and unknown is None:
         raise ArgumentError(
-            f"{path}: {lost} cells are unknown; load(path, unknown=True) takes them for occupied, "
-            "unknown=False for free"
+            f"{path}: {unknown_count} cells are unknown; load(path, unknown=True) takes them for "
+            "occupied, unknown=False for free"
         )
     return (~free if unknown else occupied), (x, y), resolution, z  # type: ignore[return-value]
 
 
 def _values(path: Path) -> dict[str, Any]:
-    """The keys and values of the YAML file."""
+    """Returns the keys and values of the YAML file."""
     import yaml
 
     try:
@@ -109,8 +110,8 @@ def _values(path: Path) -> dict[str, Any]:
         raise ArgumentError(f"{path} cannot be read: {line}{error.problem}") from error
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ArgumentError(f"{path} cannot be read: {error_text(error)}") from error
-    found: dict[str, Any] = values if isinstance(values, dict) else {}
-    missing = [key for key in _NEEDED if key not in found]
+    entries: dict[str, Any] = values if isinstance(values, dict) else {}
+    missing = [key for key in _REQUIRED if key not in entries]
     if missing:
         raise ArgumentError(f"{path} is no map of ROS's map_server: it has no {missing[0]}")
-    return found
+    return entries

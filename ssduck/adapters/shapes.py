@@ -1,4 +1,4 @@
-"""The shapes of what a query selected, for forms of space."""
+"""Finds the shapes of selected entities, for spatial result forms."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ssduck.geometry.solids import PlacedSolids
 from ssduck.world.entities import Entity, Sensor
 from ssduck.world.world import World
 
-# What such a form reads of the tick.
+# The table that these result forms read.
 SHAPES = frozenset(("shapes",))
 
 
 def shapes_of(selection: Selection) -> PlacedSolids:
-    """The shapes of what is selected, at the tick of the query; sensors have none."""
+    """Returns the shapes of the selected entities at the tick of the query; sensors have none."""
     entities = [entity for entity in selection.entities if not isinstance(entity, Sensor)]
     if not entities:
         return PlacedSolids.none()
@@ -23,11 +23,11 @@ def shapes_of(selection: Selection) -> PlacedSolids:
 
 
 def placed_shapes(world: World, entities: Sequence[Entity]) -> PlacedSolids:
-    """The shapes of entities of a world, as it is at its tick.
+    """Returns the shapes of entities at the tick of their world.
 
     Raises:
-        RemovedEntityError: one is no longer there.
-        ArgumentError: one's pose is no number.
+        RemovedEntityError: an entity has been removed.
+        ArgumentError: the pose of an entity is not finite.
     """
     for entity in entities:
         if not entity.is_there:

@@ -1,4 +1,4 @@
-"""Shapes in space: point clouds, meshes, glTF files, pictures."""
+"""Defines the spatial result forms: point clouds, meshes, glTF files, pictures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.highlight import highlighted
-from ssduck.adapters.point_cloud import PointCloud, sampled
+from ssduck.adapters.point_cloud import PointCloud, sample_points
 from ssduck.adapters.shapes import SHAPES, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.geometry.solids import Solid
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import trimesh
     from PIL import Image
 
-# glTF has y up, and looks along -z.
+# In glTF, y points up and cameras look along -z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
 
@@ -29,8 +29,10 @@ _COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
     placed = shapes_of(selection)
     ids = {entity.id: entity.name for entity in selection.entities}
-    spread = validation.length(spacing, "spacing")
-    return sampled(placed, ids, spread, validation.integer_between(seed, "seed", 0, sys.maxsize))
+    mean_distance = validation.length(spacing, "spacing")
+    return sample_points(
+        placed, ids, mean_distance, validation.integer_between(seed, "seed", 0, sys.maxsize)
+    )
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
@@ -56,7 +58,7 @@ def _mesh(selection: Selection) -> trimesh.Scene:
 
 
 def _triangles(solid: Solid) -> Any:
-    """A shape's triangles in its own frame; None of a plane."""
+    """Returns the triangles of a shape in its own frame; None for a plane."""
     import trimesh
     from trimesh import creation
 
@@ -64,14 +66,14 @@ def _triangles(solid: Solid) -> Any:
         case "plane":
             return None
         case "sphere":
-            ball = creation.icosphere(subdivisions=3, radius=solid.radius)
-            ball.apply_translation(solid.core[0])
-            return ball
+            mesh = creation.icosphere(subdivisions=3, radius=solid.radius)
+            mesh.apply_translation(solid.core[0])
+            return mesh
         case "capsule":
-            tube = creation.capsule(height=2.0 * solid.half_length, radius=solid.radius)
-            # trimesh has had its middle at the one end and in between.
-            tube.apply_translation((0.0, 0.0, -tube.bounds[:, 2].mean()))
-            return tube
+            mesh = creation.capsule(height=2.0 * solid.half_length, radius=solid.radius)
+            # The origin of the capsule differs between versions of trimesh.
+            mesh.apply_translation((0.0, 0.0, -mesh.bounds[:, 2].mean()))
+            return mesh
         case "cylinder":
             return creation.cylinder(
                 radius=solid.disc_radius, height=2.0 * solid.half_length, sections=64
@@ -85,8 +87,8 @@ def _glb(selection: Selection, path: Any) -> str:
     if not scene.geometry:
         raise ArgumentError("nothing that is selected has shapes, and a glTF file has some")
     scene.apply_transform(_UPRIGHT)
-    stored = scene.export(file_type="glb")
-    replace_file(file, lambda stream: stream.write(stored))
+    content = scene.export(file_type="glb")
+    replace_file(file, lambda stream: stream.write(content))
     return str(file)
 
 

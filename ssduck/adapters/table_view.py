@@ -1,4 +1,4 @@
-"""Values as tables for people: in a terminal, in a notebook."""
+"""Shows values as tables in a terminal or a notebook."""
 
 from __future__ import annotations
 
@@ -9,70 +9,76 @@ from typing import Any
 from ssduck import validation
 from ssduck.adapters.display import (
     DisplayTable,
-    answer_of,
-    fitted,
-    lines_of,
+    display_table,
+    fitted_table,
     readable,
     terminal_width,
+    text_lines,
 )
 from ssduck.adapters.text_table import FittedTable
 
-# So many rows are shown.
+# The number of rows shown by default.
 MOST_ROWS = 20
 
 
 class TableView:
-    """What shows as a table: its first rows, numbers rounded to six digits.
+    """A view of a value as a table: its first rows, numbers rounded to six digits.
 
-    A terminal shows it as text that fits, a notebook as HTML, rich as a table of its own.
-    Text that goes elsewhere is as wide as it is.
+    A terminal shows text that fits its width, a notebook shows HTML, and rich a table of its own.
+    Other output is text at full width.
 
     Args:
-        value: the rows: a list of dicts, say.
-        rows: how many are shown at most.
+        value: the rows, a list of dicts for example.
+        rows: the maximal number of rows shown.
 
     Raises:
-        NumberError: that is no whole number, 0 or more.
+        NumberError: `rows` is not a whole number of at least 0.
+
+    >>> TableView([{"id": "sink", "volume": 0.03}, {"id": "cup", "volume": 4e-4}], rows=1)
+    id    volume
+    ----  ------
+    sink    0.03
+    first 1 of 2 rows
     """
 
     def __init__(self, value: Any, rows: int = MOST_ROWS) -> None:
         rows = validation.integer(rows, "show: rows", minimum=0)
-        answer = answer_of(value)
-        self._count = len(answer.rows)
-        self._answer: DisplayTable = replace(answer, rows=list(answer.rows)[:rows])
+        table = display_table(value)
+        self._count = len(table.rows)
+        self._table: DisplayTable = replace(table, rows=list(table.rows)[:rows])
 
     @property
-    def _more(self) -> str:
-        """How many rows there are, if not all are shown, or none."""
-        shown = len(self._answer.rows)
+    def _note(self) -> str:
+        """The note on rows that are not shown; empty if all are."""
+        shown = len(self._table.rows)
         if not self._count:
             return "(no rows)"
         return f"first {shown} of {self._count} rows" if shown < self._count else ""
 
     def __repr__(self) -> str:
-        answer = self._answer
-        if answer.columns and not answer.named:
-            lines = [readable(row[0]) for row in answer.rows]
+        table = self._table
+        if table.columns and not table.named:
+            lines = [readable(row[0]) for row in table.rows]
         elif (width := terminal_width()) is not None:
             return "\n".join(self.__rich__().lines(width))
         else:
-            lines = list(lines_of(answer)) if answer.columns or answer.rows else []
-        return "\n".join([*lines, self._more] if self._more else lines)
+            lines = list(text_lines(table)) if table.columns or table.rows else []
+        return "\n".join([*lines, self._note] if self._note else lines)
 
     def _repr_html_(self) -> str:
-        answer = self._answer
-        head = "".join(f"<th>{_cell(name)}</th>" for name in answer.columns if answer.named)
+        view = self._table
+        head = "".join(f"<th>{_cell(name)}</th>" for name in view.columns if view.named)
         body = "".join(
             "<tr>" + "".join(f"<td>{_cell(value)}</td>" for value in row) + "</tr>"
-            for row in answer.rows
+            for row in view.rows
         )
-        more = f"<p>{self._more}</p>" if self._more else ""
-        table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-        # A wide table is scrolled; the notebook is not made wider by it.
-        return f'<div style="overflow-x: auto">{table}</div>{more}'
+        note = f"<p>{self._note}</p>" if self._note else ""
+        html_table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        # A wide table scrolls instead of widening the notebook.
+        return f'<div style="overflow-x: auto">{html_table}</div>{note}'
 
     def __rich__(self) -> FittedTable:
-        return fitted(self._answer, self._more)
+        return fitted_table(self._table, self._note)
 
 
 def _cell(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Rows as tables: Arrow's, data frames, arrays, JSON, Parquet files."""
+"""Defines the tabular result forms: Arrow tables, data frames, arrays, JSON, Parquet files."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import pyarrow as pa
 
 from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
-from ssduck.adapters.columns import distinct, plain_value, table_of
+from ssduck.adapters.columns import checked_names, plain_value, table_of
 from ssduck.adapters.display import as_json
 from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.optional import library
-from ssduck.adapters.result import Result, values_of
+from ssduck.adapters.result import Result, python_values
 from ssduck.sql.types import EXACT
 
-# What numpy's integers of 64 bits hold.
-_MOST = 2**63
-# Letters that a level of JSON is indented by.
+# The upper bound of numpy's 64-bit integers.
+_INT64_END = 2**63
+# The largest indentation of a level of JSON, characters.
 _MOST_INDENT = 80
 
 
@@ -31,14 +31,14 @@ def _result(selection: Selection) -> Result:
 
 
 def _df(selection: Selection) -> Any:
-    """Integers and truths among which some are missing stay what they are."""
+    """Returns a data frame; integers and booleans keep their type if values are missing."""
     pandas = library("pandas", "pandas")
     table = table_of(selection)
     nullable = {pa.int64(): pandas.Int64Dtype(), pa.bool_(): pandas.BooleanDtype()}
     frame = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         if pa.types.is_nested(column.type) or pa.types.is_decimal(column.type):
-            frame[name] = pandas.Series(values_of(column), dtype=object)
+            frame[name] = pandas.Series(python_values(column), dtype=object)
         else:
             frame[name] = column.to_pandas(types_mapper=nullable.get if column.null_count else None)
     return pandas.DataFrame(frame)
@@ -47,7 +47,7 @@ def _df(selection: Selection) -> Any:
 def _polars(selection: Selection) -> Any:
     polars = library("polars", "polars")
     table = table_of(selection)
-    # Decimals of a program's own may have digits behind the point.
+    # Only integral decimals become integers; a program may also return decimal fractions.
     large = [
         field.name
         for field in table.schema
@@ -59,24 +59,24 @@ def _polars(selection: Selection) -> Any:
 def _json(selection: Selection, indent: int | None = None) -> str:
     if indent is not None:
         validation.integer_between(indent, "indent", 0, _MOST_INDENT)
-    names = distinct(selection.columns)
+    names = checked_names(selection.columns)
     rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
     return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)
 
 
 def _records(selection: Selection) -> list[tuple[Any, ...]]:
-    record = _record(tuple(map(str, selection.columns)))
-    return [record._make(row) for row in selection.rows]
+    row_class = _row_class(tuple(map(str, selection.columns)))
+    return [row_class._make(row) for row in selection.rows]
 
 
 @lru_cache
-def _record(names: tuple[str, ...]) -> Any:
-    """The same class for the same columns, so that triggers can compare results."""
+def _row_class(names: tuple[str, ...]) -> Any:
+    """Returns the tuple class of columns, always the same one, so that results compare equal."""
     return namedtuple("Row", names, rename=True)  # noqa: PYI024
 
 
 def _parquet(selection: Selection, file: str) -> str:
-    """It takes the place of a file of that name at once, when it is written."""
+    """Writes a Parquet file and atomically replaces an existing file of that name."""
     import pyarrow.parquet as pq
 
     path = check_file(selection, file)
@@ -95,11 +95,11 @@ def _numpy(selection: Selection) -> npt.NDArray[Any]:
     columns = [[plain_value(value) for value in column] for column in zip(*rows, strict=True)]
     arrays = [_array(column) for column in columns]
     kinds = {array.dtype.kind for array in arrays}
-    exact = "f" not in kinds or all(_is_exact(array) for array in arrays)
-    alike = (kinds <= {"i", "f"} and exact) or kinds == {"b"}
-    if alike and all(array.ndim <= 2 for array in arrays):
+    are_exact = "f" not in kinds or all(_are_exact(array) for array in arrays)
+    is_plain_array = (kinds <= {"i", "f"} and are_exact) or kinds == {"b"}
+    if is_plain_array and all(array.ndim <= 2 for array in arrays):
         return np.column_stack(arrays)
-    names = distinct(selection.columns)
+    names = checked_names(selection.columns)
     types = [(name, a.dtype, a.shape[1:]) for name, a in zip(names, arrays, strict=True)]
     table = np.zeros(len(rows), types)
     for name, array in zip(names, arrays, strict=True):
@@ -107,22 +107,22 @@ def _numpy(selection: Selection) -> npt.NDArray[Any]:
     return table
 
 
-def _is_exact(array: npt.NDArray[Any]) -> bool:
-    """Whether numbers stay what they are as floats."""
+def _are_exact(array: npt.NDArray[Any]) -> bool:
+    """Whether all numbers can be converted to floats without rounding."""
     return array.dtype.kind != "i" or bool(((array >= -EXACT) & (array <= EXACT)).all())
 
 
 def _array(column: list[Any]) -> npt.NDArray[Any]:
-    """Of numbers, truths or texts, or of lists of as many; of anything else of objects."""
+    """Returns an array of numbers, booleans, strings or equal-length lists; else of objects."""
     shape, flat = _flattened(column)
     present = [value for value in flat if value is not None]
-    kinds, is_whole = set(map(type, present)), len(present) == len(flat)
-    if kinds in ({bool}, {str}) and is_whole:
+    kinds, is_complete = set(map(type, present)), len(present) == len(flat)
+    if kinds in ({bool}, {str}) and is_complete:
         return np.array(flat).reshape(shape)
-    if kinds == {int} and is_whole and all(-_MOST <= n < _MOST for n in flat):
+    if kinds == {int} and is_complete and all(-_INT64_END <= n < _INT64_END for n in flat):
         return np.array(flat, np.int64).reshape(shape)
-    exact = all(type(n) is float or abs(n) <= EXACT for n in present if type(n) in (int, float))
-    if kinds and kinds <= {int, float} and exact:
+    are_exact = all(type(n) is float or abs(n) <= EXACT for n in present if type(n) in (int, float))
+    if kinds and kinds <= {int, float} and are_exact:
         return np.array(flat, float).reshape(shape)  # None becomes NaN
     objects = np.full(len(column), None, object)
     for index, value in enumerate(column):
@@ -131,7 +131,7 @@ def _array(column: list[Any]) -> npt.NDArray[Any]:
 
 
 def _flattened(column: list[Any]) -> tuple[tuple[int, ...], list[Any]]:
-    """The shape of values, as far as all are lists of as many, and what is in these."""
+    """Returns the shape of values, as far as they are lists of equal length, and the elements."""
     shape: tuple[int, ...] = (len(column),)
     while column and all(type(value) is list for value in column):
         lengths = set(map(len, column))

@@ -1,8 +1,9 @@
-"""Tables that fit a terminal, whatever its width.
+"""Fits text tables to the width of a terminal.
 
-What is too wide is folded at spaces, as long as every column has room for its longest word. Else
-it is elided, as DuckDB's box does: columns in the middle become a column of …, long texts end
-with …, and a line below tells how many columns there are. Nothing is cut without such a mark.
+Cells that are too wide are folded at spaces, as long as every column has room for its longest
+word. Otherwise they are elided, as in the tables of DuckDB's shell: a column of … replaces the
+middle columns, long texts end with …, and a line below gives the number of columns. Every cut
+bears this mark.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 MARK = "…"
 GAP = "   "
-# A column of texts is not made narrower than that, in cells of a terminal.
+# The least width to which a column of texts is reduced, in cells of a terminal.
 NARROWEST = 20
 
 
@@ -30,10 +31,9 @@ class TextColumn:
     """A column of a table, as texts of one line each.
 
     Attributes:
-        head: its name, and its type if that is known; empty in a table without a head.
+        head: the name, and the type if it is known; empty in a table without a head.
         cells: a text for each row.
-        numeric: whether these are numbers: they are aligned at the right, and not cut as long
-            as there is room for them.
+        numeric: whether the cells are numbers, which are aligned right and cut last.
     """
 
     head: tuple[str, ...]
@@ -41,33 +41,33 @@ class TextColumn:
     numeric: bool
 
     @cached_property
-    def natural(self) -> int:
-        """The width at which nothing is folded or elided."""
+    def natural_width(self) -> int:
+        """The width without folding and eliding."""
         return max(map(_width, (*self.head, *self.cells)), default=0)
 
     @property
-    def foldable(self) -> int:
-        """The width down to which it may be folded: no word is broken."""
+    def min_folded_width(self) -> int:
+        """The least width when folded: no word is broken."""
         texts = (*self.head, *self.cells)
         words = texts if self.numeric else {word for text in texts for word in text.split()}
-        return max(min(self.natural, NARROWEST), max(map(_width, words), default=0))
+        return max(min(self.natural_width, NARROWEST), max(map(_width, words), default=0))
 
     @property
-    def elidable(self) -> int:
-        """The width down to which it may be elided: numbers stay whole."""
+    def min_elided_width(self) -> int:
+        """The least width when elided: numbers stay whole."""
         numbers = self.cells if self.numeric else ()
-        return max(min(self.natural, NARROWEST), max(map(_width, numbers), default=0))
+        return max(min(self.natural_width, NARROWEST), max(map(_width, numbers), default=0))
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What is shown of a table.
+    """The visible columns of a table and their widths.
 
     Attributes:
-        columns: those that are shown, a column of marks in the place of those that are not.
-        widths: of each.
-        folds: whether cells are folded; else they are elided.
-        omitted: how many columns are not shown.
+        columns: the visible columns; a column of marks replaces the omitted ones.
+        widths: the width of each column.
+        folds: whether wide cells are folded; otherwise they are elided.
+        omitted: the number of columns left out.
     """
 
     columns: Sequence[TextColumn]
@@ -77,11 +77,11 @@ class _Layout:
 
 
 class FittedTable:
-    """A table as wide as a console of rich's, or as a number of cells.
+    """A table that fits a rich console or a given width.
 
     Args:
-        columns: the columns; all have as many cells.
-        note: what a line below tells of the rows; empty for nothing.
+        columns: the columns; all have the same number of cells.
+        note: a line below the rows; empty for none.
     """
 
     def __init__(self, columns: Sequence[TextColumn], note: str = "") -> None:
@@ -89,15 +89,15 @@ class FittedTable:
         self._note = note
 
     def lines(self, width: int) -> list[str]:
-        """The lines; none is wider than that."""
-        head, below = self._parts(width)
-        return [*head, *below]
+        """Returns the lines, each at most `width` cells wide."""
+        head, body = self._parts(width)
+        return [*head, *body]
 
     def __rich_console__(self, _: Console, options: ConsoleOptions) -> RenderResult:
         from rich.text import Text
 
-        head, below = self._parts(options.max_width)
-        for lines, style in ((head[:-1], "bold"), ([*head[-1:], *below], "")):
+        head, body = self._parts(options.max_width)
+        for lines, style in ((head[:-1], "bold"), ([*head[-1:], *body], "")):
             if lines:
                 yield Text("\n".join(lines), style=style, no_wrap=True, overflow="ignore")
 
@@ -108,7 +108,7 @@ class FittedTable:
         return Measurement(widest, widest)
 
     def _parts(self, width: int) -> tuple[list[str], list[str]]:
-        """The lines of the head, its rule the last one; and those below."""
+        """Returns the lines of the head, with its rule, and the lines below."""
         width = max(width, 1)
         layout = _layout(self._columns, width)
         names = zip(*(column.head for column in layout.columns), strict=True)
@@ -116,8 +116,8 @@ class FittedTable:
         if head:
             head.append("─" * _total(layout.widths))
         rows = zip(*(column.cells for column in layout.columns), strict=True)
-        below = [line for texts in rows for line in _lines(layout, texts)]
-        return head, [*below, *self._notes(layout, width)]
+        body = [line for texts in rows for line in _lines(layout, texts)]
+        return head, [*body, *self._notes(layout, width)]
 
     def _notes(self, layout: _Layout, width: int) -> list[str]:
         notes = [self._note] if self._note else []
@@ -132,79 +132,87 @@ class FittedTable:
 
 
 def elided(text: str, width: int) -> str:
-    """A text that is not wider than so many cells of a terminal; … for what is left out."""
+    """Returns a text of at most `width` cells of a terminal; … stands for the omitted end.
+
+    >>> elided("microwave", 6)
+    'micro…'
+    """
     if _width(text) <= width:
         return text
-    kept, taken = [], _width(MARK)
+    letters, width_so_far = [], _width(MARK)
     for letter in text:
-        taken += _width(letter)
-        if taken > width:
+        width_so_far += _width(letter)
+        if width_so_far > width:
             break
-        kept.append(letter)
-    return "".join(kept) + MARK
+        letters.append(letter)
+    return "".join(letters) + MARK
 
 
 def _width(text: str) -> int:
-    """How many cells of a terminal a text takes."""
+    """Returns the number of terminal cells that a text takes."""
     return len(text) if text.isascii() else int(cell_len(text))
 
 
-# -- how wide ---------------------------------------------------------------------------------
+# -- widths -----------------------------------------------------------------------------------
 
 
 def _layout(columns: Sequence[TextColumn], width: int) -> _Layout:
-    natural = [column.natural for column in columns]
+    natural = [column.natural_width for column in columns]
     if _total(natural) <= width:
         return _Layout(columns, natural)
-    foldable = [column.foldable for column in columns]
-    if _total(foldable) <= width:
-        return _Layout(columns, _spread(foldable, natural, width), folds=True)
-    elidable = [column.elidable for column in columns]
-    if _total(elidable) <= width:
-        return _Layout(columns, _spread(elidable, natural, width))
+    min_folded = [column.min_folded_width for column in columns]
+    if _total(min_folded) <= width:
+        return _Layout(columns, _spread(min_folded, natural, width), folds=True)
+    min_elided = [column.min_elided_width for column in columns]
+    if _total(min_elided) <= width:
+        return _Layout(columns, _spread(min_elided, natural, width))
     if len(columns) == 1:
         return _Layout(columns, [width])
-    return _outermost(columns, natural, elidable, width)
+    return _outermost(columns, natural, min_elided, width)
 
 
 def _outermost(
-    columns: Sequence[TextColumn], natural: Sequence[int], elidable: Sequence[int], width: int
+    columns: Sequence[TextColumn], natural: Sequence[int], min_elided: Sequence[int], width: int
 ) -> _Layout:
-    """As many columns from both sides as there is room for, beside a mark in the middle."""
+    """Keeps as many columns on both sides as fit, with a column of marks between them."""
     rows = len(columns[0].cells)
     mark = TextColumn((MARK,) * len(columns[0].head), [MARK] * rows, numeric=False)
-    marked = width - len(GAP) - mark.natural
-    if elidable[0] > marked:  # not even one
-        if marked < 1:
+    room_beside_mark = width - len(GAP) - mark.natural_width
+    if min_elided[0] > room_beside_mark:  # not even one column fits
+        if room_beside_mark < 1:
             return _Layout(columns[:1], [width], omitted=len(columns) - 1)
-        return _Layout([columns[0], mark], [marked, mark.natural], omitted=len(columns) - 1)
+        return _Layout(
+            [columns[0], mark], [room_beside_mark, mark.natural_width], omitted=len(columns) - 1
+        )
     left, right = 1, 0
     while True:
-        more = (left, right + 1) if right < left else (left + 1, right)
-        sides = [*elidable[: more[0]], *elidable[len(columns) - more[1] :]]
-        if _total(sides) > marked:
+        tried = (left, right + 1) if right < left else (left + 1, right)
+        sides = [*min_elided[: tried[0]], *min_elided[len(columns) - tried[1] :]]
+        if _total(sides) > room_beside_mark:
             break
-        left, right = more
+        left, right = tried
     end = len(columns) - right
     chosen = [*columns[:left], *columns[end:]]
-    widths = _spread([*elidable[:left], *elidable[end:]], [*natural[:left], *natural[end:]], marked)
+    widths = _spread(
+        [*min_elided[:left], *min_elided[end:]], [*natural[:left], *natural[end:]], room_beside_mark
+    )
     chosen.insert(left, mark)
-    widths.insert(left, mark.natural)
+    widths.insert(left, mark.natural_width)
     return _Layout(chosen, widths, omitted=end - left)
 
 
 def _total(widths: Sequence[int]) -> int:
-    """The width of columns beside each other."""
+    """Returns the width of columns side by side."""
     return sum(widths) + len(GAP) * max(len(widths) - 1, 0)
 
 
 def _spread(least: Sequence[int], natural: Sequence[int], width: int) -> list[int]:
-    """Widths between the least and the natural ones that take all the room there is."""
+    """Returns widths between the least and the natural ones that fill the available width."""
     widths = list(least)
     room = width - _total(widths)
-    while room and (narrow := [n for n, w in enumerate(widths) if w < natural[n]]):
-        # The narrowest one grows first, so that the wide ones end up as wide as each other.
-        chosen = min(narrow, key=widths.__getitem__)
+    while room and (growable := [n for n, w in enumerate(widths) if w < natural[n]]):
+        # Growing the narrowest column first makes the wide columns equal in the end.
+        chosen = min(growable, key=widths.__getitem__)
         widths[chosen] += 1
         room -= 1
     return widths
@@ -214,7 +222,7 @@ def _spread(least: Sequence[int], natural: Sequence[int], width: int) -> list[in
 
 
 def _lines(layout: _Layout, texts: Sequence[str]) -> Iterator[str]:
-    """The lines of a row: several if its cells are folded."""
+    """Yields the lines of a row, several if cells are folded."""
     cells = [
         _folded(text, width) if layout.folds else [elided(text, width)]
         for text, width in zip(texts, layout.widths, strict=True)
@@ -233,7 +241,7 @@ def _padded(text: str, width: int, *, right: bool) -> str:
 
 
 def _folded(text: str, width: int) -> list[str]:
-    """A text in lines, folded at spaces; a word that is wider stays whole."""
+    """Returns the lines of a text folded at spaces; words wider than a line stay whole."""
     if _width(text) <= width:
         return [text]
     lines = [""]

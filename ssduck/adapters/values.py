@@ -1,4 +1,4 @@
-"""Rows as plain Python values: dicts, a flat list, one value."""
+"""Defines the result forms of plain Python values: dicts, a flat list, a single value."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def _flat(selection: Selection) -> list[Any]:
     return list(chain.from_iterable(selection.rows))
 
 
-_NONE: Any = ()
+_NO_DEFAULT: Any = ()
 
 
-def _first(selection: Selection, default: Any = _NONE) -> Any:
+def _single_value(selection: Selection, default: Any = _NO_DEFAULT) -> Any:
     rows = selection.rows
     if rows:
         return rows[0][0]
-    return [] if default is _NONE else default
+    return [] if default is _NO_DEFAULT else default
 
 
 VALUES = (
@@ -47,6 +47,6 @@ VALUES = (
     Adapter(
         ("value", "val"),
         "The first column of the first row; default, or [], if there is none.",
-        _first,
+        _single_value,
     ),
 )

@@ -1,4 +1,4 @@
-"""The command `ssduck`: `app` has its subcommands, `records` those of recorded ticks."""
+"""The command `ssduck`: `app` has its subcommands, `records` those about records."""
 
 from typing import TYPE_CHECKING
 

@@ -1,8 +1,8 @@
-"""The command `ssduck`: demo, query, record, export, episodes, scenes, functions.
+"""Defines the command `ssduck`: demo, query, record, export, episodes, scenes, functions.
 
-Standard output carries answers only; warnings, errors and what programs print go to standard
-error. What is slow to import (the simulator, the database) is imported by the commands that
-need it, so that help is there at once.
+Standard output carries results only; warnings, errors and the output of programs go to standard
+error. Modules that are slow to import (the simulator, the database) are imported by the
+commands that need them, so that help appears at once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -28,15 +28,12 @@ from ssduck.adapters.display import (
     print_line,
     print_table,
 )
-from ssduck.cli.records import episodes, export, is_record, opened_or_loaded, record, whole_steps
+from ssduck.cli.records import episodes, export, is_record, open_or_load, record, whole_steps
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
-
-if TYPE_CHECKING:
-    pass
 
 
 class Format(StrEnum):
-    """How `ssduck query` writes an answer."""
+    """The output formats of `ssduck query`."""
 
     TABLE = "table"
     JSON = "json"
@@ -44,16 +41,16 @@ class Format(StrEnum):
 
 
 class _Commands(TyperGroup):
-    """The commands; what they raise on purpose becomes a message and an exit code."""
+    """The commands; their `SelectScriptError`s become messages and exit codes."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            with _warnings_in_one_line():
+            with _one_line_warnings():
                 result = super().invoke(ctx)
         except SelectScriptError as error:
-            _complain(str(error))
+            _write_error(str(error))
             raise typer.Exit(1) from error
-        sys.stdout.flush()  # here typer still sees that the reader has gone, and ends quietly
+        sys.stdout.flush()  # here typer still handles a closed pipe quietly
         return result
 
 
@@ -67,33 +64,33 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """The entry point of the command `ssduck`."""
+    """Runs the command `ssduck`; its entry point."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
     _prepare_streams()
-    sys.set_int_max_str_digits(0)  # an integer of the language may be longer than 4300 digits
+    sys.set_int_max_str_digits(0)  # programs may compute longer integers than 4300 digits
     try:
         app(prog_name="ssduck")
     except OSError as error:
         if error.filename is not None:
             raise
-        # The output cannot be written (a full disk, say), and must not be tried again at the end.
+        # Output that cannot be written (a full disk, say) must not be flushed again at exit.
         sys.stdout = io.StringIO()
-        _complain(str(error))
+        _write_error(str(error))
         sys.exit(1)
 
 
 def _interrupted(*_: object) -> NoReturn:
-    """End at once on Ctrl-C.
+    """Ends the process at once on Ctrl-C.
 
-    Python's KeyboardInterrupt does not always arrive: libraries that are being imported swallow
-    it, and DuckDB turns it into another exception.
+    Python's KeyboardInterrupt can get lost: libraries swallow it while they are imported, and
+    DuckDB turns it into another exception.
     """
     os._exit(130)
 
 
 def _prepare_streams() -> None:
-    """Closed streams lead nowhere; names are shown in any locale, if need be as escapes."""
+    """Redirects closed streams to the null device, and escapes letters that a locale lacks."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
@@ -102,8 +99,8 @@ def _prepare_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _complain(message: str) -> None:
-    """Tell of an error; what it underlines stays above its mark: nothing is folded."""
+def _write_error(message: str) -> None:
+    """Writes an error message unfolded, so that marks stay below the text that they underline."""
     from rich.console import Console
 
     Console(stderr=True).print("error:", style="bold red", end=" ")
@@ -111,18 +108,18 @@ def _complain(message: str) -> None:
 
 
 @contextlib.contextmanager
-def _warnings_in_one_line() -> Iterator[None]:
-    """Warnings as one line each, and each once."""
-    told: set[str] = set()
+def _one_line_warnings() -> Iterator[None]:
+    """Writes each warning once, on one line."""
+    written: set[str] = set()
 
-    def tell(message: Warning | str, *_: Any, **__: Any) -> None:
+    def write(message: Warning | str, *_: Any, **__: Any) -> None:
         text = " ".join(str(message).split())
-        if text not in told:
-            told.add(text)
+        if text not in written:
+            written.add(text)
             sys.stderr.write(f"warning: {text}\n")
 
     with warnings.catch_warnings():
-        warnings.showwarning = tell
+        warnings.showwarning = write
         yield
 
 
@@ -144,7 +141,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _ssduck(
     context: typer.Context,
-    version: Annotated[  # noqa: ARG001  # its callback answers
+    version: Annotated[  # noqa: ARG001  # its callback shows the version
         bool,
         typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
     ] = False,
@@ -206,27 +203,27 @@ def demo(
     from ssduck.demos import NAMES, description_of, run_of
 
     if listed:
-        told = [(each, description_of(each)) for each in NAMES]
-        print_table(DisplayTable(["demo", "what it shows"], told))
+        rows = [(each, description_of(each)) for each in NAMES]
+        print_table(DisplayTable(["demo", "what it shows"], rows))
         return
     if output is not None and (out is not None or not picture):
         other = "--no-picture" if out is None else "--out"
         raise typer.BadParameter(f"--output and {other} exclude each other")
     if name not in NAMES or name == "kitchen":
-        folder = _made(out or Path()) if picture else None
+        folder = _created(out or Path()) if picture else None
         _ask_scene(name, folder, output, with_sql=sql)
         return
     if output is not None or not picture or not sql:
         raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
-    if not run_of(name)(_made(out or Path(f"demo-{name}")), print_line, seed=seed):
+    if not run_of(name)(_created(out or Path(f"demo-{name}")), print_line, seed=seed):
         raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
 
 
 def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql: bool) -> None:
-    """Show a scene by questions; its picture goes into a folder, if at all, or to a file.
+    """Demonstrates a scene by questions, with a picture in a folder or a file, if requested.
 
     Raises:
-        UnknownNameError: it is neither a scene nor, as it seems, meant to be one.
+        UnknownNameError: the name is neither a demonstration nor a scene.
     """
     from ssduck.demos import NAMES
     from ssduck.demos.kitchen import ask
@@ -241,11 +238,11 @@ def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql:
     ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
 
 
-def _made(folder: Path) -> Path:
-    """The folder, made if it is not there.
+def _created(folder: Path) -> Path:
+    """Returns a folder, which it creates if necessary.
 
     Raises:
-        SelectScriptError: it cannot be made.
+        SelectScriptError: the folder cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -309,8 +306,8 @@ def query(
             raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
         description = find_scene(scene)
         steps = steps if seconds is None else whole_steps(seconds, description.timestep)
-    # What a program prints is not its answer.
-    with opened_or_loaded(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
+    # The output of a program is not its result.
+    with open_or_load(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
         ss.strict = strict
         if steps:
             ss.call_variable(description.name).step(steps)
@@ -345,12 +342,12 @@ def functions(
         if name is not None:
             print_line(ss.help(name))
             return
-        listed = [_usage_and_gist(ss.help(known)) for known in ss.help()]
-    print_table(DisplayTable(["function", "what it does"], listed))
+        listing = [_usage_and_summary(ss.help(known)) for known in ss.help()]
+    print_table(DisplayTable(["function", "what it does"], listing))
 
 
-def _usage_and_gist(text: str) -> tuple[str, str]:
-    """The usage and the first sentence of a function's help."""
+def _usage_and_summary(text: str) -> tuple[str, str]:
+    """Returns the usage and the first sentence of the help of a function."""
     name, *lines = text.splitlines()
     usage = next((line for line in lines if line.startswith("Usage: ")), name)
     about = " ".join(line for line in lines if line != usage)
@@ -361,11 +358,11 @@ def _usage_and_gist(text: str) -> tuple[str, str]:
 
 
 def _program(program: str | None, file: Path | None) -> str:
-    """The program's text: the argument, the file's, or that of standard input.
+    """Returns the text of the program: the argument, a file or standard input.
 
     Raises:
-        BadParameter: there is none, or there are two.
-        SelectScriptError: it cannot be read.
+        BadParameter: there is no program, or there are two.
+        SelectScriptError: the file cannot be read.
     """
     if program is not None and file is not None:
         raise typer.BadParameter("the program is given twice: as an argument, and by --file")

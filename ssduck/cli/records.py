@@ -1,4 +1,4 @@
-"""The commands `ssduck record`, `export` and `episodes`."""
+"""Defines the commands about records: `ssduck record`, `export` and `episodes`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from ssduck.recording.episode import Episode
     from ssduck.world.world import World
 
-# What the name of a DuckDB file ends with, and where it tells that it is one.
-_FILE = ".duckdb"
+# The suffix of DuckDB files, and the position and value of the mark in them.
+_DUCKDB_SUFFIX = ".duckdb"
 _MAGIC = slice(8, 12), b"DUCK"
 
 
 def is_record(place: str) -> bool:
-    """Whether that is a record's folder or file, and not the name of a scene that is shipped."""
+    """Whether a path is the folder or file of a record; names of shipped scenes are not."""
     from ssduck.simulators.scenes import shipped_scenes
 
     path = Path(place)
@@ -33,9 +33,9 @@ def is_record(place: str) -> bool:
         return False
     if not path.is_file():
         return path.is_dir()
-    where, magic = _MAGIC
+    position, magic = _MAGIC
     with path.open("rb") as file:
-        return file.read(where.stop)[where] == magic
+        return file.read(position.stop)[position] == magic
 
 
 def record(
@@ -74,10 +74,10 @@ def record(
         entities=None if entities is None else tuple(entities),
         every=every,
     )
-    is_file = output.suffix == _FILE
-    opened = load(scene, output, recording=recording) if is_file else load(scene, recording=None)
-    with opened as ss, _noting_ctrl_c() as pressed:
-        writing = None if is_file else ss.record_to(output, recording=recording)
+    to_file = output.suffix == _DUCKDB_SUFFIX
+    opened = load(scene, output, recording=recording) if to_file else load(scene, recording=None)
+    with opened as ss, _deferred_ctrl_c() as pressed:
+        writing = None if to_file else ss.record_to(output, recording=recording)
         with writing or nullcontext():
             _run(ss.call_variable(description.name), steps, pressed)
     (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
@@ -91,7 +91,11 @@ def record(
 
 
 def whole_steps(seconds: float, timestep: float) -> int:
-    """How many steps of a scene that is; `--seconds` is told of if it is too long."""
+    """Returns the number of simulation steps in a time.
+
+    Raises:
+        BadParameter: the time has too many steps.
+    """
     from ssduck.validation import MOST_STEPS
 
     count = seconds / timestep
@@ -101,7 +105,7 @@ def whole_steps(seconds: float, timestep: float) -> int:
 
 
 def _run(world: World, steps: int, pressed: threading.Event) -> None:
-    """Step a world so often, or until Ctrl-C; where somebody looks, with a bar."""
+    """Steps a world until Ctrl-C is pressed; terminals show a progress bar."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -114,23 +118,23 @@ def _run(world: World, steps: int, pressed: threading.Event) -> None:
 
 
 @contextmanager
-def _noting_ctrl_c() -> Iterator[threading.Event]:
-    """Whether Ctrl-C was pressed, instead of what it does; a second time it does that."""
+def _deferred_ctrl_c() -> Iterator[threading.Event]:
+    """Yields an event that the first Ctrl-C sets; the second one acts as usual."""
     pressed = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield pressed
         return
-    before = signal.getsignal(signal.SIGINT)
+    handler = signal.getsignal(signal.SIGINT)
 
     def note(*_: Any) -> None:
         pressed.set()
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
 
     signal.signal(signal.SIGINT, note)
     try:
         yield pressed
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
 
 
 def export(
@@ -173,16 +177,16 @@ def episodes(
 
 
 def _episodes(path: Path) -> list[Episode]:
-    from ssduck.interpreter.archives import episodes as found
+    from ssduck.interpreter.archives import episodes as episodes_of
 
-    return found(path)
+    return episodes_of(path)
 
 
-def opened_or_loaded(place: str, episode: int | None) -> Interpreter:
-    """An interpreter on a record, or on a scene.
+def open_or_load(place: str, episode: int | None) -> Interpreter:
+    """Returns an interpreter for a record or a scene.
 
     Raises:
-        BadParameter: an episode is asked for of a scene.
+        BadParameter: an episode of a scene is requested.
     """
     from ssduck.interpreter import opening
 

@@ -32,7 +32,7 @@ from ssduck.formatting import short_repr
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.paths import given_path
 from ssduck.recording.recorder import Recorder
-from ssduck.sql.relations.relation import TOLD_BY
+from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
 T = TypeVar("T")
 
@@ -318,11 +318,12 @@ _LACKS = re.compile('Could not find key "(\\w+)" in struct')
 def _hint(error: Exception) -> str:
     """What to write where a row has not all columns that a relation of shapes reads."""
     found = _LACKS.search(str(error))
-    if found is None or found.group(1) not in TOLD_BY:
+    if found is None or found.group(1) not in IDENTIFYING_COLUMNS:
         return ""
     return (
-        f"\nRelations look at {', '.join(TOLD_BY)} of a row, to know whose it is: give them whole "
-        "rows of entities (SELECT *); a record that is older than the column run is to be opened"
+        f"\nRelations look at {', '.join(IDENTIFYING_COLUMNS)} of a row, to know whose it is: "
+        "give them whole rows of entities (SELECT *); a record that is older than the column run "
+        "is to be opened"
     )
 
 

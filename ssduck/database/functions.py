@@ -29,7 +29,7 @@ from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
 from ssduck.sql.relations.geometry_query import MARGINS_UDF, PAIR_SEARCHES, GeometryUdf
 from ssduck.sql.relations.joints import JOINT_UDFS
 from ssduck.sql.relations.registry import GEOMETRY_UDFS
-from ssduck.sql.relations.relation import ANY, CHECKED_TICK
+from ssduck.sql.relations.relation import CHECKED_TICK_UDF, LENIENT_PREFIX
 from ssduck.sql.types import Signature, SqlType
 
 
@@ -125,13 +125,13 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
         )
     connection.add_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
     connection.add_function(
-        CHECKED_TICK,
+        CHECKED_TICK_UDF,
         partial(_checked_tick, worlds),
         ("VARCHAR", *["BIGINT"] * 3, *["DOUBLE"] * 7),
         "BIGINT",
         null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
     )
-    for (name, (function, more)), prefix in product(JOINT_UDFS.items(), ("", ANY)):
+    for (name, (function, more)), prefix in product(JOINT_UDFS.items(), ("", LENIENT_PREFIX)):
         call = partial(_of_joints, worlds, function)
         connection.add_function(
             prefix + name,

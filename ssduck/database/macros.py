@@ -13,7 +13,7 @@ from sqlglot import exp
 
 from ssduck.language.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_INTERVALS
 from ssduck.schema import MODELS, TABLES
-from ssduck.sql.from_clause import pairs_of
+from ssduck.sql.from_clause import pair_table
 from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
@@ -39,7 +39,7 @@ class PairTableMacro:
 
     def macro(self, place: Sequence[str], schema: str) -> str:
         """The statement that makes it."""
-        pairs = pairs_of(self.search, exp.column(self.distance), schema, "pairs").table
+        pairs = pair_table(self.search, exp.column(self.distance), schema, "pairs").table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
         temporary = "TEMP " if place[0] == "temp" else ""
         name = _dotted(place[1:] if temporary else place, self.name)

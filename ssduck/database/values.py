@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import Any, TypeAlias
 
 from ssduck.recording.replay.record import Record
-from ssduck.sql.types import ANY, EXACT, FLAG, IDS, INTEGER, REAL, TEXT, SqlType, merged
+from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, EXACT, IDS, INTEGER, STRING, SqlType, merged
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -28,7 +28,7 @@ def tag_of(value: Any, schema_of: SchemaOf) -> SqlType:
     """
     match value:
         case bool():
-            return FLAG
+            return BOOLEAN
         case int():
             return _integer((value,))
         case float():
@@ -84,12 +84,12 @@ def _integer(values: Sequence[int]) -> SqlType:
 
 
 def _real(values: Sequence[float]) -> SqlType:
-    return REAL if all(map(math.isfinite, values)) else ANY
+    return DOUBLE if all(map(math.isfinite, values)) else ANY
 
 
 def _text(values: Sequence[str]) -> SqlType:
     odd = [text for text in values if not text.isprintable()]
-    return ANY if any("\0" in text or _is_torn(text) for text in odd) else TEXT
+    return ANY if any("\0" in text or _is_torn(text) for text in odd) else STRING
 
 
 def _is_torn(text: str) -> bool:
@@ -102,7 +102,7 @@ def _is_torn(text: str) -> bool:
 
 
 _PLAIN: dict[type, Callable[[Sequence[Any]], SqlType]] = {
-    bool: lambda _: FLAG,
+    bool: lambda _: BOOLEAN,
     int: _integer,
     float: _real,
     str: _text,

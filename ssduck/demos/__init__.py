@@ -1,13 +1,12 @@
-"""What `ssduck demo NAME` shows: a registry of demonstrations, a module each.
+"""Demonstrations for `ssduck demo NAME`: a registry, with a module for each.
 
 A module of this package that is named in `NAMES` is a demonstration. The first line of its
-docstring tells what it shows, and its `run` shows it:
+docstring describes it, and its function `run` runs it:
 
     def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool
 
-`folder` is there, and takes the pictures; `say` writes a line, or several; `seed` decides what
-is drawn by chance. It returns whether the demonstration found what it is to find, which it has
-to check itself.
+`folder` is an existing folder for the pictures; `say` writes one or several lines; `seed` seeds
+the random numbers. `run` checks its own results and returns whether they are as expected.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
-# In the order in which they are listed; each is a module of this package.
+# The modules of the demonstrations, in the order of `ssduck demo --list`.
 NAMES = (
     "kitchen",
     "robots",
@@ -31,18 +30,26 @@ NAMES = (
 
 
 class DemoFunction(Protocol):
-    """How a demonstration is run."""
+    """The function that runs a demonstration."""
 
     def __call__(self, folder: Path, say: Callable[[str], None], *, seed: int) -> bool:
-        """Show it; whether it found what it is to find."""
+        """Runs the demonstration; returns whether its results are as expected."""
 
 
 def run_of(name: str) -> DemoFunction:
-    """What runs the demonstration of that name, one of `NAMES`."""
+    """Returns the function that runs a demonstration.
+
+    Args:
+        name: one of `NAMES`.
+    """
     run: DemoFunction = import_module(f"{__name__}.{name}").run
     return run
 
 
 def description_of(name: str) -> str:
-    """What the demonstration of that name shows, in a line."""
+    """Returns a line that describes a demonstration.
+
+    >>> description_of("map")
+    'Maps of the kitchen as its vacuum cleaner needs them, of all and of what is near it.'
+    """
     return (import_module(f"{__name__}.{name}").__doc__ or "").partition("\n")[0]

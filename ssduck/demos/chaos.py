@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ssduck.adapters.display import DisplayTable, lines_of
+from ssduck.adapters.display import DisplayTable, text_lines
 from ssduck.demos.results import keep_picture
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ Second: TypeAlias = tuple[int, int, int, float]
 Overlap: TypeAlias = tuple[int, int, int]
 
 SECONDS = 10
-# Of the first velocities, along each axis: m/s and rad/s.
-FASTEST = 2.0
-# The energy may change by that part of it.
-DRIFT = 0.15
-# What overlaps by less, m, one may see and the other not: PyBullet rounds its cylinders.
-CLEAR = 1e-3
+# The largest initial velocity along and about each axis, m/s and rad/s.
+MAX_SPEED = 2.0
+# The largest allowed relative change of the energy.
+MAX_ENERGY_CHANGE = 0.15
+# Smaller penetrations, m, need not agree: PyBullet rounds the edges of its cylinders.
+MIN_DEPTH = 1e-3
 
 SEEN = "SELECT id FROM chaos WHERE isSensing(watcher, this) AND mass(this) > 0 AS list;"
 
@@ -72,7 +72,7 @@ ESCAPED = "SELECT id FROM chaos{} WHERE mass(this) > 0 AND NOT fitsBox(this, low
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = SECONDS) -> bool:
-    """Let the bodies fly, count, compare with the shapes, draw."""
+    """Simulates the bodies, counts collisions, checks them against the shapes, draws a picture."""
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.recording.spec import Recording
     from ssduck.simulators.scenes import find_scene
@@ -82,7 +82,9 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
     draw = random.Random(seed)  # noqa: S311  # no secret
     scene = replace(
         scene,
-        bodies=tuple(b if b.fixed else replace(b, velocity=_drawn(draw)) for b in scene.bodies),
+        bodies=tuple(
+            b if b.fixed else replace(b, velocity=_random_velocity(draw)) for b in scene.bodies
+        ),
     )
     seen: list[int] = []
     with Interpreter() as ss:
@@ -98,13 +100,13 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
             for second, bodies, sides in ss.sql(COUNTED).fetchall()
             if second in energies
         ]
-        told = DisplayTable(["second", "body and body", "body and side", "energy, J"], rows)
-        say("\n".join(lines_of(told)))
+        counts = DisplayTable(["second", "body and body", "body and side", "energy, J"], rows)
+        say("\n".join(text_lines(counts)))
         say(
             f"What the camera in the western side sees changed {len(seen) - 1} times: "
             f"{min(seen)} to {max(seen)} bodies at once"
         )
-        same = shapes_tell_the_same(ss, say)
+        agree = shapes_agree(ss, say)
         ss.add_variable("low", [-2.05] * 3)
         ss.add_variable("high", [2.05] * 3)
         escaped = ss.eval(ESCAPED)
@@ -113,18 +115,18 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
         say(f"The energy is never farther than {drift:.1%} from what it was")
         end = _picture(Image.fromarray(chaos.render(720, 540)), rows)
     say(f"The end, and collisions by second: {keep_picture(end, folder / 'chaos.png')}")
-    return same and not escaped and drift < DRIFT
+    return agree and not escaped and drift < MAX_ENERGY_CHANGE
 
 
-def _drawn(draw: random.Random) -> tuple[float, ...]:
-    return tuple(draw.uniform(-FASTEST, FASTEST) for _ in range(6))
+def _random_velocity(draw: random.Random) -> tuple[float, ...]:
+    return tuple(draw.uniform(-MAX_SPEED, MAX_SPEED) for _ in range(6))
 
 
-def shapes_tell_the_same(ss: Interpreter, say: Callable[[str], None]) -> bool:
-    """Whether the pairs that collide by their shapes are those of which the solver tells.
+def shapes_agree(ss: Interpreter, say: Callable[[str], None]) -> bool:
+    """Whether the pairs that collide by their shapes are those that the solver finds.
 
-    The last second is looked at, but for its end: the step from there is yet to come. What overlaps
-    by more than `CLEAR` for the one has to do so for the other, at that tick or the next to it.
+    The comparison covers the last second except its last tick, whose step is yet to come.
+    Penetrations of more than `MIN_DEPTH` must be found by both, at the same or an adjacent tick.
     """
     chaos = ss.call_variable("chaos")
     say(COLLIDING)
@@ -145,60 +147,60 @@ def shapes_tell_the_same(ss: Interpreter, say: Callable[[str], None]) -> bool:
 
 
 def _are_among(some: Mapping[Overlap, float], others: Mapping[Overlap, float]) -> bool:
-    """Whether all overlaps that are deep enough are among others, give or take a tick."""
+    """Whether all overlaps that are deep enough are among others, at most a tick apart."""
     return all(
         any((tick + later, a, b) in others for later in (-1, 0, 1))
         for (tick, a, b), depth in some.items()
-        if depth > CLEAR
+        if depth > MIN_DEPTH
     )
 
 
 def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
-    """The kinetic energy of all that flies at the beginning of each second, J."""
-    import xml.etree.ElementTree as ET  # our own files
+    """Returns the kinetic energy of all bodies at the beginning of each second, J."""
+    import xml.etree.ElementTree as ET  # reads only files of ssduck
 
     inertias: dict[str, tuple[float, Array]] = {}
     for body in scene.bodies:
         root = ET.parse(body.model).getroot()  # noqa: S314
-        mass, inertia = root.find(".//mass"), root.find(".//inertia")
-        assert mass is not None
-        assert inertia is not None
-        moments = np.array([float(inertia.attrib[axis]) for axis in ("ixx", "iyy", "izz")])
-        inertias[str(body.name)] = float(mass.attrib["value"]), moments
-    found: dict[int, float] = {}
+        mass_element, inertia_element = root.find(".//mass"), root.find(".//inertia")
+        assert mass_element is not None
+        assert inertia_element is not None
+        moments = np.array([float(inertia_element.attrib[axis]) for axis in ("ixx", "iyy", "izz")])
+        inertias[str(body.name)] = float(mass_element.attrib["value"]), moments
+    energies: dict[int, float] = {}
     for second, name, *numbers in ss.sql(MOTION).fetchall():
-        weight, moments = inertias[name]
-        velocity, spin, turn = np.split(np.array(numbers), [3, 6])
-        own = _in_body(spin, turn)
-        value = (weight * velocity @ velocity + moments @ own**2) / 2
-        found[second] = found.get(second, 0.0) + float(value)
-    return found
+        mass, moments = inertias[name]
+        velocity, angular_velocity, orientation = np.split(np.array(numbers), [3, 6])
+        local = _in_body(angular_velocity, orientation)
+        value = (mass * velocity @ velocity + moments @ local**2) / 2
+        energies[second] = energies.get(second, 0.0) + float(value)
+    return energies
 
 
-def _in_body(vector: Array, turn: Array) -> Array:
-    """A vector of the world in the frame of a body whose orientation is w, x, y, z."""
-    w, axis = turn[0], -turn[1:]
-    turned: Array = vector + 2 * np.cross(axis, np.cross(axis, vector) + w * vector)
-    return turned
+def _in_body(vector: Array, orientation: Array) -> Array:
+    """Returns a world vector in the frame of a body with orientation w, x, y, z."""
+    w, axis = orientation[0], -orientation[1:]
+    rotated: Array = vector + 2 * np.cross(axis, np.cross(axis, vector) + w * vector)
+    return rotated
 
 
 def _picture(scene: Image.Image, rows: Sequence[Second]) -> Image.Image:
-    """The scene, and below it a bar a second: collisions of bodies, and with sides above them."""
+    """Draws the scene above a bar chart of collisions of bodies, and with sides, by second."""
     width, high = scene.width, 130
-    whole = Image.new("RGB", (width, scene.height + high), (255, 255, 255))
-    whole.paste(scene)
-    draw = ImageDraw.Draw(whole)
+    picture = Image.new("RGB", (width, scene.height + high), (255, 255, 255))
+    picture.paste(scene)
+    draw = ImageDraw.Draw(picture)
     font = ImageFont.load_default(12)
-    base, most = whole.height - 20, max((a + b for _, a, b, _ in rows), default=1)
+    baseline, tallest = picture.height - 20, max((a + b for _, a, b, _ in rows), default=1)
     step = (width - 40) / max(len(rows), 1)
     for number, (second, bodies, sides, _) in enumerate(rows):
         left = 20 + number * step
-        right, top = left + 0.7 * step, float(base)
+        right, top = left + 0.7 * step, float(baseline)
         for count, colour in ((bodies, (230, 120, 30)), (sides, (130, 190, 210))):
-            draw.rectangle((left, top - 80 * count / most, right, top), fill=colour)
-            top -= 80 * count / most
-        draw.text((left, base + 3), f"{second} s", fill=(20, 22, 26), font=font)
+            draw.rectangle((left, top - 80 * count / tallest, right, top), fill=colour)
+            top -= 80 * count / tallest
+        draw.text((left, baseline + 3), f"{second} s", fill=(20, 22, 26), font=font)
         draw.text((left, top - 15), f"{bodies} + {sides}", fill=(20, 22, 26), font=font)
     words = "collisions: of two bodies + of a body with a side"
     draw.text((20, scene.height - 6), words, fill=(20, 22, 26), font=font)
-    return whole
+    return picture

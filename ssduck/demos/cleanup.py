@@ -40,33 +40,33 @@ DEEPEST = """\
 SELECT coalesce(max(kitchen.penetration(a, b)), 0.0)
 FROM entities_history a JOIN entities_history b USING (tick)
 WHERE a.name = ? AND b.mass = 0"""
-# What the robot may be deep in furniture, m: its wheels on the floor, a finger that slips.
+# The allowed penetration of robot and furniture, m: wheels on the floor, a finger that slips.
 ALLOWED = 1e-3
-# How often a cup is tried.
-CHANCES = 3
+# The number of attempts for each cup.
+ATTEMPTS = 3
 VIEW = Camera(eye=(2.6, -0.6, 2.7), target=(0.6, 1.1, 0.8), fov=50.0)
-# Ticks that are recorded: one of so many.
-RECORDED = 8
-# Where in the sink cups go, m from its middle, and how far from each other: in two rows, so that
-# they leave room for others; where that cannot be, anywhere.
+# The number of ticks for each recorded one.
+EVERY = 8
+# The spots for cups in the sink, m from its middle: in two rows, to leave room for others, or
+# anywhere if these are out of reach; and the least distance of two cups.
 ROWS = [(x, y) for y in (-0.15, -0.03) for x in (-0.14, 0.0, 0.14)]
 ANYWHERE = [
     (x, y) for y in (-0.16, -0.1, -0.03) for x in (-0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15)
 ]
-FREE = 0.1
+CUP_DISTANCE = 0.1
 
 
 @dataclass
 class Outcome:
-    """What became of the cups.
+    """The outcome of cleaning up.
 
     Attributes:
-        cups: the names of those that were to be taken away.
-        trouble: what went wrong, by the name of the cup, the latest last.
-        left: the names of those that are on the table.
-        washed: of those that are in the sink.
-        deepest: how deep the robot was in furniture, m, in any recorded tick.
-        seconds: of simulated time.
+        cups: the names of the cups to be taken away.
+        trouble: the failures by the name of the cup, the latest last.
+        left: the names of the cups on the table.
+        washed: the names of the cups in the sink.
+        deepest: the largest penetration of robot and furniture at a recorded tick, m.
+        seconds: the simulated time.
     """
 
     cups: list[str]
@@ -78,17 +78,17 @@ class Outcome:
 
     @property
     def succeeded(self) -> bool:
-        """Whether all are in the sink, and nothing was run into."""
+        """Whether all cups are in the sink and the robot ran into nothing."""
         return not self.left and set(self.cups) <= set(self.washed) and self.deepest <= ALLOWED
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:
-    """Clean up the kitchen's table, and write pictures.
+    """Cleans up the table of the kitchen, and writes pictures.
 
     Args:
-        folder: where the pictures are written.
-        say: is told what is done.
-        seed: of chance in planning.
+        folder: the folder for the pictures.
+        say: writes lines of the report.
+        seed: the seed of the planners' random numbers.
 
     Returns:
         Whether all cups are in the sink.
@@ -100,50 +100,52 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:
 def clean(
     ss: Interpreter, folder: Path | None, say: Callable[[str], None], *, seed: int
 ) -> Outcome:
-    """Clean up the table of a kitchen as it stands.
+    """Cleans up the table of a running kitchen.
 
     Args:
-        ss: with the world `kitchen`.
-        folder: where pictures are written; None for none.
-        say: is told what is done.
-        seed: of chance in planning.
+        ss: an interpreter with the world `kitchen`.
+        folder: the folder for pictures; None for none.
+        say: writes lines of the report.
+        seed: the seed of the planners' random numbers.
     """
-    story = _Story(ss, folder, say)
-    story.picture("before")
-    cups = story.asked()
+    report = _Report(ss, folder, say)
+    report.picture("before")
+    cups = report.requested_cups()
     outcome = Outcome([cup.name for cup in cups])
     rng = np.random.default_rng(seed)
-    began = story.world.time
-    cleaner = Cleaner(story.world[ROBOT], rng, story.count)
+    start_time = report.world.time
+    cleaner = Cleaner(report.world[ROBOT], rng, lambda: None)
     try:
         cleaner.prepare()
-        _take_away(story, cleaner, cups, outcome)
+        _take_away(report, cleaner, cups, outcome)
     except Failed as failure:
         say(f"The robot cannot go on: {failure}.")
-    story.picture("after")
-    outcome.seconds = story.world.time - began
-    story.conclude(outcome)
+    report.picture("after")
+    outcome.seconds = report.world.time - start_time
+    report.conclude(outcome)
     return outcome
 
 
-def _take_away(story: _Story, cleaner: Cleaner, cups: list[Entity], outcome: Outcome) -> None:
-    """Take the cups away, the nearest first; those that fail get another chance later."""
-    for _ in range(CHANCES):
-        waiting = [cup for cup in cups if cup in story.asks(LEFT)]
+def _take_away(report: _Report, cleaner: Cleaner, cups: list[Entity], outcome: Outcome) -> None:
+    """Takes the cups away, the nearest first; failed ones are tried again later."""
+    for _ in range(ATTEMPTS):
+        waiting = [cup for cup in cups if cup in report.select(LEFT)]
         while waiting:
-            at = np.array(story.world[ROBOT].position[:2])
-            away = [float(np.linalg.norm(at - cup.position[:2])) for cup in waiting]
-            cup = waiting.pop(int(np.argmin(away)))
+            robot_position = np.array(report.world[ROBOT].position[:2])
+            distances = [
+                float(np.linalg.norm(robot_position - cup.position[:2])) for cup in waiting
+            ]
+            cup = waiting.pop(int(np.argmin(distances)))
             try:
-                story.take(cleaner, cup)
+                report.take(cleaner, cup)
             except Failed as failure:
                 outcome.trouble.setdefault(cup.name, []).append(str(failure))
-                story.say(f"{cup.name}: {failure}; it is at {_shown(cup.position)}.")
+                report.say(f"{cup.name}: {failure}; it is at {_coordinates(cup.position)}.")
                 cleaner.recover()
 
 
-class _Story:
-    """What is asked, said and shown."""
+class _Report:
+    """The queries, the report and the pictures of a run."""
 
     def __init__(self, ss: Interpreter, folder: Path | None, say: Callable[[str], None]) -> None:
         self.ss, self.folder, self.say = ss, folder, say
@@ -151,28 +153,25 @@ class _Story:
         assert isinstance(world, World)
         self.world = world
         self._pictures = 0
-        ss.record(world, Recording(every=RECORDED))
+        ss.record(world, Recording(every=EVERY))
         ss.add_function("onX", on, "onX(o1, o2): whether the position of o2 is over o1")
         ss.add_function("isCup", _is_cup, "isCup(object): whether it is a cup, by its name")
 
-    def asked(self) -> list[Entity]:
-        """What is to be cleaned up."""
+    def requested_cups(self) -> list[Entity]:
+        """Returns the cups to be cleaned up."""
         self.say(JOB)
         self.ss.eval(JOB)
         cups: list[Entity] = self.ss.call_variable("cleanUp")
         self.say(f"To be taken to the sink: {', '.join(cup.name for cup in cups) or 'nothing'}.")
         return cups
 
-    def asks(self, program: str) -> list[Entity]:
-        """The entities that a program yields."""
-        found: list[Entity] = self.ss.eval(program)
-        return found
-
-    def count(self) -> None:
-        """What is done as the simulation runs: nothing but to let it run."""
+    def select(self, program: str) -> list[Entity]:
+        """Returns the entities that a program selects."""
+        entities: list[Entity] = self.ss.eval(program)
+        return entities
 
     def take(self, cleaner: Cleaner, cup: Entity) -> None:
-        """Take a cup from the table to the sink."""
+        """Takes a cup from the table to the sink."""
         self.say(f"{cup.name}: the robot drives to it, and takes it.")
         for spots in map(self._free, (ROWS, ANYWHERE)):
             if spots and cleaner.can_drop(cup, spots):
@@ -182,20 +181,24 @@ class _Story:
         cleaner.pick(cup)
         self.picture(f"holding_{cup.name}")
         cleaner.drop(spots)
-        if cup not in self.asks(WASHED):
+        if cup not in self.select(WASHED):
             raise Failed("it did not fall into the sink")
-        self.say(f"{cup.name}: is in the sink, at {_shown(cup.position)}.")
+        self.say(f"{cup.name}: is in the sink, at {_coordinates(cup.position)}.")
 
     def _free(self, spots: Sequence[tuple[float, float]]) -> list[Array]:
-        """Those spots in the sink (3,) that are free, m."""
+        """Returns the free ones of some spots in the sink, (3,) each, m."""
         low, high = (np.array(corner) for corner in self.world["sink"].aabb)
         middle = np.array([*((low + high) / 2)[:2], high[2]])
-        there = [np.array(cup.position[:2]) for cup in self.asks(WASHED)]
-        found = [middle + np.array([x, y, 0.0]) for x, y in spots]
-        return [s for s in found if all(np.linalg.norm(s[:2] - t) > FREE for t in there)]
+        taken = [np.array(cup.position[:2]) for cup in self.select(WASHED)]
+        spots_in_world = [middle + np.array([x, y, 0.0]) for x, y in spots]
+        return [
+            s
+            for s in spots_in_world
+            if all(np.linalg.norm(s[:2] - t) > CUP_DISTANCE for t in taken)
+        ]
 
     def picture(self, name: str) -> None:
-        """Write a picture of the simulation as it is."""
+        """Writes a picture of the current state."""
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -205,8 +208,8 @@ class _Story:
         self.say(f"picture: {path}")
 
     def conclude(self, outcome: Outcome) -> None:
-        """Ask what is left, and say it."""
-        left, washed = self.asks(LEFT), self.asks(WASHED)
+        """Queries and reports the outcome."""
+        left, washed = self.select(LEFT), self.select(WASHED)
         outcome.left = [cup.name for cup in left]
         outcome.washed = [cup.name for cup in washed]
         outcome.deepest = float(self.ss.sql(DEEPEST, [ROBOT]).fetchall()[0][0])
@@ -215,7 +218,7 @@ class _Story:
         self.say(f"In the sink: {', '.join(outcome.washed) or 'no cup'}.")
         for name in outcome.cups:
             if name not in outcome.washed:
-                where = _shown(self.world[name].position)
+                where = _coordinates(self.world[name].position)
                 why = "; ".join(outcome.trouble.get(name, ["nobody tried"]))
                 self.say(f"{name} is not in the sink, but at {where}: {why}.")
         self.say(
@@ -228,5 +231,5 @@ def _is_cup(thing: Any) -> bool:
     return bool(thing.name.startswith("cup"))
 
 
-def _shown(position: list[float]) -> str:
+def _coordinates(position: list[float]) -> str:
     return "(" + ", ".join(f"{number:.2f}" for number in position) + ")"

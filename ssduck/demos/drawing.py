@@ -1,4 +1,4 @@
-"""Pictures of demonstrations: scenes from above, with paths and names drawn over them."""
+"""Draws pictures of scenes from above, with paths and names on them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 Point: TypeAlias = tuple[float, float]
 Colour: TypeAlias = tuple[int, int, int]
 
-# How many times as high above the floor as the picture is wide the camera is: the higher, the
-# less high things lean outwards.
+# The height of the camera in widths of the picture: from higher up, high things lean outwards
+# less.
 _HEIGHT = 4.0
 _INK: Colour = (20, 22, 26)
 
 
 def save(picture: npt.NDArray[np.uint8] | Image.Image, target: Path) -> None:
-    """Write a picture, in the format of the file's ending.
+    """Writes a picture in the format of the suffix.
 
     Raises:
         SelectScriptError: the file cannot be written.
@@ -35,23 +35,23 @@ def save(picture: npt.NDArray[np.uint8] | Image.Image, target: Path) -> None:
     image = picture if isinstance(picture, Image.Image) else Image.fromarray(picture)
     try:
         image.save(target, optimize=True)
-    except (OSError, ValueError) as error:  # a ValueError: no format has such an ending
+    except (OSError, ValueError) as error:  # ValueError: unknown suffix
         reason = error.strerror if isinstance(error, OSError) else error
         raise SelectScriptError(f"{target} cannot be written: {reason}") from error
 
 
 class TopView:
-    """A world seen from above, to be drawn on in metres.
+    """A picture of a world from above, for drawing in metres.
 
-    x goes to the right, y up. It is a photograph from far above: what is drawn lies on a plane
-    at the height of the floor, and things that are higher lean outwards a little.
+    x points right, y up. The picture is a rendering from far above: drawings lie on a plane at
+    the height of the floor, and higher things lean outwards a little.
 
     Args:
-        world: what is drawn.
-        low: the corner of what is seen with the least x and y, metres.
+        world: the world.
+        low: the visible corner of least x and y, metres.
         high: the opposite corner.
-        floor: the height of the plane that is drawn on, metres.
-        width: of the picture, pixels; its height follows.
+        floor: the height of the plane of drawings, metres.
+        width: the width of the picture, pixels; its height follows.
     """
 
     def __init__(
@@ -63,8 +63,8 @@ class TopView:
         height = round(width * deep / wide)
         far = _HEIGHT * max(wide, deep)
         middle = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
-        # A camera that looks straight down does not know which way is up: it stands a little
-        # to the south, less than a pixel shows.
+        # A camera that looks straight down has no up direction, so it stands south by less
+        # than a pixel.
         camera = Camera(
             eye=(middle[0], middle[1] - 1e-4 * far, floor + far),
             target=(*middle, floor),
@@ -75,32 +75,32 @@ class TopView:
         self._font = ImageFont.load_default(13)
 
     def pixel(self, point: Sequence[float]) -> Point:
-        """Where a point is in the picture, x to the right and y down."""
+        """Returns the position of a point in the picture, x to the right and y down."""
         return (
             (point[0] - self._corner[0]) * self._scale,
             (self._corner[1] - point[1]) * self._scale,
         )
 
     def path(self, points: Iterable[Sequence[float]], colour: Colour, width: int = 3) -> None:
-        """Draw a line through points."""
+        """Draws a line through points."""
         pixels = [self.pixel(point) for point in points]
         if len(pixels) > 1:
             self._draw.line(pixels, fill=colour, width=width, joint="curve")
 
     def dot(self, point: Sequence[float], colour: Colour, radius: float = 6.0) -> None:
-        """Draw a disc of so many pixels, with a rim."""
+        """Draws a disc with a rim; the radius is in pixels."""
         x, y = self.pixel(point)
         box = (x - radius, y - radius, x + radius, y + radius)
         self._draw.ellipse(box, fill=colour, outline=_INK)
 
     def square(self, point: Sequence[float], side: float, colour: Colour) -> None:
-        """Draw the outline of an upright square of so many metres around a point."""
+        """Draws the outline of an axis-aligned square around a point; the side is in metres."""
         x, y = self.pixel(point)
         half = side * self._scale / 2
         self._draw.rectangle((x - half, y - half, x + half, y + half), outline=colour)
 
     def text(self, point: Sequence[float], words: str, colour: Colour = _INK) -> None:
-        """Write beside a point, on a light ground; it stays within the picture."""
+        """Writes text beside a point on a light background, within the picture."""
         x, y = self.pixel(point)
         left, top, right, bottom = self._draw.textbbox((0, 0), words, font=self._font)
         wide, high = right - left + 6, bottom - top + 4

@@ -25,16 +25,16 @@ SELECT obj FROM kitchen WHERE distance(roomba, this) <= 1.5 AS environment;"""
 ALL = "SELECT obj FROM kitchen AS environment;"
 
 SECONDS = 0.5
-# How far bodies of a copy of all may be from the first ones, m.
-ALIKE = 1e-6
-# PyBullet damps speeds: a body falls less deep by that part at most. What lies settles, m.
-SLOWER = 0.03
-STAYS = 2e-3
+# The allowed deviation of the copy of the kitchen, m.
+TOLERANCE = 1e-6
+# PyBullet damps velocities: the share by which a fall may be shorter. Resting things settle, m.
+DAMPING_SHARE = 0.03
+SETTLING = 2e-3
 CAMERA = Camera(eye=(2.9, -1.9, 1.9), target=(1.0, 0.0, 0.3), fov=45)
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
-    """Cut it out, let both go on, compare, draw."""
+    """Cuts out the world, simulates both, compares them, and draws a picture."""
     from ssduck.interpreter.opening import load
 
     with load("kitchen") as ss:
@@ -44,50 +44,53 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
         copy: World = ss.eval(ALL)
         say(f"{len(near)} of {len(kitchen)} entities: {', '.join(e.name for e in near)}")
         picture = keep_picture(near.render(640, 480, CAMERA), folder / "environment.png")
-        before = _heights(near)
+        heights_before = _heights(near)
         steps = round(SECONDS / kitchen.timestep)
         for world in (kitchen, near, copy):
             world.step(steps)
-        # Each step adds its own speed.
-        free = 9.81 * kitchen.timestep**2 * steps * (steps + 1) / 2
-        found = _falls(before, _heights(near), free, say)
-        found &= _are_alike(kitchen, copy, say)
+        # The sum of the distances of the steps.
+        expected = 9.81 * kitchen.timestep**2 * steps * (steps + 1) / 2
+        succeeded = _falls_freely(heights_before, _heights(near), expected, say)
+        succeeded &= _are_alike(kitchen, copy, say)
         saved = keep(folder / "near_roomba", near.save)
-        again = load(saved / "scene.toml").call_variable("kitchen")
-        then = _heights(again)
-        same = all(abs(then[name] - z) < ALIKE for name, z in _heights(near).items())
-        say(f"Saved as {saved}; loaded again, bodies are where they were: {same}")
-        for world in (near, copy, again):
+        reloaded = load(saved / "scene.toml").call_variable("kitchen")
+        heights = _heights(reloaded)
+        is_same = all(abs(heights[name] - z) < TOLERANCE for name, z in _heights(near).items())
+        say(f"Saved as {saved}; loaded again, bodies are where they were: {is_same}")
+        for world in (near, copy, reloaded):
             world.close()
         kitchen.step()
     say(f"What was cut out: {picture}")
-    return found and same
+    return succeeded and is_same
 
 
 def _heights(world: World) -> dict[str, float]:
-    """Of the link frames of all bodies, m."""
+    """Returns the heights of the link frames of all bodies, m."""
     return {entity.name: entity.position[2] for entity in world if entity.kind != "sensor"}
 
 
-def _falls(
-    before: Mapping[str, float], after: Mapping[str, float], free: float, say: Callable[[str], None]
+def _falls_freely(
+    heights_before: Mapping[str, float],
+    after: Mapping[str, float],
+    expected: float,
+    say: Callable[[str], None],
 ) -> bool:
-    """Whether the vacuum cleaner fell as what is free does, and what is on the table stayed."""
-    fallen = {name: before[name] - after[name] for name in before}
-    cleaner = fallen.pop("roomba_625x")
-    farthest = max(map(abs, fallen.values()))
+    """Whether the vacuum cleaner fell freely and everything else stayed."""
+    falls = {name: heights_before[name] - after[name] for name in heights_before}
+    fall = falls.pop("roomba_625x")
+    farthest = max(map(abs, falls.values()))
     say(
-        f"After {SECONDS:g} s the vacuum cleaner is {cleaner:.3f} m deeper (free fall: "
-        f"{free:.3f} m), all else has moved by at most {1000 * farthest:.1f} mm"
+        f"After {SECONDS:g} s the vacuum cleaner is {fall:.3f} m deeper (free fall: "
+        f"{expected:.3f} m), all else has moved by at most {1000 * farthest:.1f} mm"
     )
-    return abs(cleaner - free) < SLOWER * free and farthest < STAYS
+    return abs(fall - expected) < DAMPING_SHARE * expected and farthest < SETTLING
 
 
 def _are_alike(kitchen: World, copy: World, say: Callable[[str], None]) -> bool:
-    """Whether a copy of all went on as the kitchen did."""
-    apart = max(
+    """Whether a copy of the kitchen moved like the kitchen."""
+    deviation = max(
         float(np.abs(np.subtract(entity.position, copy[entity.name].position)).max())
         for entity in kitchen
     )
-    say(f"A copy of all of it went on alike: at most {apart:.1g} m apart")
-    return apart < ALIKE
+    say(f"A copy of all of it went on alike: at most {deviation:.1g} m apart")
+    return deviation < TOLERANCE

@@ -1,4 +1,4 @@
-"""Places on a floor: cells of a grid, which of them a robot may be in, and ways over these."""
+"""Finds the free cells of a grid on the floor, and shortest paths over them."""
 
 from __future__ import annotations
 
@@ -20,20 +20,24 @@ Place: TypeAlias = tuple[float, float]
 _STRAIGHT = ((1, 0), (0, 1))
 _DIAGONAL = ((1, 1), (1, -1))
 
-_TRIED = """\
+_OCCUPIED = """\
 SELECT tick(this) FROM world{}
-WHERE near(tried, this, apart) AND NOT id(this) IN leftOut
+WHERE near(tried, this, least) AND NOT id(this) IN ignored
 AS list;"""
 
 
 @dataclass(frozen=True)
 class SearchGrid:
-    """Square cells on the floor.
+    """A grid of square cells on the floor.
 
     Attributes:
         first: the middle of cell (0, 0), metres.
-        side: how far the middles of neighbours are apart, metres.
-        counts: how many cells there are along x and y.
+        side: the distance of the middles of neighbours, metres.
+        counts: the number of cells along x and y.
+
+    >>> grid = SearchGrid(first=(0.5, 0.5), side=1.0, counts=(3, 2))
+    >>> grid.place((2, 1)), grid.cell((1.4, 0.2)), (3, 0) in grid
+    ((2.5, 1.5), (1, 0), False)
     """
 
     first: Place
@@ -41,11 +45,11 @@ class SearchGrid:
     counts: Cell
 
     def place(self, cell: Sequence[int]) -> Place:
-        """The middle of a cell, metres."""
+        """Returns the middle of a cell, metres."""
         return self.first[0] + self.side * cell[0], self.first[1] + self.side * cell[1]
 
     def cell(self, place: Sequence[float]) -> Cell:
-        """The cell whose middle is nearest to a place, which may be beyond the grid."""
+        """Returns the cell whose middle is nearest to a place, possibly outside the grid."""
         x, y = ((place[axis] - self.first[axis]) / self.side for axis in (0, 1))
         return round(x), round(y)
 
@@ -53,51 +57,54 @@ class SearchGrid:
         return all(0 <= number < count for number, count in zip(cell, self.counts, strict=True))
 
     def cells(self) -> list[Cell]:
-        """All of them."""
+        """Returns all cells."""
         return list(product(range(self.counts[0]), range(self.counts[1])))
 
 
 def free_cells(
-    ss: Interpreter, robot: Entity, grid: SearchGrid, apart: float, ignored: Collection[str]
+    ss: Interpreter, robot: Entity, grid: SearchGrid, clearance: float, ignored: Collection[str]
 ) -> set[Cell]:
-    """The cells in which a robot, as it is turned, is nowhere too near to anything.
+    """Returns the cells in which a robot, at its orientation, keeps clear of everything.
 
-    The robot is put into one after the other, each a tick of the record, and left in the last
-    one; one query asks for all ticks at which something was too near.
+    The robot moves to one cell after the other, each at a tick of the history, and stays in the
+    last one; a single query finds all ticks at which something was too near.
 
     Args:
-        ss: an interpreter with the robot's world alone; its variables are used.
-        robot: who is put into cells.
+        ss: an interpreter with the world of the robot; variables are set in it.
+        robot: the robot.
         grid: the cells.
-        apart: how far everything is to be away, metres.
-        ignored: names of what may be near.
+        clearance: the required distance to everything, metres.
+        ignored: names of entities that may be near.
     """
     world = ss.add_variable("world", robot.world)
     ss.add_variable("tried", robot)
-    ss.add_variable("apart", apart)
-    ss.add_variable("leftOut", [robot.name, *ignored])
+    ss.add_variable("least", clearance)
+    ss.add_variable("ignored", [robot.name, *ignored])
     height = robot.position[2]
-    at: dict[int, Cell] = {}
+    cells_by_tick: dict[int, Cell] = {}
     for cell in grid.cells():
         robot.move([*grid.place(cell), height])
-        at[world.snapshot.number] = cell
-    taken = {at[tick] for tick in ss.eval(_TRIED) if tick in at}
-    return set(at.values()) - taken
+        cells_by_tick[world.snapshot.number] = cell
+    occupied = {cells_by_tick[tick] for tick in ss.eval(_OCCUPIED) if tick in cells_by_tick}
+    return set(cells_by_tick.values()) - occupied
 
 
-def shortest_way(
+def shortest_path(
     free: Collection[Cell], start: Cell, goal: Cell, *, diagonal: bool = False
 ) -> list[Cell]:
-    """The shortest way over free cells from the start to the goal, both included.
+    """Returns the shortest path over free cells from the start to the goal, both included.
 
     Args:
-        free: the cells; the start and the goal are taken to be free.
-        start: where it begins.
-        goal: where it ends.
-        diagonal: whether there are steps to cells that share a corner only.
+        free: the free cells; the start and the goal count as free.
+        start: the first cell.
+        goal: the last cell.
+        diagonal: whether steps to cells that only share a corner are allowed.
 
     Returns:
-        The cells on the way; none if there is no way.
+        The cells of the path; empty if there is none.
+
+    >>> shortest_path({(1, 0), (1, 1), (1, 2)}, (0, 0), (0, 2))
+    [(0, 0), (1, 0), (1, 1), (1, 2), (0, 2)]
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
@@ -112,10 +119,12 @@ def shortest_way(
     ]
     first, second, lengths = np.array(steps).reshape(-1, 3).T
     graph = coo_array((lengths, (first.astype(int), second.astype(int))), shape=(len(cells),) * 2)
-    far, before = dijkstra(graph, directed=False, indices=numbers[goal], return_predecessors=True)
-    if not math.isfinite(far[numbers[start]]):
+    distances, predecessors = dijkstra(
+        graph, directed=False, indices=numbers[goal], return_predecessors=True
+    )
+    if not math.isfinite(distances[numbers[start]]):
         return []
-    way = [numbers[start]]
-    while way[-1] != numbers[goal]:
-        way.append(int(before[way[-1]]))
-    return [cells[number] for number in way]
+    path = [numbers[start]]
+    while path[-1] != numbers[goal]:
+        path.append(int(predecessors[path[-1]]))
+    return [cells[number] for number in path]

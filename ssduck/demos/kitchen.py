@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssduck.adapters.display import answer_of, console_of_answers, fitted, readable
+from ssduck.adapters.display import display_table, fitted_table, plain_console, readable
 from ssduck.demos.drawing import save
 from ssduck.demos.results import keep_picture
 from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from ssduck.interpreter.interpreter import Interpreter
 
-# Of both languages, and of Python's as far as the demonstration uses them.
+# Keywords of SelectScript, SQL and Python that the demonstration highlights.
 _KEYWORDS = (
     r"(?i)\b(SELECT|FROM|WHERE|ORDER BY|LIMIT|DESC|AS|AND|OR|NOT|TRUE|FALSE|def|if|return)\b"
 )
@@ -32,12 +32,12 @@ _KEYWORDS = (
 
 @dataclass(frozen=True)
 class Addition:
-    """A Python function that becomes part of the language.
+    """A Python function that is added to the language.
 
     Attributes:
-        name: what programs call it.
-        function: what it does.
-        help: what `help('name')` tells.
+        name: the name in programs.
+        function: the function.
+        help: the text that `help('name')` shows.
     """
 
     name: str
@@ -47,13 +47,13 @@ class Addition:
 
 @dataclass(frozen=True)
 class DemoQuestion:
-    """One step of the demonstration; variables stay from one to the next.
+    """A question of the demonstration; variables persist between questions.
 
     Attributes:
         asks: the question in plain words.
-        program: the same in SelectScript, or in SQL.
-        sql: whether it is SQL.
-        addition: a function that is added before it is asked.
+        program: the question in SelectScript or SQL.
+        sql: whether the program is SQL.
+        addition: a function that is added to the language first.
     """
 
     asks: str
@@ -129,7 +129,7 @@ cleanUp = SELECT obj FROM kitchen
 
 
 def questions(scene: Scene) -> tuple[DemoQuestion, ...]:
-    """The tutorial's questions for the kitchen that comes with ssduck, else general ones."""
+    """Returns the tutorial's questions for the shipped kitchen, general ones for other scenes."""
     if scene.path == shipped_scenes().get("kitchen"):
         return KITCHEN
     # The name of a scene is an identifier: nothing can be injected.
@@ -151,7 +151,7 @@ def questions(scene: Scene) -> tuple[DemoQuestion, ...]:
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
-    """Ask the kitchen the tutorial's questions, and draw it; nothing of it is by chance."""
+    """Asks the kitchen the tutorial's questions and draws it; uses no random numbers."""
     ask(find_scene("kitchen"), say, folder=folder)
     return True
 
@@ -164,66 +164,66 @@ def ask(
     picture: Path | None = None,
     with_sql: bool = True,
 ) -> None:
-    """Ask a scene the questions that there are for it, and draw it.
+    """Asks the questions about a scene and draws the scene.
 
     Args:
-        scene: what is asked.
+        scene: the scene.
         say: writes lines.
-        folder: gets a picture that is called like the scene, beside what is there; None for none.
-        picture: the file that the picture goes to instead, in the format of its ending; what is
-            there is replaced.
-        with_sql: whether to show the SQL that programs become.
+        folder: the folder for a picture named like the scene; existing files stay. None for none.
+        picture: the file for the picture instead, in the format of its suffix; an existing file
+            is replaced.
+        with_sql: whether to show the SQL of the programs.
 
     Raises:
-        SelectScriptError: the scene cannot be loaded, or the picture not be written.
+        SelectScriptError: the scene cannot be loaded, or the picture cannot be written.
     """
     from ssduck.interpreter.opening import load
 
-    console = console_of_answers()
-    asked = questions(scene)
+    console = plain_console()
+    scene_questions = questions(scene)
     with load(scene.path) as ss:
-        taken = 0.0
-        for number, question in enumerate(asked, 1):
+        seconds = 0.0
+        for number, question in enumerate(scene_questions, 1):
             with console.capture() as captured:
                 console.print(f"{number}. {question.asks}", style="bold")
-                taken += _demonstrate(ss, question, console, with_sql)
-            # Padding at the ends of lines is in the way of those who copy or compare them.
+                seconds += _demonstrate(ss, question, console, with_sql)
+            # Padding at the ends of lines hinders copying and comparing.
             say(re.sub(r" +$", "", captured.get(), flags=re.MULTILINE))
-        say(f"{len(asked)} questions in {taken:.2f} s")
-        drawn = ss.call_variable(scene.name).render() if picture or folder else None
-    if drawn is not None:
+        say(f"{len(scene_questions)} questions in {seconds:.2f} s")
+        picture_pixels = ss.call_variable(scene.name).render() if picture or folder else None
+    if picture_pixels is not None:
         if picture is not None:
-            save(drawn, picture)
+            save(picture_pixels, picture)
         elif folder is not None:
-            picture = keep_picture(drawn, folder / f"{scene.name}.png")
+            picture = keep_picture(picture_pixels, folder / f"{scene.name}.png")
         say(f"The scene is drawn in {picture}")
 
 
 def _demonstrate(
     ss: Interpreter, question: DemoQuestion, console: Console, with_sql: bool
 ) -> float:
-    """Ask a question and show all of it; how long the answer took, in seconds."""
+    """Asks a question and shows it with its answer; returns the time of the answer, s."""
     from rich.table import Table
 
-    added = question.addition
-    if added is not None:
-        ss.add_function(added.name, added.function, added.help)
+    addition = question.addition
+    if addition is not None:
+        ss.add_function(addition.name, addition.function, addition.help)
     start = time.perf_counter()
     value = ss.sql(question.program) if question.sql else ss.eval(question.program)
-    taken = time.perf_counter() - start
-    answer = replace(answer_of(value), types=())
+    seconds = time.perf_counter() - start
+    table = replace(display_table(value), types=())
 
     grid = Table.grid(padding=(0, 2, 1, 0))
     grid.add_column(style="dim", min_width=9)
     grid.add_column(overflow="fold")
-    if added is not None:
-        grid.add_row("  Python", _highlighted(inspect.getsource(added.function)))
+    if addition is not None:
+        grid.add_row("  Python", _highlighted(inspect.getsource(addition.function)))
     grid.add_row("  SQL" if question.sql else "  program", _highlighted(question.program))
     if with_sql and not question.sql and (sql := ss.explain(question.program)):
         grid.add_row("  as SQL", _compact(sql), style="dim")
-    grid.add_row("  answer", fitted(answer) if answer.named else readable(value))
+    grid.add_row("  answer", fitted_table(table) if table.named else readable(value))
     console.print(grid)
-    return taken
+    return seconds
 
 
 def _highlighted(code: str) -> Text:
@@ -236,6 +236,6 @@ def _highlighted(code: str) -> Text:
 
 
 def _compact(sql: str) -> str:
-    """SQL with a line a clause; what is indented continues the clause before it."""
+    """Returns SQL with one line for each clause."""
     joined = re.sub(r"\n\s+(?=\S)", " ", re.sub(r"\n\s+(?=\))", "", sql))
     return joined.replace("( ", "(")

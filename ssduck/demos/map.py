@@ -22,36 +22,36 @@ ALL = "SELECT obj FROM kitchen AS roombaGrid;"
 NEAR = """\
 roomba = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;
 SELECT obj FROM kitchen WHERE distance(roomba, this) <= 1.5 AS roombaGrid;"""
-# How much larger a cell is drawn, pixels.
-TIMES = 4
+# The size of a cell in pictures, pixels.
+SCALE = 4
 # At 22 cm the legs of the table and of four chairs stand on the floor, in this region.
-LEGS = ((0.0, -1.6), (1.6, 0.95))
+LEGS_REGION = ((0.0, -1.6), (1.6, 0.95))
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
-    """Make the maps, save and load them, and check them."""
+    """Makes, saves, loads and checks the maps."""
     from ssduck.interpreter.opening import load
 
-    found, pictures = True, []
+    succeeded, pictures = True, []
     with load("kitchen") as ss:
         for name, program in (("kitchen", ALL), ("near_roomba", NEAR)):
             say(program)
             grid: OccupancyGrid = ss.eval(program)
-            say(_told(grid))
+            say(_description(grid))
             target = keep(folder / f"{name}.yaml", grid.save)
-            same = type(grid).load(target) == grid
-            told = "the same" if same else "another one"
-            say(f"Saved as {target} and its picture; loaded again it is {told}")
+            is_same = type(grid).load(target) == grid
+            verdict = "the same" if is_same else "another one"
+            say(f"Saved as {target} and its picture; loaded again it is {verdict}")
             picture = grid.image()
-            larger = picture.resize((picture.width * TIMES, picture.height * TIMES))
+            larger = picture.resize((picture.width * SCALE, picture.height * SCALE))
             pictures.append(str(keep_picture(larger, folder / f"{name}.png")))
-            found &= same and bool(np.asarray(grid).any()) and not np.asarray(grid).all()
-        found &= _legs(ss.eval(ALL), say)
+            succeeded &= is_same and bool(np.asarray(grid).any()) and not np.asarray(grid).all()
+        succeeded &= _has_legs(ss.eval(ALL), say)
     say(f"The maps: {', '.join(pictures)}")
-    return found
+    return succeeded
 
 
-def _told(grid: OccupancyGrid) -> str:
+def _description(grid: OccupancyGrid) -> str:
     cells = np.asarray(grid)
     return (
         f"{cells.shape[0]} x {cells.shape[1]} cells of {grid.resolution:g} m from "
@@ -59,11 +59,11 @@ def _told(grid: OccupancyGrid) -> str:
     )
 
 
-def _legs(grid: OccupancyGrid, say: Callable[[str], None]) -> bool:
-    """Whether as many things stand on the floor about the table as it and the chairs have legs."""
+def _has_legs(grid: OccupancyGrid, say: Callable[[str], None]) -> bool:
+    """Whether the number of things around the table is that of its legs and the chairs' legs."""
     from scipy.ndimage import label
 
-    (left, low), (right, high) = LEGS
+    (left, low), (right, high) = LEGS_REGION
     x, y = grid.centres(0), grid.centres(1)
     inside: Any = np.asarray(grid)[np.ix_((x > left) & (x < right), (y > low) & (y < high))]
     count = int(label(inside, structure=np.ones((3, 3)))[1])

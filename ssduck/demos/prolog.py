@@ -31,7 +31,7 @@ FROM a=kitchen, b=kitchen
 WHERE NOT (isSensor(a.this) OR isSensor(b.this))
 AS {};"""
 
-# A question in Prolog, what it finds, the same as a rule of an answer set, and in SelectScript.
+# A goal in Prolog, its variable, the same as a rule for clingo, and in SelectScript.
 QUESTIONS: tuple[Question, ...] = (
     (
         "above(table, X)",
@@ -52,12 +52,12 @@ QUESTIONS: tuple[Question, ...] = (
         "SELECT id FROM kitchen WHERE NOT isSensor(this) AS list;",
     ),
 )
-# For clingo, which has whole numbers only: of a millionth of a metre, or of a cubic metre.
+# clingo has integers only: in millionths of a metre or of a cubic metre.
 SCALE = 1_000_000
 
 
 def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa: ARG001
-    """Write the clauses, ask, and compare; without an engine only SelectScript is asked."""
+    """Writes the clauses and compares the answers; without an engine, only SelectScript answers."""
     from ssduck.interpreter.opening import load
 
     with load("kitchen") as ss:
@@ -80,7 +80,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
 
 
 def _engine(say: Callable[[str], None]) -> Engine | None:
-    """What can be asked here; None if nothing can, and what to install."""
+    """Returns the installed engine; None, with a hint on what to install, if there is none."""
     if shutil.which("swipl"):
         say("The questions are put to SWI-Prolog")
         return _prolog
@@ -95,26 +95,26 @@ def _engine(say: Callable[[str], None]) -> Engine | None:
 
 
 def _prolog(_: Interpreter, target: Path, question: Question) -> Sequence[str]:
-    """The answers of SWI-Prolog, which reads the file.
+    """Returns the answers of SWI-Prolog, which reads the file.
 
     Raises:
-        SelectScriptError: it fails, and how.
+        SelectScriptError: SWI-Prolog fails.
     """
-    asked, variable, *_others = question
-    goal = f"forall(({asked}), (write({variable}), nl)), halt"
+    query, variable, *_others = question
+    goal = f"forall(({query}), (write({variable}), nl)), halt"
     command = ["swipl", "-q", "-g", goal, "-t", "halt(1)", str(target)]
     try:
-        done = subprocess.run(  # noqa: S603
+        process = subprocess.run(  # noqa: S603
             command, capture_output=True, text=True, timeout=60, check=True
         )
     except (OSError, subprocess.SubprocessError) as error:
-        told = getattr(error, "stderr", None) or error
-        raise SelectScriptError(f"swipl failed: {error_text(Exception(told))}") from error
-    return done.stdout.split()
+        reason = getattr(error, "stderr", None) or error
+        raise SelectScriptError(f"swipl failed: {error_text(Exception(reason))}") from error
+    return process.stdout.split()
 
 
 def _clingo(ss: Interpreter, _: Path, question: Question) -> Sequence[str]:
-    """The answers of clingo."""
+    """Returns the answers of clingo."""
     import clingo
 
     facts = ss.eval(CLAUSES.format(f"asp(scale={SCALE})"))

@@ -1,4 +1,4 @@
-"""What demonstrations leave behind: files and folders that overwrite nothing that is there."""
+"""Keeps files and folders of demonstrations without overwriting existing ones."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ if TYPE_CHECKING:
 
 
 def keep_picture(picture: npt.NDArray[np.uint8] | Image.Image, target: Path) -> Path:
-    """Write a picture as `keep` does; tells where it is."""
+    """Writes a picture as `keep` does; returns its path."""
     from ssduck.demos.drawing import save
 
     return keep(target, lambda path: save(picture, path))
 
 
 def keep(target: Path, write: Callable[[Path], object]) -> Path:
-    """Write something to a path, or to the first free one beside it, kitchen_2.png say.
+    """Writes files to a path or, if it is taken, to a free one beside it, like kitchen_2.png.
 
-    What is there stays as it is. If it is the same already, nothing is written.
+    Existing files stay. If they are equal to the new ones, nothing is written.
 
     Args:
-        target: the path; its folder is there.
-        write: writes a file or a folder to a path that it is given, and may write others beside
-            it, whose names begin like its.
+        target: the path, in an existing folder.
+        write: writes a file or a folder to the given path, and possibly further files beside it,
+            whose names begin with the same stem.
 
     Returns:
-        Where it is.
+        The path that was written or that was equal already.
 
     Raises:
-        SelectScriptError: it cannot be written.
+        SelectScriptError: the files cannot be written.
     """
     for place in _places(target):
         with TemporaryDirectory() as folder:
-            made = Path(folder)
-            write(made / place.name)
+            new_files = Path(folder)
+            write(new_files / place.name)
             try:
-                if _puts(made, place.parent):
+                if _moved(new_files, place.parent):
                     return place
             except OSError as error:
                 message = f"{place} cannot be written: {error.strerror or error}"
@@ -60,19 +60,19 @@ def _places(target: Path) -> Iterator[Path]:
         yield target.with_stem(f"{target.stem}_{number}")
 
 
-def _puts(made: Path, folder: Path) -> bool:
-    """Put everything into a folder, or nothing if something else is there by a name of it."""
-    there = [(new, folder / new.name) for new in made.iterdir()]
-    if any(old.exists() and not _are_same(new, old) for new, old in there):
+def _moved(new_files: Path, folder: Path) -> bool:
+    """Moves new files into a folder, unless a different file has the name of one of them."""
+    pairs = [(new, folder / new.name) for new in new_files.iterdir()]
+    if any(old.exists() and not _are_same(new, old) for new, old in pairs):
         return False
-    for new, old in there:
+    for new, old in pairs:
         if not old.exists():
             shutil.move(new, old)
     return True
 
 
 def _are_same(one: Path, other: Path) -> bool:
-    """Whether two files, or all in two folders, are the same."""
+    """Whether two files, or all files of two folders, are equal."""
     if one.is_file() or other.is_file():
         return one.is_file() and other.is_file() and filecmp.cmp(one, other, shallow=False)
     parts = {path.relative_to(one) for path in one.rglob("*")}

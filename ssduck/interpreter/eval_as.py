@@ -14,7 +14,7 @@ from typing import Any, overload
 from ssduck.errors import ArgumentError
 from ssduck.language.clauses import SelectedValue
 from ssduck.language.evaluator import Frame
-from ssduck.language.overrides import plain
+from ssduck.language.overrides import written_name
 from ssduck.language.tree import (
     Call,
     Index,
@@ -52,7 +52,7 @@ class QueryPart:
         row.pop(None, None)
         if len(elements) == 1:
             row[None] = elements[0]
-        return self._frame.row(row, dict(self._frame.kept)).value(self.node)
+        return self._frame.row(row, dict(self._frame.cached)).value(self.node)
 
 
 class Condition(QueryPart):
@@ -214,7 +214,7 @@ def _plain_name(node: Node) -> str:
     """What a column is column_name that `to` does not name."""
     match node:
         case Call(name=name) | UnresolvedName(name=name) | Name(name=name) | TimeIndex(name=name):
-            return plain(name)
+            return written_name(name)
         case Index(indices=(*_, Literal(value=str() as key))):
             return key
         case This(alias=alias):

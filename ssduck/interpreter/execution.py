@@ -30,14 +30,14 @@ from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
-from ssduck.language.overrides import meant
+from ssduck.language.overrides import with_overrides
 from ssduck.language.parser import parse
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay.past import together as entities_together
 from ssduck.schema import MASSES
 from ssduck.sql.dialects import in_dialect
-from ssduck.sql.explain import told
+from ssduck.sql.explain import explained
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.translator import unknown_function
 from ssduck.world.entities import Entity
@@ -111,7 +111,7 @@ class Execution(Namespace, ABC):
             return program
         found = self._override_cache.get(program)
         if found is None:
-            found = self._override_cache[program] = meant(program, self._overrides)
+            found = self._override_cache[program] = with_overrides(program, self._overrides)
         return found
 
     def _run(self, program: Program) -> Any:
@@ -166,7 +166,7 @@ class Execution(Namespace, ABC):
                 for name, world in self._database.worlds.items()
             }
             return "\n\n".join(
-                told(program.text, statement, plan_of, stand_ins)
+                explained(program.text, statement, plan_of, stand_ins)
                 for statement in program.statements[-1:]
             )
 
@@ -214,7 +214,7 @@ class Execution(Namespace, ABC):
         age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
 
         def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
-            found = self._planner.run(query, Frame(self, given=given), _accept_columns)
+            found = self._planner.run(query, Frame(self, placeholders=given), _accept_columns)
             listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
             return listed
 
@@ -262,7 +262,7 @@ class Execution(Namespace, ABC):
                 moment = value.moment if isinstance(value, Entity) else None
                 if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
-            return self._planner.relation(query, Frame(self, given=given))
+            return self._planner.relation(query, Frame(self, placeholders=given))
 
     # -- what else expressions see -----------------------------------------------------------
 

@@ -10,7 +10,7 @@ from inspect import unwrap
 from typing import Any
 
 from ssduck import validation
-from ssduck.adapters.registry import tables_of_forms
+from ssduck.adapters.registry import tables_read_by
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
@@ -21,11 +21,11 @@ from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked, plain
+from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked_name, written_name
 from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import instead_of_name
 from ssduck.language.tree import Call, Node
-from ssduck.language.value_history import ValueHistory, aged, history_of, kept
+from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
 from ssduck.recording.replay.past import past_of
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
@@ -99,16 +99,16 @@ class Namespace:
             raise ArgumentError(
                 "a world is no value to be kept in a history; assign it without {…}"
             )
-        self._variables[name] = kept(before, value, horizon, now)
+        self._variables[name] = with_assignment(before, value, horizon, now)
 
-    def aged(self, name: str, *age: Any) -> Any:
+    def past_value(self, name: str, *age: Any) -> Any:
         """What a variable was; all that it keeps if no age is given."""
         self.variable(name)
         held = self._variables[name]
         if isinstance(held, World):
             seconds = validation.seconds(age[0], "what is in {…}") if age else None
             return past_of(self._database.record_of(held), seconds)
-        return aged(name, held, age, self._now)
+        return past_value(name, held, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
         """What `name{}` gives, with the simulated times.
@@ -148,11 +148,11 @@ class Namespace:
         """A function that is no relation; the language's own, where the name is not marked."""
         if name in self._overrides:
             return self._overrides[name]
-        return self._functions.get(plain(name))
+        return self._functions.get(written_name(name))
 
-    def meant(self, name: str) -> str:
+    def resolved_name(self, name: str) -> str:
         """What calls the function of that name: the user's, where it replaces another."""
-        return marked(name) if name in self._overrides else name
+        return marked_name(name) if name in self._overrides else name
 
     def _add_function(self, function: Function) -> None:
         """Take a user's function; one of the language's name replaces that, with a warning.
@@ -174,9 +174,9 @@ class Namespace:
         self._functions[name] = function
         sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
         what = f"the operator {sign}" if sign else f"the language's own {name}"
-        kept = "; raw SQL keeps its own" if name in RELATIONS else ""
+        note = "; raw SQL keeps its own" if name in RELATIONS else ""
         warn(
-            f"your function {name!r} replaces {what} in programs{kept}; "
+            f"your function {name!r} replaces {what} in programs{note}; "
             f"del_function({name!r}) brings that back"
         )
 
@@ -186,8 +186,8 @@ class Namespace:
         Raises:
             UnknownNameError: there is none, with the nearest names.
         """
-        is_name = isinstance(name, str) and name == plain(name)
-        if not is_name or not self.is_users(self.meant(name)):
+        is_name = isinstance(name, str) and name == written_name(name)
+        if not is_name or not self.is_users(self.resolved_name(name)):
             own = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
                 f"there is no function {short_repr(name)} of yours", suggestions=nearest(name, own)
@@ -209,7 +209,7 @@ class Namespace:
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
-        given, name = len(node.arguments), plain(node.name)
+        given, name = len(node.arguments), written_name(node.name)
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
             least, most = min(relation.expressions), max(relation.expressions)
@@ -251,11 +251,11 @@ class Namespace:
     def _commands(self) -> list[Function]:
         def clear(name: str | None = None) -> bool:
             if name is None:
-                kept = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+                others = {n: v for n, v in self._variables.items() if isinstance(v, World)}
             else:
                 self.variable(name)
-                kept = {n: v for n, v in self._variables.items() if n != name}
-            self._variables = kept
+                others = {n: v for n, v in self._variables.items() if n != name}
+            self._variables = others
             return True
 
         def show(*values: Any) -> Any:
@@ -299,7 +299,7 @@ class Namespace:
 
     def tables_read(self, node: Node) -> frozenset[str]:
         """The tables that relations in a part look things up in."""
-        found = tables_of(node) | tables_of_forms(forms_of(node))
+        found = tables_of(node) | tables_read_by(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
             if isinstance(value, LazyList):

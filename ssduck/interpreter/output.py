@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeAlias
 
-from ssduck.adapters.registry import Adapter, Selection, find, forms
+from ssduck.adapters.registry import Adapter, Selection, all_adapters, find
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError, SourceSpan
 from ssduck.formatting import error_text
 from ssduck.language.clauses import (
@@ -78,7 +78,7 @@ class AsClause:
             try:
                 return made(selection)
             finally:
-                selection.end()
+                selection.close()
         selected = run(query, frame, check)
         return formed(selected, lambda rows: made(Selection(lambda _: rows, query, worlds)))
 
@@ -132,7 +132,7 @@ def as_clause_of(query: Query, frame: Frame) -> AsClause:
 
 def help_of_result_forms() -> str:
     """Returns the text of `help('AS')`: all result forms with their arguments."""
-    told = [f"{form.usage}\n    {form.help}" for form in forms()]
+    told = [f"{form.usage}\n    {form.help}" for form in all_adapters()]
     return "\n".join(["AS", "What a query's rows become.", *told])
 
 

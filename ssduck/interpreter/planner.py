@@ -159,7 +159,9 @@ class Planner:
             (call,) = query.items
             assert isinstance(call, Call)
             given = [
-                frame.given[part.name] for part in call.arguments if isinstance(part, Placeholder)
+                frame.placeholders[part.name]
+                for part in call.arguments
+                if isinstance(part, Placeholder)
             ]
             told = ", ".join(
                 short_repr(v) if isinstance(v, float) else type_in_words(v) for v in given
@@ -353,16 +355,21 @@ class InterpreterTypes:
         self._scope = scope
         self._frame = frame
         self._database = database
-        self._values: dict[Node, Any] = dict(frame.kept)
+        self._values: dict[Node, Any] = dict(frame.cached)
         self._failed: set[Node] = set()
         self.check_call = scope.check_call
-        self.meant = scope.meant
+        self.resolved_name = scope.resolved_name
 
     def frame(self) -> Frame:
         """Returns the frame with the values computed so far, so that a run computes each once."""
         frame = self._frame
         return Frame(
-            frame.scope, frame.elements, frame.local, frame.given, frame.columns, self._values
+            frame.scope,
+            frame.elements,
+            frame.local,
+            frame.placeholders,
+            frame.columns,
+            self._values,
         )
 
     def has_variable(self, name: str) -> bool:

@@ -45,7 +45,7 @@ from ssduck.simulators.joints import JointError
 from ssduck.sql.name_resolution import ResolvedQuery
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.sql_values import written
+from ssduck.sql.sql_values import with_values
 from ssduck.sql.types import SqlType
 
 # So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
@@ -193,7 +193,7 @@ class PlannedQuery:
         ):
             # What is written in a statement DuckDB compares whole blocks of rows with.
             return database.connection.rows(
-                plan.select.transform(written(parameters)).sql("duckdb")
+                plan.select.transform(with_values(parameters)).sql("duckdb")
             )
         # A buffer of numbers has no place for an unknown one.
         if not plan.tables and None not in parameters.values():
@@ -225,7 +225,7 @@ class PlannedQuery:
             if texts:
                 return None
         if self._statement is None and _element_count(texts) <= MOST_LITERALS:
-            select = self.plan.select.transform(written(texts)) if texts else self.plan.select
+            select = self.plan.select.transform(with_values(texts)) if texts else self.plan.select
             assert isinstance(select, exp.Select)
             self._statement = Statement(self._database.plans, select, self.plan.numbers)
         return self._statement
@@ -239,7 +239,7 @@ class PlannedQuery:
         around.pop(None, None)
         getters = [(shape.alias, self._element_reader(shape, sources)) for shape in plan.shapes]
         only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
-        kept = {MEMOS: {}, **outer.kept}
+        kept = {MEMOS: {}, **outer.cached}
         step = outer.scope.meter.step
         for columns in fetched:
             step()
@@ -326,7 +326,7 @@ def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> d
 
 def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
     try:
-        value = outer.kept[node] if node in outer.kept else outer.value(node)
+        value = outer.cached[node] if node in outer.cached else outer.value(node)
         return value.column(column) if column else to_sql(value)
     except SelectScriptError as error:  # an entity that is gone
         error.span = error.span or node.span
@@ -412,7 +412,7 @@ class RowByRowQuery:
             values: those of the sources.
         """
         elements = all_elements(values)
-        kept = {MEMOS: {}, **outer.kept}
+        kept = {MEMOS: {}, **outer.cached}
         if self._search is None:
             return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
         return self._search.selected(outer, self._rows_of_states(outer, elements, kept), kept)
@@ -434,7 +434,7 @@ class RowByRowQuery:
         kept: dict[Node, Any],
     ) -> Iterator[dict[str | None, Any]]:
         """The elements of each row of a state, where they differ from state to state."""
-        inside = Frame(outer.scope, outer.elements, state, outer.given, (), kept)
+        inside = Frame(outer.scope, outer.elements, state, outer.placeholders, (), kept)
         if self._sources_change:
             elements = [elements_of(inside.value(s.value)) for s in self._query.sources]
         return combinations(self._aliases, elements, inside)
@@ -474,7 +474,7 @@ def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) 
     So it is for a search through short lists, and for a product of short lists: a statement
     takes DuckDB half a millisecond and more to plan, a row takes Python microseconds.
     """
-    if any(not shape.given or shape.tag is None for shape in shapes):
+    if any(not shape.has_values or shape.tag is None for shape in shapes):
         return False
     if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
         return False

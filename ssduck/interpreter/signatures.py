@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 from zlib import crc32
 
-from ssduck.sql.types import FLAG, INTEGER, REAL, TEXT, Signature, SqlType
+from ssduck.sql.types import BOOLEAN, DOUBLE, INTEGER, STRING, Signature, SqlType
 from ssduck.world.entities import Entity
 
-_TYPES: dict[object, SqlType] = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT}
+_TYPES: dict[object, SqlType] = {bool: BOOLEAN, int: INTEGER, float: DOUBLE, str: STRING}
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def _accepted_type(parameter: SqlType, argument: SqlType) -> SqlType | None:
         return argument if argument.type == "entity" and argument.schema else None
     if parameter.type == "real" and argument.is_number:
         # The function may tell 3 from 3.0.
-        return REAL if argument.type == "real" else None
+        return DOUBLE if argument.type == "real" else None
     if parameter.type == "list":
         fits = argument.type == "list" and (
             argument.element is None or parameter.element == argument.element

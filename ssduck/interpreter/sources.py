@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pyarrow as pa
 
-from ssduck.adapters.result import Result, values_of
+from ssduck.adapters.result import Result, python_values
 from ssduck.database.values import SchemaOf, tag_of_any, to_sql
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of
@@ -81,9 +81,9 @@ class _Table:
 def _table(value: Any) -> _Table | None:
     """A data frame; None if it is none."""
     if isinstance(value, Result):
-        return _Table(value.columns, [values_of(column) for column in value.arrow().columns])
+        return _Table(value.columns, [python_values(column) for column in value.arrow().columns])
     if isinstance(value, pa.Table | pa.RecordBatch):
-        return _Table(value.column_names, [values_of(column) for column in value.columns])
+        return _Table(value.column_names, [python_values(column) for column in value.columns])
     if isinstance(value, np.ndarray) and value.ndim and value.dtype.names:
         return _Table(list(value.dtype.names), [value[n].tolist() for n in value.dtype.names])
     # Without importing what may not be installed.
@@ -117,7 +117,7 @@ def _polars_values(column: Any) -> list[Any]:
     kind = str(column.dtype)
     if kind == "Object" or "128" in kind:
         return [_python_value(value) for value in column.to_list()]
-    return values_of(column.to_arrow())
+    return python_values(column.to_arrow())
 
 
 def source_types(
@@ -148,7 +148,7 @@ INLINE = _Inline()
 
 def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if value is INLINE:
-        return SourceType(alias, given=False)
+        return SourceType(alias, has_values=False)
     if isinstance(value, World):
         return SourceType(alias, schema_of(value))
     if isinstance(value, PastTicks):

@@ -54,7 +54,7 @@ def _over_rows(call: Call, query: Query) -> Callable[[str], str]:
         where = query.where
         if where is not None and call not in where.walk():
             sources += f" WHERE {text[where.span.start : where.span.end]}"
-        asked = ("SELECT", text[argument.start : argument.end], "FROM", *sources.split())
-        return f"{call.name}({' '.join(asked)} AS list)"
+        words = ("SELECT", text[argument.start : argument.end], "FROM", *sources.split())
+        return f"{call.name}({' '.join(words)} AS list)"
 
     return spelling

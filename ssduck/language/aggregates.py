@@ -104,12 +104,16 @@ class GroupFunction:
 
     def __init__(self, node: Node, compiler: ExpressionCompiler) -> None:
         self._aggregates: list[tuple[str, Call, Thunk]] = []
-        given: dict[Node, Node] = {}
+        placeholders: dict[Node, Node] = {}
         for call in over_rows(node):
             name = f"aggregate {len(self._aggregates)}"
             self._aggregates.append((name, call, compiler.thunk(call.arguments[0])))
-            given[call] = Placeholder(call.span, name)
-        self._value = compiler.thunk(node.replaced(given.get)) if given else compiler.thunk(node)
+            placeholders[call] = Placeholder(call.span, name)
+        self._value = (
+            compiler.thunk(node.replaced(placeholders.get))
+            if placeholders
+            else compiler.thunk(node)
+        )
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
         """Its value.
@@ -119,10 +123,12 @@ class GroupFunction:
             outer: what is around the query, where the group has no row.
         """
         first = rows[0] if rows else outer
-        given = dict(first.given)
+        placeholders = dict(first.placeholders)
         for name, call, argument in self._aggregates:
-            given[name] = _aggregated(call, argument, rows, first)
-        frame = Frame(first.scope, first.elements, first.local, given, first.columns, first.kept)
+            placeholders[name] = _aggregated(call, argument, rows, first)
+        frame = Frame(
+            first.scope, first.elements, first.local, placeholders, first.columns, first.cached
+        )
         return self._value(frame)
 
 
@@ -151,10 +157,10 @@ def _nothing() -> None:
 
 def _refusal(name: str, values: Sequence[Any]) -> str:
     kinds = list(dict.fromkeys(map(type_in_words, values)))
-    told = f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
+    message = f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
     if any(value is None for value in values):
-        told += "; leave out the rows without a value: WHERE … IS NOT NULL"
-    return told
+        message += "; leave out the rows without a value: WHERE … IS NOT NULL"
+    return message
 
 
 def check_one_group(query: Query, selected: Sequence[Node]) -> None:

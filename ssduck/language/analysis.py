@@ -37,17 +37,17 @@ def known(look: Callable[[Node], T]) -> Callable[[Node], T]:
 
     What is in it is looked at before, so that nothing recurses.
     """
-    found: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
+    result: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
 
     @wraps(look)
     def once(node: Node) -> T:
-        if node not in found:
+        if node not in result:
             parts = [node]
             for part in parts:  # which grows meanwhile
-                parts.extend(child for child in part.children() if child not in found)
+                parts.extend(child for child in part.children() if child not in result)
             for part in reversed(parts):
-                found[part] = look(part)
-        return found[node]
+                result[part] = look(part)
+        return result[node]
 
     return once
 
@@ -61,18 +61,18 @@ def free_aliases(node: Node) -> frozenset[str | None]:
         return frozenset((None,))
     if isinstance(node, QualifiedName):
         return frozenset((node.alias,))
-    found: set[str | None] = set()
+    result: set[str | None] = set()
     if not isinstance(node, Query):
         for child in node.children():
-            found |= free_aliases(child)
-        return frozenset(found)
+            result |= free_aliases(child)
+        return frozenset(result)
     for child in node.children():
         if not isinstance(child, Source):
-            found |= free_aliases(child)
-    found -= {None, *(source.alias for source in node.sources)}
+            result |= free_aliases(child)
+    result -= {None, *(source.alias for source in node.sources)}
     for source in node.sources:  # a source sees what is around the query
-        found |= free_aliases(source)
-    return frozenset(found)
+        result |= free_aliases(source)
+    return frozenset(result)
 
 
 def sees_outside(query: Query) -> bool:

@@ -83,9 +83,9 @@ class Function:
 
     def _refused(self, arguments: Sequence[Any]) -> str:
         """What the language's own function did not take, and what it takes."""
-        given = ", ".join(map(argument_in_words, arguments)) or "no arguments"
+        taken = ", ".join(map(argument_in_words, arguments)) or "no arguments"
         usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
-        return f"{self.name} does not take {given}: it is {usage}"
+        return f"{self.name} does not take {taken}: it is {usage}"
 
     def _failed(self, error: Exception, why: str) -> FunctionError:
         return FunctionError(f"{self.name}: {type(error).__name__}: {why}")
@@ -126,10 +126,10 @@ def _uniq(values: list[Any]) -> list[Any]:
     """Without repetitions, in order of first appearance."""
     if ATOMS.issuperset(map(type, values)):
         return list(dict.fromkeys(values))
-    kept: dict[Any, Any] = {}
+    distinct: dict[Any, Any] = {}
     for value in values:
-        kept.setdefault(hashable(value), value)
-    return list(kept.values())
+        distinct.setdefault(hashable(value), value)
+    return list(distinct.values())
 
 
 def _avg(values: list[Any]) -> Any:

@@ -71,13 +71,13 @@ class EvaluationScope(Protocol):
     def keep(self, name: str, value: Any, horizon: float) -> None:
         """Set a variable that keeps its values of so many seconds."""
 
-    def aged(self, name: str, *age: Any) -> Any:
+    def past_value(self, name: str, *age: Any) -> Any:
         """What a variable was; all that it keeps if no age is given."""
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
 
-    def meant(self, name: str) -> str:
+    def resolved_name(self, name: str) -> str:
         """What calls the function of that name: the user's, where it replaces another."""
 
     def is_users(self, name: str) -> bool:
@@ -117,21 +117,21 @@ class Frame:
         elements: the current element of each source, by alias; that of the only source also
             by None.
         local: the state variables of a path through a hierarchical query.
-        given: the values of `Placeholder` parts.
+        placeholders: the values of `Placeholder` parts.
         columns: what SQL has fetched for this row.
-        kept: the values of parts that are the same for all rows, once they are known.
+        cached: the values of parts that are the same for all rows, once they are known.
         state: the same of parts that are the same for all rows of a state.
-        apart: elements of queries around one that does not depend on them.
+        outer_elements: elements of queries around one that does not depend on them.
     """
 
     __slots__ = (
-        "apart",
+        "cached",
         "calls",
         "columns",
         "elements",
-        "given",
-        "kept",
         "local",
+        "outer_elements",
+        "placeholders",
         "scope",
         "state",
     )
@@ -141,30 +141,38 @@ class Frame:
         scope: EvaluationScope,
         elements: Mapping[str | None, Any] | None = None,
         local: dict[str, Any] | None = None,
-        given: Mapping[str, Any] | None = None,
+        placeholders: Mapping[str, Any] | None = None,
         columns: Sequence[Any] = (),
-        kept: dict[Node, Any] | None = None,
+        cached: dict[Node, Any] | None = None,
         state: dict[Node, Any] | None = None,
-        apart: Mapping[str | None, Any] | None = None,
+        outer_elements: Mapping[str | None, Any] | None = None,
     ) -> None:
         self.scope = scope
-        self.apart = apart if apart is not None else {}
+        self.outer_elements = outer_elements if outer_elements is not None else {}
         self.elements = elements if elements is not None else {}
         self.local = local if local is not None else {}
-        self.given = given if given is not None else {}
+        self.placeholders = placeholders if placeholders is not None else {}
         self.columns = columns
-        self.kept = kept if kept is not None else {}
+        self.cached = cached if cached is not None else {}
         self.state = state if state is not None else {}
         self.calls: dict[str, Any] = {}
 
     def row(
         self,
         elements: Mapping[str | None, Any],
-        kept: dict[Node, Any],
+        cached: dict[Node, Any],
         columns: Sequence[Any] = (),
     ) -> Frame:
         """The frame of a row of a query that this one is around."""
-        return Frame(self.scope, elements, self.local, self.given, columns, kept, apart=self.apart)
+        return Frame(
+            self.scope,
+            elements,
+            self.local,
+            self.placeholders,
+            columns,
+            cached,
+            outer_elements=self.outer_elements,
+        )
 
     def independent(self) -> Frame:
         """The frame for a query that depends on no row around it: handles do not go with those."""
@@ -172,16 +180,16 @@ class Frame:
             self.scope,
             self.elements,
             self.local,
-            self.given,
+            self.placeholders,
             self.columns,
-            self.kept,
+            self.cached,
             self.state,
-            apart=self.elements,
+            outer_elements=self.elements,
         )
 
     def own_elements(self) -> list[Any]:
         """The elements of this query, and of those around it that it depends on."""
-        return [e for alias, e in self.elements.items() if self.apart.get(alias) is not e]
+        return [e for alias, e in self.elements.items() if self.outer_elements.get(alias) is not e]
 
     def value(self, node: Node) -> Any:
         """The value of an expression.
@@ -246,8 +254,8 @@ class ExpressionCompiler:
             return known
         thunk = self._thunk(node)
         if node in self._constants:
-            return _kept(node, thunk, attrgetter("kept"))
-        return _kept(node, thunk, attrgetter("state")) if node in self._of_state else thunk
+            return _cached(node, thunk, attrgetter("cached"))
+        return _cached(node, thunk, attrgetter("state")) if node in self._of_state else thunk
 
     def condition(self, node: Node) -> Callable[[Frame], bool]:
         """A part as a function that tells whether it holds."""
@@ -287,7 +295,7 @@ class ExpressionCompiler:
             case Name(name=name):
                 return self._name(node, name)
             case Placeholder(name=name):
-                return lambda frame: frame.given[name]
+                return lambda frame: frame.placeholders[name]
             case UnresolvedName():
                 return self._bare(node)
             case This(alias=alias):
@@ -309,7 +317,7 @@ class ExpressionCompiler:
             case Assignment():
                 return self._assignment(node)
             case TimeIndex():
-                return self._aged(node)
+                return self._time_index(node)
             case Query():
                 for part in node.walk():
                     if isinstance(part, Query):
@@ -326,12 +334,12 @@ class ExpressionCompiler:
 
         return value
 
-    def _aged(self, node: TimeIndex) -> Thunk:
+    def _time_index(self, node: TimeIndex) -> Thunk:
         name, age = node.name, None if node.age is None else self.thunk(node.age)
 
         def value(frame: Frame) -> Any:
             _refuse_state(name, frame)
-            return frame.scope.aged(name, *(() if age is None else (age(frame),)))
+            return frame.scope.past_value(name, *(() if age is None else (age(frame),)))
 
         return _placed(node, value)
 
@@ -367,7 +375,7 @@ class ExpressionCompiler:
             current = element(frame)
             if isinstance(current, dict):
                 return indexed(current, key, node.span)
-            call = node.call(frame.scope.meant(key))
+            call = node.call(frame.scope.resolved_name(key))
             frame.scope.check_call(call)
             return frame.scope.call(call, [current], frame)
 
@@ -385,7 +393,7 @@ class ExpressionCompiler:
                 return _variable(frame, name)
             if isinstance(element, dict):
                 raise no_name(name, element, frame.scope.names())
-            call = Call(node.span, frame.scope.meant(name), this, node.span)
+            call = Call(node.span, frame.scope.resolved_name(name), this, node.span)
             frame.scope.check_call(call)
             return frame.scope.call(call, [element], frame)
 
@@ -428,13 +436,13 @@ class ExpressionCompiler:
             if key in calls:
                 return calls[key]
             arguments = [thunk(frame) for thunk in thunks]
-            memos = frame.kept.get(MEMOS)
-            asked = function
+            memos = frame.cached.get(MEMOS)
+            memo = function
             if memos is not None:
-                asked = memos.get(name)
-                if asked is None:
-                    asked = memos[name] = Memo(function)
-            value = calls[key] = asked(arguments)
+                memo = memos.get(name)
+                if memo is None:
+                    memo = memos[name] = Memo(function)
+            value = calls[key] = memo(arguments)
             return value
 
         return _placed(node, call)
@@ -528,14 +536,14 @@ def _placed(node: Node, thunk: Thunk) -> Thunk:
     return placed
 
 
-def _kept(node: Node, thunk: Thunk, values: Callable[[Frame], dict[Node, Any]]) -> Thunk:
-    def kept(frame: Frame) -> Any:
+def _cached(node: Node, thunk: Thunk, values: Callable[[Frame], dict[Node, Any]]) -> Thunk:
+    def cached(frame: Frame) -> Any:
         known = values(frame)
         if node in known:
             return known[node]
         return known.setdefault(node, thunk(frame))
 
-    return kept
+    return cached
 
 
 def _variable(frame: Frame, name: str) -> Any:

@@ -120,13 +120,13 @@ class _States:
             key = self.keys.exact(state.values())
         except ArgumentError:  # it cannot be told apart from others
             return self._steps(state, None)
-        found = self._known.get(key)
-        if found is not None:
-            return found
+        result = self._known.get(key)
+        if result is not None:
+            return result
         if len(self._known) >= self._most:
             return self._steps(state, None)
-        found = self._known[key] = self._steps(state, key)
-        return found
+        result = self._known[key] = self._steps(state, key)
+        return result
 
     def _steps(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Steps:
         return tee(self._made(state, self._calls_of(state, key)), 1)[0]
@@ -186,46 +186,46 @@ class Hierarchy:
             self._called_with is not None and selected is not None and selected <= self._called_with
         )
 
-    def selected(self, outer: Frame, rows: RowsOf, kept: dict[Node, Any]) -> Selected:
+    def selected(self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]) -> Selected:
         """The paths.
 
         Args:
             outer: what is around the query.
             rows: the elements of the sources at each row of a state, in order.
-            kept: the values of parts that are the same for all rows, once they are known.
+            cached: the values of parts that are the same for all rows, once they are known.
         """
         recursion = self._recursion
         state = dict(outer.local)
         for name, value in self._start:
-            frame = Frame(outer.scope, outer.elements, state, outer.given, (), outer.kept)
+            frame = Frame(outer.scope, outer.elements, state, outer.placeholders, (), outer.cached)
             made = value(frame)
             if name is not None:
                 state[name] = resolved(made, frame) if isinstance(made, LazyList) else made
         most_states = 0 if self._happens else MOST_STATES
-        states = _States(self._steps_of(outer, rows, kept), self._called_with, most_states)
+        states = _States(self._steps_of(outer, rows, cached), self._called_with, most_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
         paths = search(outer, states, state)
         most = self._number(recursion.maximum, "MAXIMUM", outer)
         meter = outer.scope.meter
-        found: list[list[PathStep]] = []
+        result: list[list[PathStep]] = []
         for path in islice(paths, most):
-            found.append(path)
-            meter.check_rows(len(found))
+            result.append(path)
+            meter.check_rows(len(result))
         limit = self._clauses.count(outer)
 
         def formed(paths: list[list[PathStep]]) -> Paths:
             made = []
             for path in paths:
                 meter.step()
-                made.append(self._apart(path) if recursion.memorizes else self._rows(path))
+                made.append(self._distinct(path) if recursion.memorizes else self._rows(path))
             return Paths(made)
 
-        return self._clauses.arranged(found, lambda path: path[-1].frame, formed, limit, outer)
+        return self._clauses.arranged(result, lambda path: path[-1].frame, formed, limit, outer)
 
     def _number(self, node: Node | None, what: str, outer: Frame) -> int | None:
         return None if node is None else checked_count(self._numbers[node](outer), what, node)
 
-    def _apart(self, path: list[PathStep]) -> Paths:
+    def _distinct(self, path: list[PathStep]) -> Paths:
         return Paths([self._rows([step]) for step in path])
 
     def _rows(self, path: Sequence[PathStep]) -> Rows:
@@ -238,14 +238,14 @@ class Hierarchy:
     # -- what a row is --------------------------------------------------------------------
 
     def _steps_of(
-        self, outer: Frame, rows: RowsOf, kept: dict[Node, Any]
+        self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]
     ) -> Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]]:
         """What makes the rows of a state, but those at which a path ends in vain."""
         stop_at, (stop, where) = self._recursion.stop, (self._stop, self._where)
         found_at = stop_at if self._query.where is None else self._query.where
         # Under UNIQUE it matters of a row that is found whether it counts.
         always_stops = where is None or self._recursion.unique
-        scope, given, look = outer.scope, outer.given, outer.scope.meter.looks()
+        scope, placeholders, look = outer.scope, outer.placeholders, outer.scope.meter.looks()
 
         def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[PathStep]:
             of_state: dict[Node, Any] = {}
@@ -253,19 +253,19 @@ class Hierarchy:
             for elements, known in zip(rows(state), calls, strict=False):
                 look()
                 if frame is None:
-                    frame = Frame(scope, elements, state, given, (), kept, of_state)
+                    frame = Frame(scope, elements, state, placeholders, (), cached, of_state)
                 frame.elements, frame.calls = elements, known
                 selection = self._selected_of(frame) if self._happens else None
-                found = False if where is None else where(frame)
-                if found is not True and found is not False:
-                    found = truth(found, found_at)
-                stops = stop(frame) if always_stops or not found else True
+                result = False if where is None else where(frame)
+                if result is not True and result is not False:
+                    result = truth(result, found_at)
+                stops = stop(frame) if always_stops or not result else True
                 if stops is not True and stops is not False:
                     stops = truth(stops, stop_at)
                 if where is None:
-                    found = stops
-                if found or not stops:
-                    yield PathStep(frame, selection, found, stops)
+                    result = stops
+                if result or not stops:
+                    yield PathStep(frame, selection, result, stops)
                     frame = None  # else nobody knows of it
 
         return steps
@@ -369,7 +369,7 @@ class Hierarchy:
 
         def reached(steps: Iterator[PathStep], level: int) -> list[Vertex[PathStep]]:
             nonlocal deepest
-            found: dict[Vertex[PathStep], None] = {}  # in order, each one once
+            result: dict[Vertex[PathStep], None] = {}  # in order, each one once
             for step in steps:
                 key = self._key(step, keys)
                 vertex = known.get(key)
@@ -379,8 +379,8 @@ class Hierarchy:
                         waiting.append((vertex, level))
                     elif deepest is None:  # what lies deeper is on no shortest path
                         deepest = level
-                found[vertex] = None
-            return list(found)
+                result[vertex] = None
+            return list(result)
 
         roots = reached(_again(states(state)), 1) if levels != 0 else []
         while waiting:

@@ -29,24 +29,24 @@ def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interv
         times: of the recorded ticks, s.
         holding: whether it held at each.
     """
-    found: list[Interval] = []
+    result: list[Interval] = []
     start: float | None = None
     for time, holds in zip(times, holding, strict=True):
         if holds and start is None:
             start = time
         elif not holds and start is not None:
-            found.append([start, time])
+            result.append([start, time])
             start = None
     if start is not None:
-        found.append([start, times[-1]])
-    return found
+        result.append([start, times[-1]])
+    return result
 
 
 def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]:
     """[time, value] at the first tick and wherever the value is another one than before."""
-    found = [[time, value] for time, value in zip(times[:1], values[:1], strict=True)]
+    result = [[time, value] for time, value in zip(times[:1], values[:1], strict=True)]
     steps = zip(times[1:], pairwise(values), strict=True)
-    return found + [[time, now] for time, (before, now) in steps if not _same(before, now)]
+    return result + [[time, now] for time, (before, now) in steps if not _same(before, now)]
 
 
 def _same(a: Any, b: Any) -> bool:
@@ -80,9 +80,9 @@ class Allen:
     @property
     def function(self) -> Function:
         """It as a function of the language."""
-        told = f"{self.about}\nUsage: {self.name}(a, b) -> bool"
+        help_text = f"{self.about}\nUsage: {self.name}(a, b) -> bool"
         return Function(
-            self.name, lambda a, b: self.holds(*_ends(a), *_ends(b)), told, 2, 2, builtin=True
+            self.name, lambda a, b: self.holds(*_ends(a), *_ends(b)), help_text, 2, 2, builtin=True
         )
 
 

@@ -21,8 +21,8 @@ def no_element(
             suggestions=nearest(alias, names) or names[:3],
         )
     if names:
-        told = ", ".join(f"{name}.this" for name in names)
-        return ArgumentError(f"'this' alone is ambiguous here; write one of {told}", span=span)
+        choices = ", ".join(f"{name}.this" for name in names)
+        return ArgumentError(f"'this' alone is ambiguous here; write one of {choices}", span=span)
     return UnknownNameError(
         "there is no 'this' here: it is the element of a query's only source", span=span
     )

@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeAlias
 
 from ssduck.errors import SourceSpan
 from ssduck.language.operators import CHAINS, GROWING, OPERATORS, QUICK, apply, apply_unary, truth
-from ssduck.language.overrides import plain
+from ssduck.language.overrides import written_name
 from ssduck.language.tree import Binary, Call, ListLiteral, Literal, Node, OperatorChain, Unary
 
 # Frames are `ssduck.language.evaluator.Frame`.
@@ -91,7 +91,7 @@ def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
     """One operator of a chain: one of the language, or a user's function in its place."""
     if sign in OPERATORS:
         return lambda _, left, right: apply(sign, left, right, span)
-    call, is_in = Call(span, sign, (), span), plain(sign) == "in"
+    call, is_in = Call(span, sign, (), span), written_name(sign) == "in"
     return lambda frame, left, right: frame.scope.call(
         call, [right, left] if is_in else [left, right], frame
     )

@@ -182,11 +182,11 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
     except (IndexError, KeyError) as error:
         raise _no_such(value, index, span, error) from error
     except TypeError as error:
-        told = f"{type_in_words(value)} has no element {short_repr(index)}"
+        message = f"{type_in_words(value)} has no element {short_repr(index)}"
         hint = getattr(type(value), "KEY_HINT", None)
         if hint is not None and isinstance(index, str):
-            told += f"; {hint}"
-        raise ArgumentError(told, span=span) from error
+            message += f"; {hint}"
+        raise ArgumentError(message, span=span) from error
     except Exception as error:
         raise as_evaluation_error(error, span) from error
 
@@ -197,10 +197,10 @@ def _no_such(value: Any, index: Any, span: SourceSpan, error: Exception) -> Eval
     if isinstance(value, dict):
         keys = list(islice(value, MOST_KEYS))
         more = ", …" if len(value) > MOST_KEYS else ""
-        told = ", ".join(map(short_repr, keys))
+        message = ", ".join(map(short_repr, keys))
         near = nearest(index, map(str, keys))
         return EvaluationError(
-            f"{missing}: there are keys [{told}{more}]", span=span, suggestions=near
+            f"{missing}: there are keys [{message}{more}]", span=span, suggestions=near
         )
     if isinstance(value, list | tuple | str):
         return EvaluationError(f"{missing}: there are {len(value)} elements", span=span)

@@ -40,17 +40,17 @@ FIXED = frozenset(("to", "print", "eval", "clear", "var", "help"))
 _MARK = " of the user"
 
 
-def marked(name: str) -> str:
+def marked_name(name: str) -> str:
     """What calls a user's function that has the name of one of the language."""
     return name + _MARK
 
 
-def plain(name: str) -> str:
+def written_name(name: str) -> str:
     """A function's name as programs write it."""
     return name.removesuffix(_MARK)
 
 
-def meant(program: Program, names: Collection[str]) -> Program:
+def with_overrides(program: Program, names: Collection[str]) -> Program:
     """A program in which users' functions stand where they replace something.
 
     Args:
@@ -61,7 +61,7 @@ def meant(program: Program, names: Collection[str]) -> Program:
     def change(part: Node) -> Node | None:
         match part:
             case Call(name=name, arguments=arguments) if name in names:
-                return replace(part, name=marked(name), arguments=changed(arguments))
+                return replace(part, name=marked_name(name), arguments=changed(arguments))
             case Unary(operator=sign, operand=operand) if NAMES_OF_ONE.get(sign) in names:
                 return _call(part, NAMES_OF_ONE[sign], changed((operand,)))
             case Binary(operator=sign, left=left, right=right) if NAMES.get(sign) in names:
@@ -80,8 +80,8 @@ def meant(program: Program, names: Collection[str]) -> Program:
 
 
 def _sign(sign: str, names: Collection[str]) -> str:
-    return marked(NAMES[sign]) if NAMES[sign] in names else sign
+    return marked_name(NAMES[sign]) if NAMES[sign] in names else sign
 
 
 def _call(part: Node, name: str, arguments: tuple[Node, ...]) -> Call:
-    return Call(part.span, marked(name), arguments, part.span)
+    return Call(part.span, marked_name(name), arguments, part.span)

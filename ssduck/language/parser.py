@@ -445,9 +445,9 @@ class _Parser(SqlForms):
     def parts(self) -> tuple[Node, ...]:
         """Statements with commas between them, in brackets."""
         is_listed, self.is_listed = self.is_listed, True
-        found = self.separated(self.statement)
+        result = self.separated(self.statement)
         self.is_listed = is_listed
-        return found
+        return result
 
     def choice(self) -> If:
         """`IF(condition; …; …)`; an `IF` that is a whole else branch is a branch of this one."""
@@ -489,11 +489,11 @@ class _Parser(SqlForms):
     @cached_property
     def closings(self) -> dict[int, int]:
         """Where the token is that closes a parenthesis, by where that is."""
-        found: dict[int, int] = {}
+        result: dict[int, int] = {}
         open_ones: list[int] = []
         for index, token in enumerate(self.tokens):
             if token.token_type == TokenType.L_PAREN:
                 open_ones.append(index)
             elif token.token_type == TokenType.R_PAREN and open_ones:
-                found[open_ones.pop()] = index
-        return found
+                result[open_ones.pop()] = index
+        return result

@@ -52,7 +52,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("?", "$"): "values come in as variables: ss.add_variable('name', value)",
 }
 
-HABITS = {word: told for words, told in _INSTEAD_OF.items() for word in words}
+HABITS = {word: suggestion for words, suggestion in _INSTEAD_OF.items() for word in words}
 
 # The clauses behind FROM, in their order.
 ORDER = "WHERE, START WITH … CONNECT BY … STOP WITH, GROUP BY, HAVING, ORDER BY, LIMIT, AS"

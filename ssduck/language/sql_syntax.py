@@ -196,17 +196,17 @@ class SqlForms(Cursor):
             self.fail("expected WHEN")
         branches: list[tuple[Node, Node]] = []
         while self.take_words("WHEN"):
-            asked = self.condition() if compared is None else self.expression()
+            condition = self.condition() if compared is None else self.expression()
             if compared is not None:
-                asked = Binary(asked.span, "==", compared, asked)
+                condition = Binary(condition.span, "==", compared, condition)
             self.expect_word("THEN")
-            branches.append((asked, self.expression()))
+            branches.append((condition, self.expression()))
         if not self.take_words("ELSE"):
             self.fail("expected ELSE (a CASE without it would have no value)")
         otherwise = self.expression()
         self.expect_word("END")
         place = self.since(start)
-        first, *further = (Branch(place, asked, (then,)) for asked, then in branches)
+        first, *further = (Branch(place, condition, (then,)) for condition, then in branches)
         return If(place, first.condition, first.then, (otherwise,), tuple(further))
 
     # -- calls ----------------------------------------------------------------------------

@@ -180,13 +180,13 @@ class Cursor:
         token = self.token
         names: tuple[str, ...] = ()
         if token is None:
-            found, instead = "the end of the text", ""
+            result, instead = "the end of the text", ""
         else:
-            found = repr(self.text[slice_of(token)])
+            result = repr(self.text[slice_of(token)])
             instead = self._instead(token)
             known = token.text.upper() in CLAUSES or instead
             names = () if known else nearest(token.text, CLAUSES, 1)
-        told = f"{message}, found {found}" + (f"; {instead}" if instead else "")
+        told = f"{message}, found {result}" + (f"; {instead}" if instead else "")
         raise ParseError(told, text=self.text, span=self.here(), suggestions=names)
 
     def _instead(self, token: Token) -> str:

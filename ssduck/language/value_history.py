@@ -110,11 +110,14 @@ class ValueHistory:
         """
         known, times = self.until(now), self.log.times
         if known.first == known.end:
-            raise EvaluationError(f"nothing is kept: it is {_told(now)}, before all assignments")
+            raise EvaluationError(
+                f"nothing is kept: it is {_time_text(now)}, before all assignments"
+            )
         begin = now - self.horizon
         oldest = max(times[known.first], begin)
         if time < oldest - SAME_TIME:
-            message = f"{_told(time)} is before what is kept, {_told(oldest)} to {_told(now)}"
+            kept = f"{_time_text(oldest)} to {_time_text(now)}"
+            message = f"{_time_text(time)} is before what is kept, {kept}"
             more = "; a longer horizon keeps more" if oldest == begin else ""
             raise EvaluationError(message + more)
         place = bisect_right(times, time + SAME_TIME, known.first, known.end)
@@ -137,7 +140,7 @@ class ValueHistory:
         return now - self.horizon - SAME_TIME
 
 
-def kept(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
+def with_assignment(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
     """What a variable holds after `name{horizon} = value`.
 
     Args:
@@ -158,12 +161,14 @@ def kept(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
     return ValueHistory.begun(value, horizon, now)
 
 
-def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -> Any:
+def past_value(
+    name: str, variable_value: Any, age: tuple[Any, ...], now: Callable[[], float]
+) -> Any:
     """What `name{…}` is.
 
     Args:
         name: of the variable.
-        held: what the variable holds: a history, or a value without one.
+        variable_value: what the variable holds: a history, or a value without one.
         age: what is in the braces; nothing if they are empty.
         now: gives the present simulated time in seconds.
 
@@ -171,7 +176,7 @@ def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -
         ArgumentError: the variable has no history, or the age is no finite number.
         EvaluationError: it is a time before what is kept.
     """
-    history = history_of(name, held)
+    history = history_of(name, variable_value)
     present = now()
     if not age:
         return [value for _, value in history.within(math.inf, present)]
@@ -184,17 +189,17 @@ def aged(name: str, held: Any, age: tuple[Any, ...], now: Callable[[], float]) -
         raise EvaluationError(f"{name}: {error.message}") from None
 
 
-def history_of(name: str, held: Any) -> ValueHistory:
+def history_of(name: str, variable_value: Any) -> ValueHistory:
     """The history that a variable holds.
 
     Raises:
         ArgumentError: it has none.
     """
-    if not isinstance(held, ValueHistory):
+    if not isinstance(variable_value, ValueHistory):
         raise ArgumentError(
             f"{name} has no history; {name}{{5.0}} = … keeps one of 5 s, {name}{{}} = … all of it"
         )
-    return held
+    return variable_value
 
 
 def horizon_of(value: Any) -> float:
@@ -209,5 +214,5 @@ def horizon_of(value: Any) -> float:
     return seconds
 
 
-def _told(time: float) -> str:
+def _time_text(time: float) -> str:
     return f"{round(time, 9):.12g} s"

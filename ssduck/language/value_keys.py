@@ -100,10 +100,10 @@ def exactly(value: Any) -> Any:
     if kind is dict:
         return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])
     moment = getattr(value, "moment", None)  # an entity at another tick is another one
-    return (kind, hashable(value), _told_apart(value), moment and moment.tick)
+    return (kind, hashable(value), _distinguished(value), moment and moment.tick)
 
 
-def _told_apart(value: Any) -> str:
+def _distinguished(value: Any) -> str:
     try:
         return repr(value)
     except Exception as error:

@@ -15,7 +15,7 @@ from ssduck.sql.sql_values import (
     failure,
     wrapped,
 )
-from ssduck.sql.types import EXACT, INTEGER, REAL, SqlType
+from ssduck.sql.types import DOUBLE, EXACT, INTEGER, SqlType
 
 _SUMS = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
 MOST_EXPONENT = 64
@@ -34,15 +34,15 @@ def arithmetic(
         if not value.tag.is_number or value.tag.nullable:
             raise NotSqlError
     kinds = {left.tag.type, right.tag.type}
-    tag = SqlType("number") if "number" in kinds and "real" not in kinds else REAL
+    tag = SqlType("number") if "number" in kinds and "real" not in kinds else DOUBLE
     if kinds == {"integer"}:
         tag = INTEGER
-    elif left.wide or right.wide:
+    elif left.may_exceed_double or right.may_exceed_double:
         raise NotSqlError  # rounded in another place than Python does
     if sign in _SUMS:
         return _sum(context, _SUMS[sign], left, right, tag)
     if sign == "/":
-        if left.wide or right.wide:
+        if left.may_exceed_double or right.may_exceed_double:
             raise NotSqlError
         return _quotient(context, node, left, right)
     if sign == "%" and "number" not in kinds:
@@ -56,19 +56,21 @@ def _sum(
     context: StatementContext, kind: type[exp.Binary], left: SqlValue, right: SqlValue, tag: SqlType
 ) -> SqlValue:
     if tag == INTEGER:
-        context.risk()  # Python's integers have no end
+        context.note_possible_failure()  # Python's integers have no end
     sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
-    extent = FloatDomain.FINITE if tag == INTEGER else _extent(kind, left, right)
+    domain = FloatDomain.FINITE if tag == INTEGER else _domain(kind, left, right)
     # Copied at each term, a long sum would take time that grows with the square of its length.
-    return SqlValue(exp.paren(sql, copy=False), tag, wide=tag == INTEGER, extent=extent)
+    return SqlValue(
+        exp.paren(sql, copy=False), tag, may_exceed_double=tag == INTEGER, domain=domain
+    )
 
 
 def _quotient(context: StatementContext, node: Binary, left: SqlValue, right: SqlValue) -> SqlValue:
     divided = exp.Div(
         this=wrapped(left.sql), expression=wrapped(right.sql), typed=False, safe=False
     )
-    extent = _extent(exp.Div, left, right)
-    return SqlValue(_unless_zero(context, node, right, divided, REAL), REAL, extent=extent)
+    domain = _domain(exp.Div, left, right)
+    return SqlValue(_unless_zero(context, node, right, divided, DOUBLE), DOUBLE, domain=domain)
 
 
 def _remainder(
@@ -80,25 +82,32 @@ def _remainder(
     copied(rest)
     zero = exp.Literal.number(0)
     if tag == INTEGER and isinstance(right.sql, exp.Literal) and int(right.sql.name) > 0:
-        if left.natural:  # as DuckDB's; over millions of ticks each operation counts
-            return SqlValue(rest, tag, wide=left.wide, natural=True)
+        if left.is_non_negative:  # as DuckDB's; over millions of ticks each operation counts
+            return SqlValue(
+                rest, tag, may_exceed_double=left.may_exceed_double, is_non_negative=True
+            )
         negative = exp.LT(this=rest, expression=zero)
         case = exp.case().when(negative, exp.Add(this=rest.copy(), expression=b.copy()))
-        return SqlValue(case.else_(rest.copy()), tag, wide=left.wide, extent=FloatDomain.FINITE)
-    apart = exp.NEQ(
+        return SqlValue(
+            case.else_(rest.copy()),
+            tag,
+            may_exceed_double=left.may_exceed_double,
+            domain=FloatDomain.FINITE,
+        )
+    signs_differ = exp.NEQ(
         this=exp.paren(exp.LT(this=rest, expression=zero)),
         expression=exp.paren(exp.LT(this=b.copy(), expression=zero.copy())),
     )
     nonzero = exp.NEQ(this=rest.copy(), expression=zero.copy())
     shifted = exp.Add(this=rest.copy(), expression=b.copy())
-    case = exp.case().when(exp.and_(nonzero, apart), shifted)
+    case = exp.case().when(exp.and_(nonzero, signs_differ), shifted)
     if tag != INTEGER:  # a remainder of 0 has the sign of the divisor as well
         none = exp.Mul(this=b.copy(), expression=zero.copy())
         case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
     case = case.else_(rest.copy())
-    extent = FloatDomain.NAN if left.extent or right.extent else FloatDomain.FINITE
+    domain = FloatDomain.NAN if left.domain or right.domain else FloatDomain.FINITE
     sql = _unless_zero(context, node, right, case, tag)
-    return SqlValue(sql, tag, wide=left.wide, extent=extent)
+    return SqlValue(sql, tag, may_exceed_double=left.may_exceed_double, domain=domain)
 
 
 def _unless_zero(
@@ -107,7 +116,7 @@ def _unless_zero(
     """Fail where the divisor is 0; SQL would yield nothing there."""
     if isinstance(node.right, tree.Literal) and node.right.value:
         return exp.paren(sql)
-    context.risk()
+    context.note_possible_failure()
     is_zero = exp.EQ(this=wrapped(copied(right.sql)), expression=exp.Literal.number(0))
     return exp.case().when(is_zero, failure(tag)).else_(sql)
 
@@ -118,7 +127,7 @@ def _power(context: StatementContext, node: Binary, left: SqlValue, tag: SqlType
         case tree.Literal(value=exponent) if (
             type(exponent) is int and 0 <= exponent <= MOST_EXPONENT
         ):
-            context.risk()
+            context.note_possible_failure()
             power = exp.Pow(this=double_of(left), expression=exp.Literal.number(exponent))
             beyond: float = EXACT if tag == INTEGER else 1.7976931348623157e308
             too_large = exp.GT(
@@ -129,13 +138,13 @@ def _power(context: StatementContext, node: Binary, left: SqlValue, tag: SqlType
     raise NotSqlError
 
 
-def _extent(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
+def _domain(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
     """Which reals a sum, a product or a quotient may be: finite ones add up to infinite ones."""
-    extents = (left.extent, right.extent)
+    extents = (left.domain, right.domain)
     if max(extents) == FloatDomain.NAN or extents == (FloatDomain.INFINITE, FloatDomain.INFINITE):
         return FloatDomain.NAN
     if kind is exp.Mul and max(extents) == FloatDomain.INFINITE:  # infinity times 0
-        finite = left if left.extent == FloatDomain.FINITE else right
+        finite = left if left.domain == FloatDomain.FINITE else right
         is_factor = isinstance(finite.sql, exp.Literal) and float(finite.sql.this) != 0
         return FloatDomain.INFINITE if is_factor else FloatDomain.NAN
     return FloatDomain.INFINITE

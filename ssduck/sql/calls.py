@@ -13,7 +13,7 @@ from ssduck.language.tree import Binary, Call, Node, Query, Unary
 from ssduck.sql import subqueries
 from ssduck.sql.arithmetic import double_of
 from ssduck.sql.lists import element_at
-from ssduck.sql.relation_calls import expanded, looked_up
+from ssduck.sql.relation_calls import expanded, in_world
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Parameter, Relation
 from ssduck.sql.scope import ExpressionScope
@@ -26,7 +26,7 @@ from ssduck.sql.sql_values import (
     failure,
     or_failure,
 )
-from ssduck.sql.types import INTEGER, REAL, TEXT, SqlType
+from ssduck.sql.types import DOUBLE, INTEGER, STRING, SqlType
 
 # Functions of reals that C has, so that SQL and Python agree to the last digit.
 _OF_REALS = ("sin", "cos", "tan", "atan")
@@ -56,9 +56,9 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
     if builtin is not None:
         return builtin
     signature = sql.names.signature(node.name, tuple(value.tag for value in values))
-    if signature is None or any(value.tag.nullable or value.wide for value in values):
+    if signature is None or any(value.tag.nullable or value.may_exceed_double for value in values):
         raise NotSqlError
-    sql.context.risk()
+    sql.context.note_possible_failure()
     sql.context.signatures.add(signature)
     arguments = [
         exp.cast(value.sql.copy(), tag.sql_type, dialect="duckdb")
@@ -73,15 +73,15 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
 def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     count = len(node.arguments)
     if relation.may_fail and (sql.rows or sql.around is not None):
-        sql.context.risk()  # of rows that no condition before it has left
+        sql.context.note_possible_failure()  # of rows that no condition before it has left
     values = {
         parameter.name: _argument(sql, relation, parameter, argument)
         for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
     }
-    sql.ticks.follow(values)
-    then = sql.ticks.at_all(relation, values, count)
-    if then is not None:
-        return then
+    sql.ticks.join_entities(values)
+    over_ticks = sql.ticks.over_all_ticks(relation, values, count)
+    if over_ticks is not None:
+        return over_ticks
     formula = relation.expressions[count]
     if relation.result == "entity":
         (entity,) = values.values()
@@ -91,18 +91,18 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
 
         return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
     if relation.tables:
-        formula = looked_up(relation, formula, values)
-    found = expanded(formula, values)
-    extent = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
-    if isinstance(found, exp.Array):
-        elements = tuple(SqlValue(part, REAL, extent=extent) for part in found.expressions)
+        formula = in_world(relation, formula, values)
+    result = expanded(formula, values)
+    domain = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
+    if isinstance(result, exp.Array):
+        elements = tuple(SqlValue(part, DOUBLE, domain=domain) for part in result.expressions)
         length = 3 if len(elements) == 3 else None
-        return SqlValue(found, SqlType("list", REAL, length), elements=elements, extent=extent)
+        return SqlValue(result, SqlType("list", DOUBLE, length), elements=elements, domain=domain)
     tag = SqlType(relation.result_type(count))
     if tag.type == "list":
         element = SqlType(relation.element)
-        tag = SqlType("list", SqlType("list", REAL) if relation.element == "list" else element)
-    return SqlValue(found, tag, natural=relation.name == "tick", extent=extent)
+        tag = SqlType("list", SqlType("list", DOUBLE) if relation.element == "list" else element)
+    return SqlValue(result, tag, is_non_negative=relation.name == "tick", domain=domain)
 
 
 def _argument(
@@ -111,11 +111,11 @@ def _argument(
     value = sql.value(node)
     if value.tag.nullable:
         raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
-    if value.extent and parameter.type == "real":
-        value = sql.context.certain(value)  # a distance may be infinite
-    elif value.extent:
+    if value.domain and parameter.type == "real":
+        value = sql.context.nan_checked(value)  # a distance may be infinite
+    elif value.domain:
         raise NotSqlError  # of what is infinite, a formula may be no number
-    if value.risky:
+    if value.may_fail:
         raise NotSqlError
     if value.tag.type == parameter.type or (parameter.type == "real" and value.tag.is_number):
         return value
@@ -145,45 +145,51 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
     match name, values:
         case "count", [SqlValue(tag=SqlType(type="list")) as value]:
             return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
-        case "abs", [SqlValue(tag=SqlType(type="real" | "integer")) as value] if not value.wide:
-            return SqlValue(exp.func("abs", value.sql.copy()), value.tag, extent=value.extent)
-        case name, [value] if name in _OF_REALS and value.tag.is_number and not value.wide:
+        case "abs", [SqlValue(tag=SqlType(type="real" | "integer")) as value] if (
+            not value.may_exceed_double
+        ):
+            return SqlValue(exp.func("abs", value.sql.copy()), value.tag, domain=value.domain)
+        case name, [value] if (
+            name in _OF_REALS and value.tag.is_number and not value.may_exceed_double
+        ):
             return _of_real(context, name, value)
         case "floor" | "ceil", [SqlValue(tag=SqlType(type="real")) as value]:
-            context.risk()
+            context.note_possible_failure()
             whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
-            return SqlValue(exp.cast(whole, "BIGINT"), INTEGER, wide=True)
+            return SqlValue(exp.cast(whole, "BIGINT"), INTEGER, may_exceed_double=True)
         case "str", [SqlValue(tag=SqlType(type="text")) as value]:
             return value
         case "str", [SqlValue(tag=SqlType(type="integer")) as value]:
-            return SqlValue(exp.cast(value.sql.copy(), "VARCHAR"), TEXT)
+            return SqlValue(exp.cast(value.sql.copy(), "VARCHAR"), STRING)
         case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="integer"))) as value]:
-            context.risk()
+            context.note_possible_failure()
             total = exp.cast(_of_list("sum", value), "BIGINT")
             nothing = exp.Literal.number(0)
-            return SqlValue(exp.Coalesce(this=total, expressions=[nothing]), INTEGER, wide=True)
+            return SqlValue(
+                exp.Coalesce(this=total, expressions=[nothing]), INTEGER, may_exceed_double=True
+            )
         case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="real"))) as value]:
             zero = exp.cast(exp.Literal.number(0), "DOUBLE")
-            found = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
+            result = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
             # The sum of nothing is an integer.
-            extent = FloatDomain.NAN if value.extent else FloatDomain.INFINITE
-            return SqlValue(found, SqlType("number"), extent=extent)
+            domain = FloatDomain.NAN if value.domain else FloatDomain.INFINITE
+            return SqlValue(result, SqlType("number"), domain=domain)
         case "min" | "max", [
             SqlValue(tag=SqlType(type="list", element=SqlType() as element)) as v
         ] if element.type in ("real", "integer", "text"):
-            context.risk()
-            return SqlValue(or_failure(_of_list(name, v), element), element, extent=v.extent)
+            context.note_possible_failure()
+            return SqlValue(or_failure(_of_list(name, v), element), element, domain=v.domain)
     return None
 
 
 def _of_real(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
     """Where it is infinite, Python has no value and SQL has one that is no number."""
-    context.risk()
+    context.note_possible_failure()
     sql: exp.Expr = exp.Anonymous(this=name, expressions=[double_of(value)])
-    if value.extent:
+    if value.domain:
         finite = exp.func("isfinite", copied(double_of(value)))
-        sql = exp.case().when(finite, sql).else_(failure(REAL))
-    return SqlValue(sql, REAL)
+        sql = exp.case().when(finite, sql).else_(failure(DOUBLE))
+    return SqlValue(sql, DOUBLE)
 
 
 def _of_list(function: str, value: SqlValue) -> exp.Expr:

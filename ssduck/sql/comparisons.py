@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlglot import exp
 
 from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext, wrapped
-from ssduck.sql.types import FLAG, SqlType, merged
+from ssduck.sql.types import BOOLEAN, SqlType, merged
 
 COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 # Of these values none is equal to one of another kind.
@@ -19,19 +19,19 @@ def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlV
     kinds = tuple("number" if v.tag.is_number else v.tag.type for v in (left, right))
     equality = sign in ("==", "!=")
     if equality and kinds[0] != kinds[1] and all(kind in _APART for kind in kinds):
-        return SqlValue(exp.convert(sign == "!="), FLAG)
+        return SqlValue(exp.convert(sign == "!="), BOOLEAN)
     alike = kinds in (("number", "number"), ("text", "text")) or (
         equality and _may_be_equal(left.tag, right.tag)
     )
-    if kinds == ("number", "number") and (left.wide or right.wide):
+    if kinds == ("number", "number") and (left.may_exceed_double or right.may_exceed_double):
         alike = left.tag.type == right.tag.type == "integer"
     if not alike:
         raise NotSqlError
     kind = COMPARISONS[sign]
     if kinds == ("entity", "entity"):
-        return SqlValue(kind(this=left.identity, expression=right.identity), FLAG)
-    sides = (wrapped(context.certain(value).sql) for value in (left, right))
-    return SqlValue(kind(this=next(sides), expression=next(sides)), FLAG)
+        return SqlValue(kind(this=left.identity, expression=right.identity), BOOLEAN)
+    sides = (wrapped(context.nan_checked(value).sql) for value in (left, right))
+    return SqlValue(kind(this=next(sides), expression=next(sides)), BOOLEAN)
 
 
 def _may_be_equal(left: SqlType, right: SqlType) -> bool:
@@ -48,38 +48,38 @@ def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> Sq
     if left.tag.nullable or right.tag.nullable:
         raise NotSqlError
     if left.tag.type == right.tag.type == "text":
-        return SqlValue(exp.func("contains", right.sql, left.sql), FLAG)
+        return SqlValue(exp.func("contains", right.sql, left.sql), BOOLEAN)
     if right.tag.type != "list":
         raise NotSqlError
     if right.tag.element is None:
-        return SqlValue(exp.false(), FLAG)
+        return SqlValue(exp.false(), BOOLEAN)
     if right.elements is not None:
-        if right.risky:
+        if right.may_fail:
             raise NotSqlError  # behind an equal one no other would be evaluated
-        found = [comparison(context, "==", left, element).sql for element in right.elements]
-        return SqlValue(exp.paren(exp.or_(*found)), FLAG)
+        result = [comparison(context, "==", left, element).sql for element in right.elements]
+        return SqlValue(exp.paren(exp.or_(*result)), BOOLEAN)
     both = merged((left.tag, right.tag.element))
-    if both is None or not both.is_sql or left.wide or both.past:
+    if both is None or not both.is_sql or left.may_exceed_double or both.past:
         raise NotSqlError
     if left.tag.is_number != right.tag.element.is_number:
         raise NotSqlError
-    return SqlValue(exp.func("list_contains", right.sql, context.certain(left).sql), FLAG)
+    return SqlValue(exp.func("list_contains", right.sql, context.nan_checked(left).sql), BOOLEAN)
 
 
-def likeness(left: SqlValue, right: SqlValue) -> SqlValue:
+def like_match(left: SqlValue, right: SqlValue) -> SqlValue:
     """Whether a text is as a pattern says."""
     if any(value.tag.type != "text" or value.tag.nullable for value in (left, right)):
         raise NotSqlError
     return SqlValue(
-        exp.paren(exp.Like(this=wrapped(left.sql), expression=wrapped(right.sql))), FLAG
+        exp.paren(exp.Like(this=wrapped(left.sql), expression=wrapped(right.sql))), BOOLEAN
     )
 
 
 def missing(value: SqlValue) -> SqlValue:
     """Whether a value is nothing."""
-    if not value.tag.is_sql or value.tag.type in ("any", "record") or value.risky:
+    if not value.tag.is_sql or value.tag.type in ("any", "record") or value.may_fail:
         raise NotSqlError
-    return SqlValue(exp.paren(exp.Is(this=wrapped(value.sql), expression=exp.Null())), FLAG)
+    return SqlValue(exp.paren(exp.Is(this=wrapped(value.sql), expression=exp.Null())), BOOLEAN)
 
 
 def truth(value: SqlValue) -> exp.Expr:
@@ -94,7 +94,7 @@ def truth(value: SqlValue) -> exp.Expr:
             return exp.NEQ(this=wrapped(value.sql), expression=exp.Literal.string(""))
         case "list" if not value.tag.nullable:
             if value.elements is not None:
-                if value.risky:
+                if value.may_fail:
                     raise NotSqlError
                 return exp.convert(bool(value.elements))
             return exp.GT(this=exp.func("len", value.sql.copy()), expression=zero)

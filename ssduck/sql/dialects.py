@@ -13,7 +13,7 @@ from ssduck.errors import UnknownNameError, UnsupportedError, nearest
 from ssduck.formatting import short_repr
 from ssduck.language.tree import Query
 from ssduck.sql.plan import Plan
-from ssduck.sql.sql_values import written
+from ssduck.sql.sql_values import with_values
 
 # What sqlglot writes for any engine, though only DuckDB, or few, have it.
 _OURS = (
@@ -55,7 +55,7 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     if plan.tables or plan.signatures:
         what = "a table of Python's" if plan.tables else "a Python function"
         raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)
-    select = plan.select.transform(written(values))
+    select = plan.select.transform(with_values(values))
     if dialect != "duckdb":
         select = select.transform(_without_infinity)
         _refuse(select, query, dialect)

@@ -15,7 +15,7 @@ StandIns: TypeAlias = Mapping[str, Sequence[str]]
 PlanOf: TypeAlias = Callable[[Query], Plan | None]
 
 
-def told(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
+def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
     """What becomes of the queries in a statement.
 
     Args:
@@ -25,17 +25,17 @@ def told(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> st
         stand_ins: where answers about shapes are not exact.
     """
     return "\n\n".join(
-        _told(text, query, plan, stand_ins)
+        _explained(text, query, plan, stand_ins)
         for query, plan in _plans(outermost([statement]), plan_of)
     )
 
 
 def outermost(nodes: Iterable[Node]) -> list[Query]:
     """The queries in parts of a program that are in no other query."""
-    found: list[Query] = []
+    result: list[Query] = []
     for node in nodes:
-        found.extend([node] if isinstance(node, Query) else outermost(node.children()))
-    return found
+        result.extend([node] if isinstance(node, Query) else outermost(node.children()))
+    return result
 
 
 def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, Plan | None]]:
@@ -49,22 +49,22 @@ def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, P
         given = [
             source.value
             for source, shape in zip(query.sources, plan.shapes, strict=True)
-            if shape.given
+            if shape.has_values
         ]
         yield from _plans(outermost([*given, *plan.constants, *plan.once]), plan_of)
 
 
-def _told(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:
+def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:
     if plan is None:
         lines = [f"-- row by row in Python: {_source(text, query)}"]
     else:
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
         lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
         lines += [f"-- left to Python: {clause}" for clause in plan.rest.clauses]
-    return "\n".join([*lines, *_narrow(query), *_inexact(query, stand_ins)])
+    return "\n".join([*lines, *_narrow_phase_lines(query), *_inexact_lines(query, stand_ins)])
 
 
-def _narrow(query: Query) -> list[str]:
+def _narrow_phase_lines(query: Query) -> list[str]:
     """What the shapes themselves are asked for, relation by relation."""
     names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, Call))
     queries = {name: RELATIONS[name].geometry for name in names if name in RELATIONS}
@@ -75,7 +75,7 @@ def _narrow(query: Query) -> list[str]:
     ]
 
 
-def _named(node: Node) -> str:
+def _called_name(node: Node) -> str:
     """The function that a part may call; empty if it calls none."""
     match node:
         case (
@@ -85,9 +85,9 @@ def _named(node: Node) -> str:
     return ""
 
 
-def _inexact(query: Query, stand_ins: StandIns) -> list[str]:
+def _inexact_lines(query: Query, stand_ins: StandIns) -> list[str]:
     """Of which entities boxes stand in for the shapes that relations ask."""
-    calls = (_named(node) for node in query.walk())
+    calls = (_called_name(node) for node in query.walk())
     names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].depends_on_shapes]
     if not names:
         return []

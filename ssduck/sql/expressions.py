@@ -35,7 +35,7 @@ from ssduck.language.tree import (
 from ssduck.sql import subqueries
 from ssduck.sql.arithmetic import arithmetic
 from ssduck.sql.calls import call
-from ssduck.sql.comparisons import COMPARISONS, comparison, likeness, membership, missing, truth
+from ssduck.sql.comparisons import COMPARISONS, comparison, like_match, membership, missing, truth
 from ssduck.sql.lists import concatenation, indexed, list_of
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.scope import ExpressionScope
@@ -46,7 +46,7 @@ from ssduck.sql.sql_values import (
     literal,
     wrapped,
 )
-from ssduck.sql.types import FLAG, TEXT
+from ssduck.sql.types import BOOLEAN, STRING
 
 LOGIC = ("AND", "OR", "XOR")
 # Longer lists of literals are parameters.
@@ -62,13 +62,13 @@ class Expressions(ExpressionScope):
         Raises:
             NotSqlError: it is left to Python.
         """
-        before = self.context.risks
+        before = self.context.possible_failures
         value = self._value(node)
-        if self.context.risks == before or value.risky:
+        if self.context.possible_failures == before or value.may_fail:
             return value
-        if isinstance(value.given, exp.Boolean):
+        if isinstance(value.expression, exp.Boolean):
             raise NotSqlError  # what could fail would not be evaluated
-        return replace(value, risky=True)
+        return replace(value, may_fail=True)
 
     def _value(self, node: Node) -> SqlValue:
         match node:
@@ -95,14 +95,14 @@ class Expressions(ExpressionScope):
             case Call():
                 return call(self, node)
             case Unary(operator="NOT", operand=operand):
-                return SqlValue(exp.Not(this=wrapped(truth(self.value(operand)))), FLAG)
+                return SqlValue(exp.Not(this=wrapped(truth(self.value(operand)))), BOOLEAN)
             case Unary(operator="IS NULL", operand=operand):
                 return missing(self.value(operand))
             case Unary(operator=sign, operand=operand):
                 inner = self.number(operand)
                 if sign == "+":
                     return inner
-                return replace(inner, given=exp.Neg(this=wrapped(inner.sql)), elements=None)
+                return replace(inner, expression=exp.Neg(this=wrapped(inner.sql)), elements=None)
             case Binary():
                 return self._binary(node)
             case OperatorChain():
@@ -116,7 +116,7 @@ class Expressions(ExpressionScope):
         raise NotSqlError
 
     def _function_of(self, node: QualifiedName) -> SqlValue:
-        return call(self, node.call(self.names.meant(node.key)))
+        return call(self, node.call(self.names.resolved_name(node.key)))
 
     def _key_of(self, node: QualifiedName) -> Index:
         return Index(node.span, node.this, node.index.indices)
@@ -143,9 +143,9 @@ class Expressions(ExpressionScope):
     def _this(self, node: This) -> SqlValue:
         value = self.element(node.alias)
         if value is None:
-            told = ", ".join(f"{name}.this" for name in self.rows)
+            choices = ", ".join(f"{name}.this" for name in self.rows)
             raise ArgumentError(
-                f"'this' alone is ambiguous here; write one of {told}", span=node.span
+                f"'this' alone is ambiguous here; write one of {choices}", span=node.span
             )
         if value.tag.type == "any":
             raise NotSqlError
@@ -174,25 +174,25 @@ class Expressions(ExpressionScope):
         sign = node.operator
         if sign in LOGIC:
             sides = [truth(self.value(side)) for side in (node.left, node.right)]
-            return SqlValue(_joined(sign, sides), FLAG)
+            return SqlValue(_joined(sign, sides), BOOLEAN)
         if sign in ("==", "!="):
-            found = subqueries.emptiness(self, node) or subqueries.equality(self, node)
-            if found is not None:
-                return SqlValue(found, FLAG)
+            result = subqueries.emptiness(self, node) or subqueries.equality(self, node)
+            if result is not None:
+                return SqlValue(result, BOOLEAN)
         if sign == "IN" and isinstance(node.right, Query):
-            found = subqueries.membership(self, node.left, node.right)
-            if found is not None:
-                return SqlValue(found, FLAG)
+            result = subqueries.membership(self, node.left, node.right)
+            if result is not None:
+                return SqlValue(result, BOOLEAN)
         left_value, right_value = self.value(node.left), self.value(node.right)
         if sign in COMPARISONS:
             return comparison(self.context, sign, left_value, right_value)
         if sign == "IN":
             return membership(self.context, left_value, right_value)
         if sign == "LIKE":
-            return likeness(left_value, right_value)
+            return like_match(left_value, right_value)
         if sign == "+" and left_value.tag.type == right_value.tag.type == "text":
             joined = exp.DPipe(this=wrapped(left_value.sql), expression=wrapped(right_value.sql))
-            return SqlValue(exp.paren(joined, copy=False), TEXT)
+            return SqlValue(exp.paren(joined, copy=False), STRING)
         if sign == "+" and left_value.tag.type == right_value.tag.type == "list":
             return concatenation(left_value, right_value)
         return arithmetic(self.context, node, left_value, right_value)
@@ -202,7 +202,7 @@ class Expressions(ExpressionScope):
         sign = node.operators[0]
         if sign not in LOGIC or len(node.operands) > MOST_JOINED:
             raise NotSqlError
-        return SqlValue(_joined(sign, [truth(self.value(side)) for side in node.operands]), FLAG)
+        return SqlValue(_joined(sign, [truth(self.value(side)) for side in node.operands]), BOOLEAN)
 
     def _index(self, node: Index) -> SqlValue:
         if len(node.indices) > MOST_NESTED:
@@ -223,9 +223,11 @@ class Expressions(ExpressionScope):
         for branch, value in zip(node.branches, values, strict=True):
             case = case.when(truth(self.value(branch.condition)), value.sql)
         every = (*values, last)
-        extent = max(value.extent for value in every)
-        wide = any(value.wide for value in every)
-        return SqlValue(case.else_(last.sql), last.tag, wide=wide, extent=extent)
+        domain = max(value.domain for value in every)
+        may_exceed_double = any(value.may_exceed_double for value in every)
+        return SqlValue(
+            case.else_(last.sql), last.tag, may_exceed_double=may_exceed_double, domain=domain
+        )
 
 
 def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:

@@ -10,7 +10,7 @@ from sqlglot import exp
 from ssduck.schema import MOST_IDS
 from ssduck.sql.relations.geometry_query import PairSearch
 from ssduck.sql.sql_values import NotSqlError, SqlValue
-from ssduck.sql.types import ANY, FLAG, IDS, SqlType
+from ssduck.sql.types import ANY, BOOLEAN, IDS, SqlType
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def unnested(name: str, values: SqlValue) -> FromItem:
     position = (ascending(column_of(name, "n")),)
     alias = exp.to_identifier(name)
     if tag.type != "entity":
-        value = SqlValue(column_of(name, "value"), tag, extent=values.extent)
+        value = SqlValue(column_of(name, "value"), tag, domain=values.domain)
         return FromItem(value, table.subquery(alias), position)
     if tag.past:
         return _unnested_past(table, tag, name, position)
@@ -123,7 +123,7 @@ class JoinedEntity:
     join: exp.Join
 
 
-def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
+def joined_entity(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
     """An entity at the tick of a row; unknown where it was not there."""
     table = exp.table_("entities_history", db=schema, alias=exp.to_identifier(name, quoted=True))
     same_tick = exp.EQ(this=column_of(name, "tick"), expression=tick.copy())
@@ -132,7 +132,7 @@ def follower(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEnti
     return JoinedEntity(past_value(schema, name), join)
 
 
-def pairs_then(
+def pairs_over_ticks(
     search: PairSearch,
     distance: exp.Expr,
     row: TickRange,
@@ -159,8 +159,8 @@ def pairs_then(
     if search.takes_distance:
         arguments.append(exp.cast(distance.copy(), "DOUBLE"))
     called = exp.to_identifier(search.name_over_ticks, quoted=True)
-    found = exp.Anonymous(this=called, expressions=arguments)
-    each = exp.select(exp.alias_(exp.func("unnest", found), "p")).subquery("found")
+    result = exp.Anonymous(this=called, expressions=arguments)
+    each = exp.select(exp.alias_(exp.func("unnest", result), "p")).subquery("found")
     parts = [
         exp.alias_(exp.func("struct_extract", exp.column("p"), exp.Literal.string(part)), part)
         for part in ("tick", "a", "b", "known")
@@ -172,21 +172,21 @@ def pairs_then(
     none = exp.Is(this=column_of(name, "tick"), expression=exp.Null())
     known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
     holds = exp.case().when(none, exp.false()).when(known, exp.true())
-    return JoinedEntity(SqlValue(holds, FLAG), join)
+    return JoinedEntity(SqlValue(holds, BOOLEAN), join)
 
 
-def needed(followers: Iterable[JoinedEntity], select: exp.Select) -> list[exp.Join]:
+def needed_joins(joined_entities: Iterable[JoinedEntity], select: exp.Select) -> list[exp.Join]:
     """The joins of those followers that a SELECT, or one behind them, reads a column of.
 
     None of them makes rows more or fewer.
     """
-    found: list[exp.Join] = []
-    for follower in reversed(list(followers)):
-        name = follower.join.this.alias
-        parts: list[exp.Expr] = [select, *found]
+    result: list[exp.Join] = []
+    for entity in reversed(list(joined_entities)):
+        name = entity.join.this.alias
+        parts: list[exp.Expr] = [select, *result]
         if any(column.table == name for part in parts for column in part.find_all(exp.Column)):
-            found.append(follower.join)
-    return found[::-1]
+            result.append(entity.join)
+    return result[::-1]
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ class PairTable:
     position: exp.Ordered
 
 
-def pairs_of(search: PairSearch, distance: exp.Expr, schema: str, name: str) -> PairTable:
+def pair_table(search: PairSearch, distance: exp.Expr, schema: str, name: str) -> PairTable:
     """The pairs of entities of a world that a search finds."""
     called = exp.to_identifier(search.name, quoted=True)
     arguments: list[exp.Expr] = [exp.Literal.string(schema)]

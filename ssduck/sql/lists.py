@@ -25,10 +25,10 @@ from ssduck.sql.types import ANY, EXACT, SqlType, merged
 def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
     """A list that is written out."""
     tag = merged(value.tag for value in values)
-    if any(value.tag.nullable or value.wide for value in values):
+    if any(value.tag.nullable or value.may_exceed_double for value in values):
         raise NotSqlError
-    elements = tuple(map(context.certain, values))
-    extent = max((value.extent for value in elements), default=FloatDomain.FINITE)
+    elements = tuple(map(context.nan_checked, values))
+    domain = max((value.domain for value in elements), default=FloatDomain.FINITE)
     if tag is None:
         return SqlValue(
             exp.cast(exp.Array(expressions=[]), "INTEGER[]"), SqlType("list"), elements=()
@@ -36,12 +36,12 @@ def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
     length = 3 if len(values) == 3 else None
     if not tag.is_sql or tag.type == "record":
         if all(value.tag.is_sql for value in values):  # its elements can be reached
-            return SqlValue(None, SqlType("list", ANY, length), elements=elements, extent=extent)
+            return SqlValue(None, SqlType("list", ANY, length), elements=elements, domain=domain)
         raise NotSqlError
     sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in elements])
     if tag.type == "list":
         sql = exp.cast(sql, f"{tag.sql_type}[]", dialect="duckdb")
-    return SqlValue(sql, SqlType("list", tag, length), elements=elements, extent=extent)
+    return SqlValue(sql, SqlType("list", tag, length), elements=elements, domain=domain)
 
 
 def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
@@ -53,8 +53,8 @@ def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
     elements = None
     if left.elements is not None and right.elements is not None:
         elements = left.elements + right.elements
-    extent = max(left.extent, right.extent)
-    return SqlValue(sql, replace(tag, length=None), elements=elements, extent=extent)
+    domain = max(left.domain, right.domain)
+    return SqlValue(sql, replace(tag, length=None), elements=elements, domain=domain)
 
 
 def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
@@ -63,7 +63,7 @@ def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
         case tree.Literal(value=str() as key) if key in value.fields:
             return value.fields[key]
         case tree.Literal(value=number) if type(number) is int and value.elements is not None:
-            if value.risky:
+            if value.may_fail:
                 raise NotSqlError  # nor would be the other elements
             if -len(value.elements) <= number < len(value.elements):
                 return value.elements[number]
@@ -72,9 +72,9 @@ def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
         raise NotSqlError
     if not element.is_sql:
         raise NotSqlError
-    sql.context.risk()
-    found = exp.Anonymous(this="list_extract", expressions=[value.sql.copy(), _place(sql, index)])
-    return SqlValue(or_failure(found, element), element, extent=value.extent)
+    sql.context.note_possible_failure()
+    result = exp.Anonymous(this="list_extract", expressions=[value.sql.copy(), _place(sql, index)])
+    return SqlValue(or_failure(result, element), element, domain=value.domain)
 
 
 def _place(sql: ExpressionScope, index: Node) -> exp.Expr:

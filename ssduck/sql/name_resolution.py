@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.language.analysis import states
 from ssduck.language.clauses import SelectedValue
-from ssduck.language.overrides import plain
+from ssduck.language.overrides import written_name
 from ssduck.language.tree import (
     Assignment,
     Call,
@@ -74,7 +74,7 @@ class _Resolver:
         self._names = names
         self._states = states(query).union(around)
         self._bare: dict[str, bool] = {}
-        self._named = dict(_named(query))
+        self._named_columns = dict(_named_columns(query))
 
     def resolved(self) -> ResolvedQuery:
         query = self._query
@@ -94,25 +94,25 @@ class _Resolver:
         for node in self._query.items:
             match node:
                 case Call(name="to", arguments=(value, Literal(value=str() as name))):
-                    yield SelectedValue(self._meant(value), name)
+                    yield SelectedValue(self._resolved(value), name)
                 case Call(name="to", arguments=(value, name_node)):
-                    yield SelectedValue(self._meant(value), self._meant(name_node))
+                    yield SelectedValue(self._resolved(value), self._resolved(name_node))
                 case Call(name="to"):
                     raise ArgumentError("to takes 2 arguments: to(value, name)", span=node.span)
                 case Call(name=name) | Name(name=name) | TimeIndex(name=name):
-                    yield SelectedValue(self._meant(node), plain(name))
+                    yield SelectedValue(self._resolved(node), written_name(name))
                 case Assignment(name=name, is_bare=True):
-                    yield SelectedValue(self._meant(node), name)
+                    yield SelectedValue(self._resolved(node), name)
                 case QualifiedName(key=key):
                     yield SelectedValue(node, key)
                 case This(alias=alias):
                     yield SelectedValue(node, alias or "this")
                 case Index(indices=(*_, Literal(value=str() as key))):
-                    yield SelectedValue(self._meant(node), key)
+                    yield SelectedValue(self._resolved(node), key)
                 case _:
-                    yield SelectedValue(self._meant(node), "value")
+                    yield SelectedValue(self._resolved(node), "value")
 
-    def _meant(self, node: Node) -> Node:
+    def _resolved(self, node: Node) -> Node:
         return node.replaced(self._looked_up)
 
     def _key(self, node: Node) -> Node:
@@ -120,7 +120,7 @@ class _Resolver:
         return node.replaced(lambda part: self._column_named(part) or self._looked_up(part))
 
     def _column_named(self, part: Node) -> Node | None:
-        if not isinstance(part, Name) or part.name not in self._named:
+        if not isinstance(part, Name) or part.name not in self._named_columns:
             return None
         if part.name in self._states or self._names.has_variable(part.name):
             return None
@@ -130,13 +130,13 @@ class _Resolver:
                 return None
         elif only is not None and (only.dicts or not only.known):
             return None
-        name = self._names.meant(part.name)
+        name = self._names.resolved_name(part.name)
         call = Call(part.span, name, (This(part.span, None),), part.span)
         try:
             self._names.check_call(call)
         except SelectScriptError:
             self._bare[part.name] = False
-            return self._meant(self._named[part.name])
+            return self._resolved(self._named_columns[part.name])
         return None
 
     def _in_where(self, part: Node) -> Node | None:
@@ -150,7 +150,7 @@ class _Resolver:
         is_record = only is not None and only.tag is not None and only.tag.type == "record"
         if known or only is None or only.dicts or is_record or not only.known:
             return part
-        name = self._names.meant(part.name)
+        name = self._names.resolved_name(part.name)
         call = Call(part.span, name, (This(part.span, None),), part.span)
         try:
             self._names.check_call(call)
@@ -173,13 +173,13 @@ class _Resolver:
         known = self._bare[part.name] = self._names.has_variable(part.name)
         if known:
             return part
-        name = self._names.meant(part.name)
+        name = self._names.resolved_name(part.name)
         call = Call(part.span, name, (This(part.span, None),), part.span)
         self._names.check_call(call)
         return call
 
 
-def _named(query: Query) -> Iterator[tuple[str, Node]]:
+def _named_columns(query: Query) -> Iterator[tuple[str, Node]]:
     """The columns that have names of their own: what `to` and AS name."""
     for node in query.items:
         match node:

@@ -15,7 +15,7 @@ from sqlglot import exp
 from ssduck.language import tree
 from ssduck.language.tree import Binary, Call, Node, This
 from ssduck.sql.expressions import Expressions
-from ssduck.sql.from_clause import pairs_of
+from ssduck.sql.from_clause import pair_table
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.registry import BOXES_WITHIN, RELATIONS
 from ssduck.sql.sql_values import NotSqlError
@@ -47,7 +47,9 @@ def sides_of(node: Node) -> tuple[This, This] | None:
     return None
 
 
-def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) -> PairJoin | None:
+def pair_join(
+    sql: Expressions, node: Call, sides: tuple[This, This], schema: str
+) -> PairJoin | None:
     """`near(a.this, b.this, 0.1)`: all its pairs at once; None if SQL does not know how near.
 
     Args:
@@ -68,16 +70,16 @@ def joined(sql: Expressions, node: Call, sides: tuple[This, This], schema: str) 
         return None
     distance = expanded(relation.candidate_distance(len(node.arguments)), known)
     search = relation.candidate_pairs.search
-    pairs = pairs_of(search, distance, schema, sql.context.alias("pairs"))
-    found = [
+    pairs = pair_table(search, distance, schema, sql.context.alias("pairs"))
+    result = [
         exp.EQ(this=sql.value(side).sql, expression=column)
         for side, column in zip(sides, pairs.columns, strict=True)
     ]
     exact = () if search.is_exact else (holds,)
-    return PairJoin(pairs.table, exp.and_(*found, *exact), pairs.position)
+    return PairJoin(pairs.table, exp.and_(*result, *exact), pairs.position)
 
 
-def implied(sql: Expressions, node: Node) -> exp.Expr | None:
+def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
     """What a condition such as `clearance(a, b) < 0.1` says of boxes; None if nothing."""
     match node:
         case Binary(operator=sign, left=Call() as call, right=limit) if sign in _LESS + _MORE:

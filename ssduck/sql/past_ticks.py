@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from sqlglot import exp
 
-from ssduck.sql.from_clause import JoinedEntity, TickRange, follower, pairs_then
+from ssduck.sql.from_clause import JoinedEntity, TickRange, joined_entity, pairs_over_ticks
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
@@ -22,8 +22,8 @@ class QueryTicks:
         around: the same of the query around this one.
 
     Attributes:
-        followers: handles at the ticks of rows of the past, by both; and pairs of entities.
-        spans: of sources that are several ticks, which ones, by the tick of the current row.
+        joined_entities: handles at the ticks of rows of the past, by both; and pairs of entities.
+        tick_ranges: of sources that are several ticks, which ones, by the tick of the current row.
         present: the ticks of sources that are a world at its present one, beside its past.
     """
 
@@ -33,12 +33,12 @@ class QueryTicks:
         self._context = context
         self._rows = rows
         self._around = around
-        self.followers: dict[tuple[str, ...], JoinedEntity] = {}
+        self.joined_entities: dict[tuple[str, ...], JoinedEntity] = {}
         self._parameters: dict[str, exp.Expr] = {}
-        self.spans: dict[str, TickRange] = {}
+        self.tick_ranges: dict[str, TickRange] = {}
         self.present: set[str] = set()
 
-    def follow(self, values: dict[str, SqlValue]) -> None:
+    def join_entities(self, values: dict[str, SqlValue]) -> None:
         """Take entities as they were at the tick of those that are of a recorded one.
 
         A handle goes with its world; in a query of the past it goes with that.
@@ -50,8 +50,8 @@ class QueryTicks:
             return
         if not rows:
             schemas = {handle.tag.schema for handle in handles.values()}
-            found = [v for v in self._all_rows() if v.tag.past and v.tag.schema in schemas]
-            rows = found[-1:]
+            result = [v for v in self._all_rows() if v.tag.past and v.tag.schema in schemas]
+            rows = result[-1:]
         if not rows:
             return
         row = rows[0]
@@ -66,9 +66,9 @@ class QueryTicks:
             is_constant = isinstance(id, exp.Parameter)
             if not is_constant or not self._is_of_own_row(tick):
                 raise NotSqlError
-            values[name] = self._follower(str(row.tag.schema), tick, id).value
+            values[name] = self._joined_entity(str(row.tag.schema), tick, id).value
 
-    def at_all(
+    def over_all_ticks(
         self, relation: Relation, values: Mapping[str, SqlValue], count: int
     ) -> SqlValue | None:
         """A relation of shapes at all ticks of a window at once; None where there are none."""
@@ -80,8 +80,8 @@ class QueryTicks:
             return None
         if a.column is None or b.column is None or self._around is not None:
             return None
-        span = self.spans.get(self._leading(a.column("tick")))
-        other = self.spans.get(self._leading(b.column("tick")))
+        span = self.tick_ranges.get(self._leading(a.column("tick")))
+        other = self.tick_ranges.get(self._leading(b.column("tick")))
         if span is None or other is None or span.schema != other.schema:
             return None
         if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in others):
@@ -90,13 +90,15 @@ class QueryTicks:
         distance = expanded(relation.candidate_distance(count), known)
         ids = self._id_of(a), self._id_of(b)
         key = (relation.name, distance.sql(), span.tick.sql(), *(id.sql() for id in ids))
-        if key not in self.followers:
+        if key not in self.joined_entities:
             name = self._context.alias("pairs then")
             columns = self._id_at_row(a), self._id_at_row(b)
-            self.followers[key] = pairs_then(candidates.search, distance, span, ids, columns, name)
-        return self.followers[key].value
+            self.joined_entities[key] = pairs_over_ticks(
+                candidates.search, distance, span, ids, columns, name
+            )
+        return self.joined_entities[key].value
 
-    def note_only(self, alias: str, other: Callable[[], SqlValue]) -> None:
+    def note_single_entity(self, alias: str, other: Callable[[], SqlValue]) -> None:
         """Note that a source's element is one entity.
 
         Args:
@@ -106,7 +108,7 @@ class QueryTicks:
         value = self._rows.get(alias)
         if value is None or value.column is None or not value.tag.past:
             return
-        span = self.spans.get(value.column("tick").sql())
+        span = self.tick_ranges.get(value.column("tick").sql())
         known = other() if span is not None and span.id is None else None
         if span is None or known is None:
             return
@@ -117,17 +119,17 @@ class QueryTicks:
             models = exp.table_("entities_model", db=span.schema)
             of_name = exp.EQ(this=exp.column("name"), expression=known.sql.copy())
             # There may have been several of a name: then it may be any.
-            told = exp.case(exp.Count(this=exp.Star())).when(
+            id_case = exp.case(exp.Count(this=exp.Star())).when(
                 "1", exp.func("any_value", exp.column("id"))
             )
-            told = told.when("0", exp.Literal.number(-1)).else_(exp.Literal.number(0))
-            id = exp.select(told).from_(models).where(of_name).subquery()
+            id_case = id_case.when("0", exp.Literal.number(-1)).else_(exp.Literal.number(0))
+            id = exp.select(id_case).from_(models).where(of_name).subquery()
         if id is not None:
-            self.spans[span.tick.sql()] = replace(span, id=id)
+            self.tick_ranges[span.tick.sql()] = replace(span, id=id)
 
     def _leading(self, tick: exp.Expr) -> str:
         """The tick of the source that a handle goes with; of a source its own."""
-        for (row, *_), known in self.followers.items():
+        for (row, *_), known in self.joined_entities.items():
             column = known.value.column
             if column is not None and column("tick").sql() == tick.sql():
                 return row
@@ -136,10 +138,10 @@ class QueryTicks:
     def _id_of(self, value: SqlValue) -> exp.Expr:
         """The id of an entity: a parameter where it is the same at each tick."""
         assert value.column is not None
-        for (_, id, *_), known in self.followers.items():
+        for (_, id, *_), known in self.joined_entities.items():
             if known.value is value:
                 return self._parameters[id]
-        span = self.spans.get(value.column("tick").sql())
+        span = self.tick_ranges.get(value.column("tick").sql())
         return value.column("id") if span is None or span.id is None else span.id
 
     def _id_at_row(self, value: SqlValue) -> exp.Expr:
@@ -148,7 +150,7 @@ class QueryTicks:
         That of a handle is the same at each row: where it was, its own row need not be looked at.
         """
         assert value.column is not None
-        is_handle = any(known.value is value for known in self.followers.values())
+        is_handle = any(known.value is value for known in self.joined_entities.values())
         return self._id_of(value) if is_handle else value.column("id")
 
     def _all_rows(self) -> list[SqlValue]:
@@ -165,10 +167,10 @@ class QueryTicks:
         }
         return self._around is None and tick.sql() in own
 
-    def _follower(self, schema: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
+    def _joined_entity(self, schema: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
         key = tick.sql(), id.sql()
-        if key not in self.followers:
+        if key not in self.joined_entities:
             name = self._context.alias("handle then")
-            self.followers[key] = follower(schema, name, tick, id)
+            self.joined_entities[key] = joined_entity(schema, name, tick, id)
             self._parameters[id.sql()] = id
-        return self.followers[key]
+        return self.joined_entities[key]

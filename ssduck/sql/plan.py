@@ -26,7 +26,7 @@ class SourceType:
             its past.
         of_one: whether that is the past of one entity.
         tag: of values, what they are.
-        given: whether its values are known before the query runs; else it is a part of it.
+        has_values: whether its values are known before the query runs; else it is a part of it.
         dicts: whether some of its elements are dicts.
         known: whether it has elements, so that names can be looked up in them.
     """
@@ -34,7 +34,7 @@ class SourceType:
     alias: str
     schema: str | None = None
     tag: SqlType | None = None
-    given: bool = True
+    has_values: bool = True
     dicts: bool = False
     known: bool = True
     moments: Moments = ""
@@ -63,7 +63,7 @@ class TypeEnvironment(Protocol):
     def deferred(self, name: str) -> Node | None:
         """The list that a variable holds for the query that uses it, None if it holds none."""
 
-    def meant(self, name: str) -> str:
+    def resolved_name(self, name: str) -> str:
         """What calls the function of that name: the user's, where it replaces another."""
 
     def check_call(self, node: Call) -> None:

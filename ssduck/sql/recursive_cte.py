@@ -21,7 +21,7 @@ from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import FromItem, world_table
 from ssduck.sql.plan import PathSearch
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, failure
-from ssduck.sql.types import FLAG, INTEGER, SqlType, merged
+from ssduck.sql.types import BOOLEAN, INTEGER, SqlType, merged
 
 # Breadth first, a search that has more open paths than this takes too much memory; depth first
 # in Python it takes little.
@@ -46,7 +46,7 @@ class RecursiveSearch:
     graph: PathSearch | None = None
 
 
-def searched(
+def recursive_search(
     sql: Expressions, query: Query, columns: Sequence[SelectedValue], elements: Sequence[FromItem]
 ) -> RecursiveSearch:
     """A hierarchical query as SQL.
@@ -70,7 +70,7 @@ def searched(
     levels = _number(recursion.memorize)
     place = SqlType("list", INTEGER)
     return RecursiveSearch(
-        search.edges(levels), (place, place, FLAG, *items), PathSearch(levels, search.most())
+        search.edges(levels), (place, place, BOOLEAN, *items), PathSearch(levels, search.most())
     )
 
 
@@ -95,13 +95,13 @@ class _Search:
         self.tags = {name: value.tag for name, value in self.start.items()}
         self.names = _column_names(self.tags)
         self.next = self._states()
-        self.items = [sql.context.certain(sql.value(column.node)) for column in columns]
-        if any(not i.tag.comes_back or i.tag.nullable or i.wide for i in self.items):
+        self.items = [sql.context.nan_checked(sql.value(column.node)) for column in columns]
+        if any(not i.tag.comes_back or i.tag.nullable or i.may_exceed_double for i in self.items):
             raise NotSqlError
         self.stop = sql.condition(recursion.stop)
         where = query.where
         self.found = self.stop if where is None else sql.condition(where)
-        sql.context.risk()  # it may be too broad
+        sql.context.note_possible_failure()  # it may be too broad
 
     def _started(self, value: tree.Node) -> SqlValue:
         if not self.sql.is_constant(value):
@@ -116,7 +116,8 @@ class _Search:
         for _ in range(3):
             self.sql.locals = {name: self._state(name, tag) for name, tag in self.tags.items()}
             values = {
-                name: self.sql.context.certain(self.sql.value(node)) for name, node in steps.items()
+                name: self.sql.context.nan_checked(self.sql.value(node))
+                for name, node in steps.items()
             }
             tags = {
                 name: merged((tag, values[name].tag)) or tag if name in values else tag
@@ -132,7 +133,7 @@ class _Search:
     def _state(self, name: str, tag: SqlType) -> SqlValue:
         """A state variable; an entity is looked up by its id."""
         if tag.type != "entity":
-            return SqlValue(self._state_column(name), tag, extent=FloatDomain.INFINITE)
+            return SqlValue(self._state_column(name), tag, domain=FloatDomain.INFINITE)
         if name not in self.entities:
             if tag.schema is None or tag.nullable or tag.past:
                 raise NotSqlError
@@ -147,8 +148,8 @@ class _Search:
 
     def select(self) -> exp.Select:
         """The paths in depth-first order of the sources."""
-        shown = [_column(_PATHS, f"item {index}") for index in range(len(self.items))]
-        select = exp.select(*shown).from_(_table(_PATHS))
+        item_columns = [_column(_PATHS, f"item {index}") for index in range(len(self.items))]
+        select = exp.select(*item_columns).from_(_table(_PATHS))
         select = select.where(_column(_PATHS, "found")).order_by(_column(_PATHS, "place"))
         union = exp.union(self._first(), self._following(), distinct=False)
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
@@ -180,11 +181,11 @@ class _Search:
 
     def _following(self) -> exp.Select:
         """The paths with a row more, of those that are open."""
-        found = _column(_STEPS, "found")
+        result = _column(_STEPS, "found")
         states = [
             exp.alias_(
                 exp.case()
-                .when(found.copy(), _column(_STEPS, column))
+                .when(result.copy(), _column(_STEPS, column))
                 .else_(_column(_STEPS, f"next {column}")),
                 column,
                 quoted=True,
@@ -195,7 +196,7 @@ class _Search:
             exp.alias_(_column(_STEPS, f"item {index}"), f"item {index}", quoted=True)
             for index in range(len(self.items))
         ]
-        return exp.select(*states, _column(_STEPS, "place"), *items, found).from_(
+        return exp.select(*states, _column(_STEPS, "place"), *items, result).from_(
             self._steps().subquery(_STEPS)
         )
 
@@ -249,7 +250,7 @@ class _Search:
         length = exp.func("len", _column(_PATHS, "item 0"))
         deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.deepest))
         endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), deep)
-        checked = exp.case().when(exp.or_(many, endless), failure(FLAG)).else_(exp.true())
+        checked = exp.case().when(exp.or_(many, endless), failure(BOOLEAN)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
         rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
         return rows.subquery(_PATHS)
@@ -299,8 +300,8 @@ class _Search:
         )
         # In parentheses, for it has an order of its own.
         union = exp.union(first, self._next_level(keys, levels).subquery(), distinct=True)
-        found = [_column("ends", name) for name in ("place", "found", *keys)]
-        select = exp.select(_column(_PATHS, "place"), *found)
+        result = [_column("ends", name) for name in ("place", "found", *keys)]
+        select = exp.select(_column(_PATHS, "place"), *result)
         select = self._from(select, self._within(levels))
         select = select.join(exp.table_(_PATHS, alias="ends"), join_type="cross")
         select = select.where(*self._are_items("ends", keys))
@@ -320,9 +321,9 @@ class _Search:
         place = exp.Anonymous(
             this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
         )
-        found = exp.alias_(exp.paren(self.found.copy()), "found")
+        result = exp.alias_(exp.paren(self.found.copy()), "found")
         states = self._as_states(self.next)
-        select = exp.select(*states, *items, exp.alias_(place, "place"), found)
+        select = exp.select(*states, *items, exp.alias_(place, "place"), result)
         known = exp.select(exp.Literal.number(1)).from_(
             exp.table_(_PATHS, db="recurring", alias="known")
         )
@@ -336,7 +337,7 @@ class _Search:
         """The rows of the last level; too many levels, and Python tells so."""
         deepest = exp.Literal.number(self.sql.names.deepest)
         deep = exp.GTE(this=self._level(), expression=deepest)
-        checked = exp.case().when(deep, failure(FLAG)).else_(exp.true())
+        checked = exp.case().when(deep, failure(BOOLEAN)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(self._within(levels))
         rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
         return rows.subquery(_PATHS)
@@ -371,12 +372,12 @@ def _column_names(states: Iterable[str]) -> dict[str, str]:
 
 def _assigned(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
     """What state variables are assigned."""
-    found: dict[str, tree.Node] = {}
+    result: dict[str, tree.Node] = {}
     for part in parts:
         if not isinstance(part, Assignment):
             raise NotSqlError  # it is evaluated beside them, in Python
-        found[part.name] = part.value
-    return found
+        result[part.name] = part.value
+    return result
 
 
 def _number(node: tree.Node) -> int:

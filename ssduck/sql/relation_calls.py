@@ -33,11 +33,11 @@ def expanded(
         assert column is not None, f"{part.table} has no columns"
         return column(name if name is not None and part.name == "name" else part.name)
 
-    found: exp.Expr = formula.copy().transform(put_in)
-    return exp.paren(found) if isinstance(found, exp.Connector | exp.In) else found
+    result: exp.Expr = formula.copy().transform(put_in)
+    return exp.paren(result) if isinstance(result, exp.Connector | exp.In) else result
 
 
-def looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
+def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
     """A relation's formula with the tables of its entities' world.
 
     Raises:
@@ -51,11 +51,11 @@ def looked_up(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlVal
     schema = str(schemas.pop())
     past = [value.column("tick") for value in values.values() if value.tag.past and value.column]
     if past:
-        return _then(formula, schema, past)
+        return _at_ticks(formula, schema, past)
     return in_schema(formula, schema)
 
 
-def _existing(part: exp.Expr) -> exp.Expr:
+def _as_exists(part: exp.Expr) -> exp.Expr:
     """`(x, y) IN (SELECT …)` as EXISTS: DuckDB has no such IN with what depends on rows."""
     query = part.args.get("query") if isinstance(part, exp.In) else None
     if query is None or not isinstance(part.this, exp.Tuple):
@@ -75,17 +75,17 @@ def _existing(part: exp.Expr) -> exp.Expr:
 
 
 # What is the same at each tick is in a table of its own.
-_FIXED = {name: TABLES[name].model_view for name in ("shapes", "geometries")}
+_MODEL_TABLES = {name: TABLES[name].model_view for name in ("shapes", "geometries")}
 
 
-def _then(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
+def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
     """A formula with the tables of a world at the tick of its entities."""
-    found = in_schema(formula, schema)
-    tables = list(found.find_all(exp.Table))
+    result = in_schema(formula, schema)
+    tables = list(result.find_all(exp.Table))
     for table in tables:
         alias = exp.to_identifier(table.alias_or_name)
-        if table.name in _FIXED:
-            table.set("this", exp.to_identifier(_FIXED[table.name]))
+        if table.name in _MODEL_TABLES:
+            table.set("this", exp.to_identifier(_MODEL_TABLES[table.name]))
             table.set("alias", exp.TableAlias(this=alias))
             continue
         history = exp.table_(
@@ -94,9 +94,9 @@ def _then(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
         own = exp.column("tick", table="ticks then", quoted=True)
         rows = exp.select("*").from_(history).where(exp.EQ(this=own, expression=ticks[0].copy()))
         table.replace(rows.subquery(alias))
-    found = found.transform(_existing)
+    result = result.transform(_as_exists)
     if not tables or len(ticks) == 1:
-        return found
+        return result
     same = exp.and_(*(exp.EQ(this=ticks[0].copy(), expression=tick.copy()) for tick in ticks[1:]))
-    apart = exp.func("error", exp.Literal.string("entities are of two ticks"))
-    return exp.case().when(same, exp.paren(found)).else_(apart)
+    two_ticks = exp.func("error", exp.Literal.string("entities are of two ticks"))
+    return exp.case().when(same, exp.paren(result)).else_(two_ticks)

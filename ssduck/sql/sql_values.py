@@ -50,33 +50,33 @@ class SqlValue:
     """A part as SQL, its type, and how to get at what it is made of.
 
     Attributes:
-        given: the value; of an entity its id is taken if there is none, and at a recorded tick
+        expression: the value; of an entity its id is taken if there is none, and at a recorded tick
             its key.
         tag: its type.
         column: of an entity, its columns.
         elements: of a list that is written out, its elements.
         fields: of a record, what its keys hold.
-        wide: whether it may be an integer that no DOUBLE is.
-        natural: whether it is an integer that is never below 0.
-        extent: which reals it may be; of a list, which its elements may be.
-        risky: whether SQL may fail at it, so that it must be evaluated where Python does.
+        may_exceed_double: whether it may be an integer that no DOUBLE is.
+        is_non_negative: whether it is an integer that is never below 0.
+        domain: which reals it may be; of a list, which its elements may be.
+        may_fail: whether SQL may fail at it, so that it must be evaluated where Python does.
     """
 
-    given: exp.Expr | None
+    expression: exp.Expr | None
     tag: SqlType
     column: Callable[[str], exp.Expr] | None = None
     elements: tuple[SqlValue, ...] | None = None
     fields: Mapping[str, SqlValue] = field(default_factory=dict)
-    wide: bool = False
-    natural: bool = False
-    extent: FloatDomain = FloatDomain.FINITE
-    risky: bool = False
+    may_exceed_double: bool = False
+    is_non_negative: bool = False
+    domain: FloatDomain = FloatDomain.FINITE
+    may_fail: bool = False
 
     @property
     def sql(self) -> exp.Expr:
         """The value; of an entity its id, at a recorded tick its key."""
-        if self.given is not None:
-            return self.given
+        if self.expression is not None:
+            return self.expression
         if self.column is None:
             raise NotSqlError
         if not self.tag.past:
@@ -107,7 +107,7 @@ class StatementContext:
         deferred: variables that were looked up for lists to be put in.
         aliases: what sources are called in SQL, in lower case.
         bare: bare names in nested queries, and whether there was a variable of that name.
-        risks: how many parts of it could fail in SQL.
+        possible_failures: how many parts of it could fail in SQL.
     """
 
     names: TypeEnvironment
@@ -120,22 +120,22 @@ class StatementContext:
     deferred: dict[str, Node | None] = field(default_factory=dict)
     aliases: set[str] = field(default_factory=set)
     bare: dict[str, bool] = field(default_factory=dict)
-    risks: int = 0
+    possible_failures: int = 0
 
-    def risk(self) -> None:
+    def note_possible_failure(self) -> None:
         """Leave to Python what could fail in SQL, if the plan is to be cautious."""
         if self.cautious:
             raise NotSqlError
-        self.risks += 1
+        self.possible_failures += 1
 
-    def certain(self, value: SqlValue) -> SqlValue:
+    def nan_checked(self, value: SqlValue) -> SqlValue:
         """A value that is a number where it is used; what is none is left to Python."""
-        if value.extent < FloatDomain.NAN:
+        if value.domain < FloatDomain.NAN:
             return value
-        self.risk()
+        self.note_possible_failure()
         is_none = exp.func("isnan", copied(value.sql))
         case = exp.case().when(is_none, failure(value.tag)).else_(value.sql)
-        return replace(value, given=case, extent=FloatDomain.INFINITE)
+        return replace(value, expression=case, domain=FloatDomain.INFINITE)
 
     def alias(self, name: str) -> str:
         """What a source is called in SQL, which does not tell upper from lower case."""
@@ -187,7 +187,7 @@ def copied(sql: exp.Expr) -> exp.Expr:
     return sql.copy()
 
 
-def written(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
+def with_values(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
     """What puts values in for parameters; parameters without a value stay."""
 
     def put_in(part: exp.Expr) -> exp.Expr:

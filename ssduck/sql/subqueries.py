@@ -97,7 +97,7 @@ def value(around: ExpressionScope, query: Query) -> SqlValue:
     if form in _LISTS:
         return _unrolled_list(rows) if isinstance(rows, UnrolledRows) else _list(rows)
     if form in _VALUES:
-        around.context.risk()  # there may be no row
+        around.context.note_possible_failure()  # there may be no row
         return _unrolled_value(rows) if isinstance(rows, UnrolledRows) else _value(rows)
     raise NotSqlError
 
@@ -169,11 +169,11 @@ def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
     queries = [s for s in sides if isinstance(s, Query) and _form(s) in _VALUES]
     if len(queries) != 1 or is_impure(queries[0]) or around.is_constant(queries[0]):
         return None
-    found = _rows(around, queries[0])
-    if isinstance(found, UnrolledRows) or found.items[0].tag.type in ("list", "any"):
+    result = _rows(around, queries[0])
+    if isinstance(result, UnrolledRows) or result.items[0].tag.type in ("list", "any"):
         return None
     values = [
-        _value(found, missing=True) if side is queries[0] else around.value(side) for side in sides
+        _value(result, missing=True) if side is queries[0] else around.value(side) for side in sides
     ]
     if any(value.tag.type == "list" for value in values):
         return None  # nothing is an empty list
@@ -190,13 +190,13 @@ def membership(around: ExpressionScope, left: Node, query: Query) -> exp.Expr | 
     if rows.is_risky:
         return None
     wanted = around.value(left)
-    if wanted.risky:
+    if wanted.may_fail:
         return None
     if isinstance(rows, UnrolledRows):
-        found = [
+        result = [
             exp.and_(there.copy(), _any_equal(around, wanted, items)) for there, items in rows.rows
         ]
-        return exp.paren(exp.or_(*found)) if found else exp.false()
+        return exp.paren(exp.or_(*result)) if result else exp.false()
     if rows.limit is not None:
         return None
     return _exists(rows, _any_equal(around, wanted, rows.items))
@@ -216,20 +216,20 @@ def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
 
 def _list(rows: Subquery) -> SqlValue:
     tag = _common(rows.items)
-    extent = _extent(rows.items)
+    domain = _domain(rows.items)
     listed = rows.items[0].sql.copy()
     if len(rows.items) > 1:
         listed = exp.Array(expressions=[item.sql.copy() for item in rows.items])
-    found: exp.Expr = _aggregated("list", listed, rows)
+    result: exp.Expr = _aggregated("list", listed, rows)
     if len(rows.items) > 1:
-        found = exp.Anonymous(this="flatten", expressions=[found])
+        result = exp.Anonymous(this="flatten", expressions=[result])
     if rows.limit is not None:
         end = exp.Literal.number(rows.limit * len(rows.items))
-        found = exp.func("list_slice", found, exp.Literal.number(1), end)
-    subquery = exp.paren(rows.select(found))
+        result = exp.func("list_slice", result, exp.Literal.number(1), end)
+    subquery = exp.paren(rows.select(result))
     whole = SqlType("list", tag)
     empty = exp.cast(exp.Array(expressions=[]), whole.sql_type, dialect="duckdb")
-    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole, extent=extent)
+    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole, domain=domain)
 
 
 def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
@@ -239,14 +239,17 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
         raise NotSqlError
 
     def first(what: exp.Expr, tag: SqlType) -> exp.Expr:
-        found = exp.paren(rows.select(_aggregated("first", what.copy(), rows)))
-        return found if missing else or_failure(found, tag)
+        result = exp.paren(rows.select(_aggregated("first", what.copy(), rows)))
+        return result if missing else or_failure(result, tag)
 
     if item.tag.type != "entity":
         if not item.tag.is_sql or item.tag.type == "record":
             raise NotSqlError
         return SqlValue(
-            first(item.sql, item.tag), item.tag, wide=item.wide, extent=_extent(rows.items[:1])
+            first(item.sql, item.tag),
+            item.tag,
+            may_exceed_double=item.may_exceed_double,
+            domain=_domain(rows.items[:1]),
         )
     columns = item.column
     assert columns is not None
@@ -273,7 +276,7 @@ def _unrolled_list(rows: UnrolledRows) -> SqlValue:
         for there, items in rows.rows
     ]
     listed = exp.Anonymous(this="flatten", expressions=[exp.Array(expressions=parts)])
-    return SqlValue(listed, SqlType("list", tag), extent=_extent(every))
+    return SqlValue(listed, SqlType("list", tag), domain=_domain(every))
 
 
 def _unrolled_value(rows: UnrolledRows) -> SqlValue:
@@ -286,12 +289,12 @@ def _unrolled_value(rows: UnrolledRows) -> SqlValue:
     case = exp.case()
     for there, items in rows.rows:
         case = case.when(there, items[0].sql.copy())
-    return SqlValue(or_failure(case, tag), tag, extent=_extent(firsts))
+    return SqlValue(or_failure(case, tag), tag, domain=_domain(firsts))
 
 
-def _extent(items: Sequence[SqlValue]) -> FloatDomain:
+def _domain(items: Sequence[SqlValue]) -> FloatDomain:
     """Which reals the values of a list may be."""
-    return max((item.extent for item in items), default=FloatDomain.FINITE)
+    return max((item.domain for item in items), default=FloatDomain.FINITE)
 
 
 def _common(items: Sequence[SqlValue]) -> SqlType:
@@ -299,7 +302,7 @@ def _common(items: Sequence[SqlValue]) -> SqlType:
     tag = merged(item.tag for item in items)
     if tag is None or not tag.comes_back or tag.nullable or tag.type == "record":
         raise NotSqlError
-    if any(item.wide for item in items):
+    if any(item.may_exceed_double for item in items):
         raise NotSqlError
     return tag
 
@@ -318,25 +321,25 @@ def _rows(around: ExpressionScope, query: Query) -> Rows:
         raise NotSqlError
     check_sources(query)
     aliases = aliases_of(query)
-    before = around.context.risks
+    before = around.context.possible_failures
     lists = [_written_out(around, source.value) for source in query.sources]
     if all(values is not None for values in lists) and lists:
-        if around.context.risks > before:
+        if around.context.possible_failures > before:
             raise NotSqlError  # an element that nothing mentions would not be evaluated
-        found = list(product(*[values for values in lists if values is not None]))
-        if len(found) <= MOST_UNROLLED and not query.order and query.limit is None:
-            return _unrolled(around, query, aliases, found)
+        result = list(product(*[values for values in lists if values is not None]))
+        if len(result) <= MOST_UNROLLED and not query.order and query.limit is None:
+            return _unrolled(around, query, aliases, result)
     inner = around.inside()
-    before = around.context.risks
+    before = around.context.possible_failures
     elements = [
         element(around, alias, source.value)
         for alias, source in zip(aliases, query.sources, strict=True)
     ]
     _bind(inner, aliases, [entry.value for entry in elements])
     rows = _subquery(inner, query, aliases, elements)
-    if rows.limit is not None and around.context.risks > before:
+    if rows.limit is not None and around.context.possible_failures > before:
         raise NotSqlError  # nor would be a row that the limit leaves out
-    return replace(rows, is_risky=around.context.risks > before)
+    return replace(rows, is_risky=around.context.possible_failures > before)
 
 
 def check_sources(query: Query) -> None:
@@ -356,7 +359,9 @@ def _subquery(
     resolved = resolve_in(inner, query, aliases)
     where = resolved.query.where
     conditions = () if where is None else (inner.condition(where),)
-    items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
+    items = tuple(
+        inner.context.nan_checked(inner.value(column.node)) for column in resolved.columns
+    )
     order = ordered(inner, resolved.query.order)
     for entry in elements:
         order.extend(entry.position)
@@ -371,7 +376,7 @@ def _unrolled(
     rows: Sequence[tuple[SqlValue, ...]],
 ) -> UnrolledRows:
     made = [_unrolled_row(around, query, aliases, elements) for elements in rows]
-    return UnrolledRows(tuple(row for row, _ in made), any(risky for _, risky in made))
+    return UnrolledRows(tuple(row for row, _ in made), any(may_fail for _, may_fail in made))
 
 
 def _unrolled_row(
@@ -381,11 +386,13 @@ def _unrolled_row(
     inner = around.inside()
     _bind(inner, aliases, elements)
     resolved = resolve_in(inner, query, aliases)
-    before = inner.context.risks
+    before = inner.context.possible_failures
     where = resolved.query.where
     there = exp.true() if where is None else inner.condition(where)
-    items = tuple(inner.context.certain(inner.value(column.node)) for column in resolved.columns)
-    return (there, items), inner.context.risks > before
+    items = tuple(
+        inner.context.nan_checked(inner.value(column.node)) for column in resolved.columns
+    )
+    return (there, items), inner.context.possible_failures > before
 
 
 def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:
@@ -402,7 +409,7 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
     Raises:
         NotSqlError: Python orders such values otherwise, or not at all.
     """
-    found = []
+    result = []
     for key in keys:
         if inner.is_constant(key.value):
             tag = inner.names.tag(key.value)
@@ -413,9 +420,9 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
         if not (value.tag.is_number or value.tag.type in ("text", "flag")):
             raise NotSqlError
         if not isinstance(value.sql.unnest(), exp.Literal | exp.Boolean):
-            this = inner.context.certain(value).sql.copy()
-            found.append(exp.Ordered(this=this, desc=key.descending, nulls_first=False))
-    return found
+            this = inner.context.nan_checked(value).sql.copy()
+            result.append(exp.Ordered(this=this, desc=key.descending, nulls_first=False))
+    return result
 
 
 def _limit(query: Query) -> int | None:
@@ -436,12 +443,12 @@ def _written_out(around: ExpressionScope, node: Node) -> list[SqlValue] | None:
     if around.is_constant(node) or isinstance(node, Query):
         return None
     try:
-        found = around.value(node)
+        result = around.value(node)
     except NotSqlError:
         return None
-    if found.elements is not None:
-        return list(found.elements)
-    return [found] if found.tag.type not in ("list", "any") else None
+    if result.elements is not None:
+        return list(result.elements)
+    return [result] if result.tag.type not in ("list", "any") else None
 
 
 def _list_in(around: ExpressionScope, node: Node) -> Node:
@@ -470,8 +477,8 @@ def element(around: ExpressionScope, alias: str, node: Node) -> FromItem:
     if not tag.is_sql or inner is None or inner.type == "record":
         raise NotSqlError
     parameter = around.context.parameter(alias, ParameterBinding("", node, tag=tag))
-    given = exp.cast(parameter, tag.sql_type, dialect="duckdb")
-    return unnested(name, SqlValue(given, tag))
+    values_sql = exp.cast(parameter, tag.sql_type, dialect="duckdb")
+    return unnested(name, SqlValue(values_sql, tag))
 
 
 def _derived(around: ExpressionScope, name: str, query: Query) -> FromItem:
@@ -496,7 +503,7 @@ def _derived_items(rows: Subquery, name: str) -> FromItem:
     if item.tag.type != "entity":
         if not item.tag.is_sql or item.tag.type == "record":
             raise NotSqlError
-        value = replace(item, given=column_of(name, "value"), elements=None)
+        value = replace(item, expression=column_of(name, "value"), elements=None)
         return _derived_element(rows, name, value, {"value": item.sql})
     assert item.column is not None
     columns = {column: item.column(column) for column in ENTITY_COLUMNS}
@@ -515,7 +522,7 @@ def _derived_records(rows: Subquery, name: str) -> FromItem:
         if not item.tag.comes_back or item.tag.type == "entity" or item.tag.nullable:
             raise NotSqlError
         columns[f"f{index}"] = item.sql
-        fields[key] = replace(item, given=column_of(name, f"f{index}"), elements=None)
+        fields[key] = replace(item, expression=column_of(name, f"f{index}"), elements=None)
     tag = SqlType("record", fields=tuple((key, field.tag) for key, field in fields.items()))
     return _derived_element(rows, name, SqlValue(None, tag, fields=fields), columns)
 
@@ -525,12 +532,12 @@ def _derived_element(
 ) -> FromItem:
     """A SELECT in FROM, with the keys of its order as columns of their own."""
     keys = [f"key {index + 1}" for index in range(len(rows.order))]
-    shown = [exp.alias_(column.copy(), key) for key, column in columns.items()]
-    shown += [
+    columns_sql = [exp.alias_(column.copy(), key) for key, column in columns.items()]
+    columns_sql += [
         exp.alias_(key.this.copy(), alias, quoted=True)
         for alias, key in zip(keys, rows.order, strict=True)
     ]
-    select = rows.select(*shown)
+    select = rows.select(*columns_sql)
     if rows.limit is not None:
         select = select.order_by(*(key.copy() for key in rows.order)).limit(rows.limit)
     position = tuple(

@@ -31,7 +31,7 @@ from ssduck.sql.from_clause import (
     TickRange,
     column_of,
     counted_rows,
-    needed,
+    needed_joins,
     past_table,
     present_table,
     product_of,
@@ -40,9 +40,9 @@ from ssduck.sql.from_clause import (
     world_table,
 )
 from ssduck.sql.name_resolution import resolve
-from ssduck.sql.pair_joins import implied, joined, sides_of
+from ssduck.sql.pair_joins import implied_box_condition, pair_join, sides_of
 from ssduck.sql.plan import OutputColumn, ParameterBinding, Plan, SourceType, TypeEnvironment
-from ssduck.sql.recursive_cte import searched
+from ssduck.sql.recursive_cte import recursive_search
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementContext
 from ssduck.sql.types import INTEGER, SqlType
@@ -132,9 +132,9 @@ class _Translator:
             self._item(node)
         if self.query.having is not None:
             self._of_group(self.query.having)
-        found = [condition for condition in conditions if condition is not None]
-        found.extend(self._together())
-        order, keys = self._order(found)
+        result = [condition for condition in conditions if condition is not None]
+        result.extend(self._together())
+        order, keys = self._order(result)
         one_group = is_one_group(self.query)
         limit = self._limit(left=bool(left or keys or one_group or self.query.distinct))
         plan.rest = PythonClauses(
@@ -149,7 +149,7 @@ class _Translator:
             self.query.distinct,
         )
         self._finish(
-            self._select(found, order, limit),
+            self._select(result, order, limit),
         )
         return plan
 
@@ -167,7 +167,7 @@ class _Translator:
 
     def _element(self, shape: SourceType, node: Node) -> FromItem:
         """A source as a table: the entities of a world, some of them, values, a query."""
-        if not shape.given:
+        if not shape.has_values:
             try:
                 return subqueries.element(Expressions(self.context), shape.alias, node)
             except NotSqlError as error:
@@ -183,12 +183,12 @@ class _Translator:
             return record_table(name, table, shape.tag)
         tag = SqlType("list", shape.tag if shape.tag.is_sql else None)
         binding = ParameterBinding("", source=shape.alias, tag=tag)
-        given = exp.cast(
+        values_sql = exp.cast(
             self.context.parameter(shape.alias, binding), tag.sql_type, dialect="duckdb"
         )
         if tag.element is None:
-            return counted_rows(name, given)
-        return unnested(name, SqlValue(given, tag))
+            return counted_rows(name, values_sql)
+        return unnested(name, SqlValue(values_sql, tag))
 
     def _past(self, shape: SourceType) -> FromItem:
         """The past of a world; its name is none that a column could have."""
@@ -210,7 +210,7 @@ class _Translator:
             )
         if shape.moments == "window":
             tick = column_of(name, "tick")
-            self.sql.ticks.spans[tick.sql()] = TickRange(shape.schema, first, last, tick, id)
+            self.sql.ticks.tick_ranges[tick.sql()] = TickRange(shape.schema, first, last, tick, id)
         return past_table(shape.schema, name, first, last, id)
 
     def _together(self) -> Iterator[exp.Expr]:
@@ -226,7 +226,9 @@ class _Translator:
 
     def _known_shapes(self) -> list[SourceType]:
         return [
-            shape if shape.given else SourceType(shape.alias, tag=self.sql.rows[shape.alias].tag)
+            shape
+            if shape.has_values
+            else SourceType(shape.alias, tag=self.sql.rows[shape.alias].tag)
             for shape in self.result.shapes
         ]
 
@@ -247,7 +249,7 @@ class _Translator:
         """Whether the sources are several lists that Python has."""
         shapes = self.result.shapes
         return len(shapes) > 1 and all(
-            s.given and s.tag is not None and s.tag.type != "record" for s in shapes
+            s.has_values and s.tag is not None and s.tag.type != "record" for s in shapes
         )
 
     def _pairs(self, node: Node) -> exp.Expr | None:
@@ -258,7 +260,7 @@ class _Translator:
         sides = sides_of(node)
         if sides is None:
             return None
-        live = (s for s in self.result.shapes if s.given and s.tag is None and not s.moments)
+        live = (s for s in self.result.shapes if s.has_values and s.tag is None and not s.moments)
         worlds = {shape.alias: shape.schema for shape in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
@@ -269,13 +271,13 @@ class _Translator:
         assert isinstance(node, Call)
         order = [shape.alias for shape in self.result.shapes]
         first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
-        found = joined(self.sql, node, (first, second), str(schemas.pop()))
-        if found is None:
+        result = pair_join(self.sql, node, (first, second), str(schemas.pop()))
+        if result is None:
             return None
-        self.pairs.append(found.table)
+        self.pairs.append(result.table)
         if order.index(str(second.alias)) == order.index(str(first.alias)) + 1:
-            self.positions[str(first.alias)] = found.position
-        return found.condition
+            self.positions[str(first.alias)] = result.position
+        return result.condition
 
     def _note_only(self) -> None:
         """Note of which one entity sources are: by `this == cup`, by `id(this) == 'cup'`."""
@@ -293,7 +295,7 @@ class _Translator:
                     continue
             if self.sql.is_constant(other):
                 alias = row.alias or self.sql.only or ""
-                self.sql.ticks.note_only(alias, partial(self.sql.value, other))
+                self.sql.ticks.note_single_entity(alias, partial(self.sql.value, other))
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:
@@ -301,12 +303,12 @@ class _Translator:
         except NotSqlError:
             self._leave(node)
             return None
-        near = implied(self.sql, node)
+        near = implied_box_condition(self.sql, node)
         if near is None:
             return holds
         # Once for a join to go by, and once so that no other pair is compared.
-        asked = exp.case().when(near.copy(), holds).else_(exp.false())
-        return exp.and_(near, asked)
+        guarded = exp.case().when(near.copy(), holds).else_(exp.false())
+        return exp.and_(near, guarded)
 
     def _item(self, node: Node) -> None:
         """A selected value or a key: a column if it can be, else its parts are."""
@@ -346,7 +348,7 @@ class _Translator:
                     self._item(key.value)
         # A scan keeps its order; a join, and be it with the row of parameters or with what a
         # nested query sees, need not.
-        inline = any(not shape.given for shape in self.result.shapes)
+        inline = any(not shape.has_values for shape in self.result.shapes)
         nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
         if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
             is_placed = False
@@ -378,12 +380,12 @@ class _Translator:
         plan = self.result
         if is_impure(self.query) or any(shape.moments for shape in plan.shapes):
             raise NotSqlError
-        found = searched(self.sql, self.query, self.selected, self.elements)
+        result = recursive_search(self.sql, self.query, self.selected, self.elements)
         plan.paths = True
-        plan.graph = found.graph
-        plan.outputs = [OutputColumn(index, tag) for index, tag in enumerate(found.tags)]
+        plan.graph = result.graph
+        plan.outputs = [OutputColumn(index, tag) for index, tag in enumerate(result.tags)]
         plan.rest = PythonClauses(self.selected)
-        self._finish(found.select)
+        self._finish(result.select)
         return plan
 
     def _select(
@@ -397,7 +399,7 @@ class _Translator:
             for shape in plan.shapes:
                 value = self.sql.rows[shape.alias]
                 try:
-                    if shape.given and value.tag.type in ("any", "record"):
+                    if shape.has_values and value.tag.type in ("any", "record"):
                         plan.elements[shape.alias] = self._column(value.sql, value.tag)
                     else:
                         plan.elements[shape.alias] = self._output(value)
@@ -414,7 +416,7 @@ class _Translator:
             select.where(*(condition.copy() for condition in conditions), copy=False)
         if order:
             select.set("order", exp.Order(expressions=[key.copy() for key in order]))
-        for join in needed(self.sql.ticks.followers.values(), select):
+        for join in needed_joins(self.sql.ticks.joined_entities.values(), select):
             select.append("joins", join)
         return select if limit is None else select.limit(limit)
 
@@ -428,7 +430,7 @@ class _Translator:
     def _output(self, value: SqlValue) -> OutputColumn:
         if not value.tag.comes_back:
             raise NotSqlError
-        if value.extent == FloatDomain.NAN:  # to Python, one that is no number is not another
+        if value.domain == FloatDomain.NAN:  # to Python, one that is no number is not another
             self.columns.append(value.sql)
             return OutputColumn(len(self.columns) - 1, value.tag)
         return self._column(value.sql, value.tag)

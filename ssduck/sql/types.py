@@ -105,10 +105,10 @@ class Signature:
 
 
 ANY = SqlType("any")
-REAL = SqlType("real")
+DOUBLE = SqlType("real")
 INTEGER = SqlType("integer")
-TEXT = SqlType("text")
-FLAG = SqlType("flag")
+STRING = SqlType("text")
+BOOLEAN = SqlType("flag")
 
 
 def merged(tags: Iterable[SqlType]) -> SqlType | None:

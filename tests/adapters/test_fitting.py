@@ -11,7 +11,7 @@ import rich.console
 from rich.cells import cell_len
 
 import ssduck
-from ssduck.adapters.display import answer_of, fitted
+from ssduck.adapters.display import display_table, fitted_table
 from ssduck.adapters.table_view import TableView
 from ssduck.adapters.text_table import elided
 
@@ -39,10 +39,10 @@ def words(text):
 @pytest.mark.parametrize("width", [1, 2, 5, 6, 7, 20, 40, 80, 120, 1000])
 @pytest.mark.parametrize("name", TABLES)
 def test_no_line_is_wider_and_nothing_goes_without_a_mark(name, width):
-    answer = answer_of(TABLES[name])
-    lines = fitted(answer).lines(width)
+    answer = display_table(TABLES[name])
+    lines = fitted_table(answer).lines(width)
     assert max(map(cell_len, lines), default=0) <= width
-    whole = fitted(answer).lines(100_000)
+    whole = fitted_table(answer).lines(100_000)
     assert "…" not in "".join(whole)
     shown = "\n".join(lines)
     if "…" not in shown:
@@ -60,7 +60,7 @@ def test_no_line_is_wider_and_nothing_goes_without_a_mark(name, width):
 )
 def test_columns_are_left_out_in_the_middle(width, count):
     """As many as there is room for, from both sides; the note counts them."""
-    head, rule, first, *rest = fitted(answer_of(WIDE)).lines(width)
+    head, rule, first, *rest = fitted_table(display_table(WIDE)).lines(width)
     names = head.split()
     assert rule == "─" * len(rule)
     assert len(rule) <= width
@@ -77,13 +77,15 @@ def test_columns_are_left_out_in_the_middle(width, count):
 
 def test_numbers_are_not_cut_before_texts():
     rows = [{"number": 123456.5, "text": "t" * 50, "other": 654321.25}]
-    *_, line = fitted(answer_of(rows)).lines(50)
+    *_, line = fitted_table(display_table(rows)).lines(50)
     assert re.fullmatch(r"123456\.?5?   t+…   +654321", line.replace("654321.25", "654321"))
     assert cell_len(line) <= 50
 
 
 def test_texts_are_folded_at_spaces():
-    lines = fitted(answer_of([{"a": "one two three four five six", "b": "x" * 25}])).lines(50)
+    lines = fitted_table(
+        display_table([{"a": "one two three four five six", "b": "x" * 25}])
+    ).lines(50)
     assert lines[2:] == [
         "one two three four       xxxxxxxxxxxxxxxxxxxxxxxxx",
         "five six",

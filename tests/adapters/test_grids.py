@@ -582,7 +582,7 @@ def test_a_box_around_a_sensor_is_not_in_its_way(at, seen):
 def test_bunches_of_cells_change_nothing(kitchen, monkeypatch):
     query = "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.1);"
     whole = kitchen.eval(query)
-    monkeypatch.setattr(forms, "_TOGETHER", 120)
+    monkeypatch.setattr(forms, "_BATCH", 120)
     assert kitchen.eval(query) == whole
     assert whole
 

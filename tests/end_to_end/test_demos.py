@@ -28,7 +28,7 @@ from ssduck.demos import (
     robots,
     run_of,
 )
-from ssduck.demos.grid import SearchGrid, free_cells, shortest_way
+from ssduck.demos.grid import SearchGrid, free_cells, shortest_path
 from ssduck.demos.placing import Placing
 from ssduck.demos.results import keep
 from ssduck.errors import SelectScriptError
@@ -146,7 +146,7 @@ def steps(free, start, goal):
 def test_a_way_is_a_shortest_one(seed, diagonal):
     draw = random.Random(seed)  # noqa: S311
     free = {(x, y) for x in range(9) for y in range(7) if draw.random() < 0.65} | {(0, 0), (8, 6)}
-    way = shortest_way(free, (0, 0), (8, 6), diagonal=diagonal)
+    way = shortest_path(free, (0, 0), (8, 6), diagonal=diagonal)
     least = steps(free, (0, 0), (8, 6))
     if not way:
         assert least is None
@@ -162,7 +162,7 @@ def test_a_way_is_a_shortest_one(seed, diagonal):
 
 
 def test_a_way_to_where_one_is():
-    assert shortest_way([], (2, 3), (2, 3)) == [(2, 3)]
+    assert shortest_path([], (2, 3), (2, 3)) == [(2, 3)]
 
 
 def test_free_cells_are_those_where_nothing_is_near():
@@ -172,7 +172,7 @@ def test_free_cells_are_those_where_nothing_is_near():
         hall = ss.call_variable("hall")
         placing = Placing(hall, hall["rover"], 0.1, ignored=("floor", "goal"))
         expected = {cell for cell in grid.cells() if not placing.near(*grid.place(cell))}
-        assert placing.asked == 24
+        assert placing.count == 24
         assert free_cells(ss, hall["rover"], grid, 0.1, ("floor", "goal")) == expected
         assert 4 < len(expected) < 20
 
@@ -212,7 +212,7 @@ def test_no_way_to_a_cell_beyond_the_grid(monkeypatch):
     monkeypatch.setattr(reasoning, "GRID", SearchGrid((0.6, 0.6), 0.4, (2, 2)))
     said = []
     with ssduck.load("hall") as ss:
-        assert reasoning.found_way(ss, (0, 0), (5, 5), said.append) == []
+        assert reasoning.query_path(ss, (0, 0), (5, 5), said.append) == []
     assert "no way" in said[0]
 
 
@@ -220,7 +220,7 @@ def test_a_drive_through_a_pillar_is_noticed():
     with ssduck.load("hall") as ss:
         x, y, _ = ss.call_variable("hall")["pillar_1"].position
         cell = reasoning.GRID.cell((x, y))
-        _, hits = reasoning.driven(ss, [(cell[0], cell[1] - 3), cell])
+        _, hits = reasoning.drive(ss, [(cell[0], cell[1] - 3), cell])
         assert {hit["id"] for hit in hits} == {"pillar_1"}
 
 
@@ -244,14 +244,14 @@ def test_robots_that_collide_and_sights_that_differ_are_noticed():
         watch = robots.Watch(kitchen)
         ss.add_trigger("seen", robots.SEEN, 0.0, watch)
         kitchen.step()
-        assert robots.told_by_record(ss, watch)
-        assert robots.checked(ss, said.append) == []
+        assert robots.history_agrees(ss, watch)
+        assert robots.collisions(ss, said.append) == []
         x, y, z = kitchen["roomba_625x"].position
         kitchen["roomba_625x"].move([x, y, z - 0.01])  # into the floor
-        assert {hit["id"] for hit in robots.checked(ss, said.append)} == {"kitchen"}
-        tick, time, seen = watch.told[-1]
-        watch.told[-1] = tick, time, seen - {next(iter(seen))}
-        assert not robots.told_by_record(ss, watch)
+        assert {hit["id"] for hit in robots.collisions(ss, said.append)} == {"kitchen"}
+        tick, time, seen = watch.callbacks[-1]
+        watch.callbacks[-1] = tick, time, seen - {next(iter(seen))}
+        assert not robots.history_agrees(ss, watch)
 
 
 def test_spans_of_sights():
@@ -260,7 +260,7 @@ def test_spans_of_sights():
 
     watch = robots.Watch(World())
     a, b = ("eye", "one"), ("eye", "two")
-    watch.told = [
+    watch.callbacks = [
         (1, 0.0, frozenset()),
         (2, 1.0, frozenset({a})),
         (3, 2.0, frozenset({a, b})),
@@ -309,7 +309,7 @@ def test_an_environment(tmp_path, monkeypatch):
     with Image.open(tmp_path / "environment.png") as picture:
         assert picture.size == (640, 480)
     assert (tmp_path / "near_roomba" / "scene.toml").is_file()
-    monkeypatch.setattr(environment, "ALIKE", 0.0)
+    monkeypatch.setattr(environment, "TOLERANCE", 0.0)
     (tmp_path / "again").mkdir()
     assert not environment.run(tmp_path / "again", told.append, seed=0)
 

@@ -241,6 +241,15 @@ def test_every_page_can_be_reached(page):
     assert page in reached
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_modules_that_pages_mention_exist(page):
+    """Paths in code spans, from the repository or from its package; but for `two_boxes`, a stub."""
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    paths = re.findall(r"`((?:\w+/)+(?:\w+\.py)?)`", text)
+    places = [(ROOT / path, ROOT / "ssduck" / path) for path in paths if "two_boxes" not in path]
+    assert [a for a, b in places if not a.exists() and not b.exists()] == []
+
+
 def test_every_package_is_in_the_manual():
     page = (ROOT / "docs" / "explanation" / "how-it-works.md").read_text(encoding="utf-8")
     packages = {path.parent.name for path in (ROOT / "ssduck").glob("*/__init__.py")}

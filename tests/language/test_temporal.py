@@ -21,7 +21,7 @@ from ssduck.errors import (
 from ssduck.interpreter import query_runner as queries
 from ssduck.language import value_history as temporal
 from ssduck.language.parser import parse
-from ssduck.language.value_history import SAME_TIME, ValueHistory, aged, kept
+from ssduck.language.value_history import SAME_TIME, ValueHistory, past_value, with_assignment
 
 STEP = 0.25
 
@@ -484,10 +484,10 @@ def test_histories_are_like_the_model(operations):
             model.forget(now)
             held = held and held.until(now).recent(now)
         elif what == "fail" and held is not None:
-            kept(held, "failed", amount, now)
+            with_assignment(held, "failed", amount, now)
         elif what == "add":
             model.add(number, amount, now)
-            held = kept(held, number, amount, now)
+            held = with_assignment(held, number, amount, now)
             assert held.last == number
         if held is not None:
             check(model, held, now)
@@ -497,19 +497,19 @@ def check(model, held, now):
     """All that can be asked for is what the model says."""
     assert held.horizon == model.horizon
     assert held.within(math.inf, now) == model.within(math.inf, now)
-    assert aged("v", held, (), lambda: now) == [v for _, v in model.within(math.inf, now)]
+    assert past_value("v", held, (), lambda: now) == [v for _, v in model.within(math.inf, now)]
     for quarter in range(-8, 24):
         time = quarter / 4
         if time < 0:
             expected = [v for _, v in model.within(-time, now)]
-            assert aged("v", held, (time,), lambda: now) == expected
+            assert past_value("v", held, (time,), lambda: now) == expected
             continue
         expected = model.at(time, now)
         if expected is None:
             with pytest.raises(EvaluationError, match=r"v: .*kept"):
-                aged("v", held, (time,), lambda: now)
+                past_value("v", held, (time,), lambda: now)
         else:
-            assert aged("v", held, (time,), lambda: now) == expected
+            assert past_value("v", held, (time,), lambda: now) == expected
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -546,12 +546,14 @@ def test_times_are_the_same_however_they_are_rounded(step, back, every):
     """`v{0.7}` is the value of the 168th step of 1/240 s, though that is at 0.7000000000000001 s."""
     size = 1 / every
     now = (step + back) * size
-    held = kept(kept(None, "before", math.inf, (step - 1) * size), "then", math.inf, step * size)
+    held = with_assignment(
+        with_assignment(None, "before", math.inf, (step - 1) * size), "then", math.inf, step * size
+    )
     assert held.at(step / every, now) == "then"
     assert held.at(float(f"{step * size:.12f}"), now) == "then"
     assert [v for _, v in held.within(back / every, now)] == ["then"]
     assert held.at(step * size - 2 * SAME_TIME, now) == "before"
-    short = kept(None, "then", back / every, step * size)
+    short = with_assignment(None, "then", back / every, step * size)
     assert [v for _, v in short.within(math.inf, now)] == ["then"]
     assert short.within(math.inf, now + 2 * SAME_TIME) == []
 
@@ -577,7 +579,7 @@ def copied(monkeypatch):
 def test_adding_costs_the_same_however_many_there_are(copied, horizon):
     held, count, longest = None, 100_000, 0
     for number in range(count):
-        held = kept(held, number, horizon, number / 100)
+        held = with_assignment(held, number, horizon, number / 100)
         longest = max(longest, len(held.log.values))
     assert copied["values"] <= count
     if horizon < math.inf:  # at most as many again as are kept
@@ -614,18 +616,18 @@ def test_a_hundred_thousand_assignments(client):
 def test_a_failed_program_costs_one_copy_of_what_is_kept(copied):
     held = None
     for number in range(1000):
-        held = kept(held, number, math.inf, 0.0)
-    kept(held, "failed", math.inf, 0.0)
+        held = with_assignment(held, number, math.inf, 0.0)
+    with_assignment(held, "failed", math.inf, 0.0)
     for number in range(1000):
-        held = kept(held, number, math.inf, 0.0)
+        held = with_assignment(held, number, math.inf, 0.0)
     assert copied["values"] == 1000
     assert held.within(math.inf, 0.0)[1000] == (0.0, 0)
 
 
 def test_what_has_grown_from_one_history_is_not_mixed():
-    trunk = kept(kept(None, 1, math.inf, 0.0), 2, math.inf, 1.0)
-    left, right = (kept(trunk, name, math.inf, 2.0) for name in ("left", "right"))
-    back = kept(trunk, "back", math.inf, 0.5)
+    trunk = with_assignment(with_assignment(None, 1, math.inf, 0.0), 2, math.inf, 1.0)
+    left, right = (with_assignment(trunk, name, math.inf, 2.0) for name in ("left", "right"))
+    back = with_assignment(trunk, "back", math.inf, 0.5)
     assert isinstance(trunk, ValueHistory)
     assert trunk.within(math.inf, 2.0) == [(0.0, 1), (1.0, 2)]
     assert left.within(math.inf, 2.0) == [(0.0, 1), (1.0, 2), (2.0, "left")]

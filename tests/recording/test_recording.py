@@ -11,14 +11,16 @@ import ssduck
 from ssduck import Recording
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
+from ssduck.recording.stores.base import TickStore
+from ssduck.schema import recorded_tables
 
 
-class Store:
-    """Keeps what it is given, when it may."""
-
-    keeps = False
+class Store(TickStore):
+    """Stores the rows that it is given, when it may."""
 
     def __init__(self) -> None:
+        self.recording = Recording()
+        self.tables = recorded_tables(self.recording.tables)
         self.failures = 0
         self.rows: list[dict[str, Any]] = []
 

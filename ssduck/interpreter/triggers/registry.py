@@ -49,7 +49,7 @@ class Evaluator(Protocol):
     def has_variable(self, name: str) -> bool:
         """Tells whether a variable has that name."""
 
-    def meant(self, name: str) -> str:
+    def resolved_name(self, name: str) -> str:
         """Returns the name that calls a function: the user's function, if it overrides another."""
 
     def is_users(self, name: str) -> bool:
@@ -287,7 +287,7 @@ class TriggerRegistry:
     def _dependencies_of(self, trigger: Trigger) -> Any:
         """Returns the variables and ticks on which a result depends; None if unknown."""
         names, scope = trigger.reads, self._interpreter
-        if names is None or any(scope.is_users(scope.meant(name)) for name in names):
+        if names is None or any(scope.is_users(scope.resolved_name(name)) for name in names):
             return None
         known = [(name, scope.variable(name)) for name in names if scope.has_variable(name)]
         if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in known):

@@ -34,7 +34,7 @@ def of_entity(
     )
 
 
-def told(what: str, a: str, b: str = "") -> str:
+def recorded_numbers(what: str, a: str, b: str = "") -> str:
     """What contacts or sensors told at the tick of a row, as numbers (`replay.lookups`)."""
     other = f"{b}.id" if b else "0"
     return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{what}', {a}.tick, {a}.id, {other})"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import A_B, told
+from ssduck.sql.relations.common import A_B, recorded_numbers
 from ssduck.sql.relations.relation import Relation
 
-OF_CONTACTS: tuple[Relation, ...] = (
+CONTACT_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "inContact",
         A_B,
@@ -17,7 +17,7 @@ OF_CONTACTS: tuple[Relation, ...] = (
         is_symmetric=True,
         across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
-        f"AND COALESCE(list_max({told('pressing', 'a', 'b')}) > 0, FALSE)",
+        f"AND COALESCE(list_max({recorded_numbers('pressing', 'a', 'b')}) > 0, FALSE)",
     ),
     Relation(
         "contactForce",
@@ -33,12 +33,12 @@ OF_CONTACTS: tuple[Relation, ...] = (
         is_symmetric=True,
         across_worlds="0.0::DOUBLE",
         recorded_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
-        f"ELSE COALESCE(list_sum({told('pressing', 'a', 'b')}), 0.0) END",
+        f"ELSE COALESCE(list_sum({recorded_numbers('pressing', 'a', 'b')}), 0.0) END",
     ),
 )
 
 
-def summed(*terms: str) -> str:
+def contact_sum(*terms: str) -> str:
     """Sums over the contacts of an object: of the forces on it, and of where it is touched."""
     sides = " UNION ALL ".join(
         f"SELECT contacts.{side} AS entity, contacts.{side}x - entities.x AS x, "  # noqa: S608

@@ -32,7 +32,7 @@ def _sliced(
     )
 
 
-OF_ENTITIES: tuple[Relation, ...] = (
+ENTITY_RELATIONS: tuple[Relation, ...] = (
     of_entity("id", "text", "object.name", "Returns the name of an object, unique in its world."),
     of_entity(
         "type", "text", "object.kind", "Returns the kind of an object: robot, kinbody or sensor."

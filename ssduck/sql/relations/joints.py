@@ -62,7 +62,7 @@ JOINT_UDFS: dict[str, tuple[Callable[..., float | None], tuple[str, ...]]] = {
     "joints most_open": (EntityJoints.most_open, ()),
 }
 
-OF_JOINTS: tuple[Relation, ...] = (
+JOINT_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "joint",
         (*ENTITY, Parameter("name", "text", "the name of a revolute or prismatic joint")),

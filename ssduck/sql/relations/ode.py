@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.sql.relations.common import ENTITY, of_entity, told
-from ssduck.sql.relations.contacts import summed
+from ssduck.sql.relations.common import ENTITY, of_entity, recorded_numbers
+from ssduck.sql.relations.contacts import contact_sum
 from ssduck.sql.relations.geometry_query import COLLIDING, CandidatePairs, GeometryQuery
 from ssduck.sql.relations.relation import Parameter, Relation
 from ssduck.sql.relations.shapes import DEEP, shape_relation
@@ -20,7 +20,7 @@ _ROTATION = re.sub(
     "[2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x ** 2 + y ** 2)]]",
 )
 
-OF_ODE: tuple[Relation, ...] = (
+ODE_RELATIONS: tuple[Relation, ...] = (
     of_entity("pos", "list", "[object.x, object.y, object.z]", "Returns position(object).", "m"),
     *(
         of_entity(
@@ -85,21 +85,21 @@ OF_ODE: tuple[Relation, ...] = (
     of_entity(
         "force",
         "list",
-        summed("fx", "fy", "fz"),
+        contact_sum("fx", "fy", "fz"),
         "Returns the sum [x, y, z] of the forces on the object by contacts that the physics "
         "solver found in the last step, friction included. What a program applies, PyBullet does "
         "not tell.",
         "N",
-        recorded_formula=f"{told('wrench', 'object')}[1:3]",
+        recorded_formula=f"{recorded_numbers('wrench', 'object')}[1:3]",
     ),
     of_entity(
         "torque",
         "list",
-        summed("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx"),
+        contact_sum("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx"),
         "Returns the sum [x, y, z] of the moments of those forces (see force) about the object's "
         "position.",
         "N m",
-        recorded_formula=f"{told('wrench', 'object')}[4:6]",
+        recorded_formula=f"{recorded_numbers('wrench', 'object')}[4:6]",
     ),
     of_entity(
         "gravityMode",

@@ -34,7 +34,7 @@ def _seen(name: str, condition: str, about: str) -> Relation:
     )
 
 
-OF_PLACES: tuple[Relation, ...] = (
+REGION_RELATIONS: tuple[Relation, ...] = (
     _seen("leftOf", "{left} > abs({forward})", "Checks if b is left of a"),
     _seen("rightOf", "-{left} > abs({forward})", "Checks if b is right of a"),
     _seen(

@@ -20,8 +20,8 @@ from collections.abc import Iterable
 
 import sqlglot
 
-from ssduck.sql.relations.contacts import OF_CONTACTS
-from ssduck.sql.relations.entities import OF_ENTITIES
+from ssduck.sql.relations.contacts import CONTACT_RELATIONS
+from ssduck.sql.relations.entities import ENTITY_RELATIONS
 from ssduck.sql.relations.geometry_query import (
     PAIR_SEARCHES,
     GeometryUdf,
@@ -29,16 +29,24 @@ from ssduck.sql.relations.geometry_query import (
     search_udf,
     udf_name,
 )
-from ssduck.sql.relations.joints import OF_JOINTS
-from ssduck.sql.relations.ode import OF_ODE
-from ssduck.sql.relations.regions import OF_PLACES
+from ssduck.sql.relations.joints import JOINT_RELATIONS
+from ssduck.sql.relations.ode import ODE_RELATIONS
+from ssduck.sql.relations.regions import REGION_RELATIONS
 from ssduck.sql.relations.relation import Relation, by_name
-from ssduck.sql.relations.sensors import OF_SENSORS
-from ssduck.sql.relations.shapes import OF_SHAPES
+from ssduck.sql.relations.sensors import SENSOR_RELATIONS
+from ssduck.sql.relations.shapes import SHAPE_RELATIONS
 
 RELATIONS: dict[str, Relation] = by_name(
     relation
-    for family in (OF_ENTITIES, OF_SHAPES, OF_CONTACTS, OF_PLACES, OF_JOINTS, OF_ODE, OF_SENSORS)
+    for family in (
+        ENTITY_RELATIONS,
+        SHAPE_RELATIONS,
+        CONTACT_RELATIONS,
+        REGION_RELATIONS,
+        JOINT_RELATIONS,
+        ODE_RELATIONS,
+        SENSOR_RELATIONS,
+    )
     for relation in family
 )
 
@@ -69,13 +77,13 @@ def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
     Raises:
         ValueError: two relations describe the same function differently.
     """
-    found = {search.name: search_udf(search) for search in PAIR_SEARCHES}
+    result = {search.name: search_udf(search) for search in PAIR_SEARCHES}
     for relation in relations:
         if relation.geometry is not None:
             udf = _geometry_udf(relation)
-            if found.setdefault(udf.name, udf) != udf:
+            if result.setdefault(udf.name, udf) != udf:
                 raise ValueError(f"{relation.name}: {udf.name!r} is described in two ways")
-    return found
+    return result
 
 
 GEOMETRY_UDFS = geometry_udfs(RELATIONS.values())

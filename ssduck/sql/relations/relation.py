@@ -175,15 +175,15 @@ class Relation:
         tree = self.expressions[self.required_count]
         reads_mass = any(column.name == "mass" for column in tree.find_all(exp.Column))
         uses_margins = self.geometry is not None and self.geometry.uses_margins
-        found = self.tables | ({MASSES} if reads_mass else frozenset())
-        return found | ({MARGINS} if uses_margins else frozenset())
+        result = self.tables | ({MASSES} if reads_mass else frozenset())
+        return result | ({MARGINS} if uses_margins else frozenset())
 
-    def _of_rows(self, tree: exp.Expr, schema: str) -> exp.Expr:
+    def _checked(self, tree: exp.Expr, schema: str) -> exp.Expr:
         """A formula of rows that users give: they may be of another run, or changed."""
         rows = [p.name for p in self.parameters if p.type in ("entity", "place")]
         if tree.find(exp.Placeholder) is not None:
             return _with_checked_ticks(in_schema(tree, schema), schema)
-        found = self._now_or_then(in_schema(tree, schema), schema, rows)
+        result = self._at_tick_of_rows(in_schema(tree, schema), schema, rows)
         run = exp.select("any_value(run)").from_(exp.table_("entities", db=schema)).subquery()
         another = [
             exp.and_(
@@ -192,21 +192,23 @@ class Relation:
             )
             for row in rows
         ]
-        failing = exp.func("error", exp.Literal.string(_OF_ANOTHER_RUN.format(self.name, schema)))
-        return exp.case().when(exp.or_(*another), failing).else_(found)
+        failing = exp.func(
+            "error", exp.Literal.string(_OTHER_RUN_MESSAGE.format(self.name, schema))
+        )
+        return exp.case().when(exp.or_(*another), failing).else_(result)
 
-    def _now_or_then(self, tree: exp.Expr, schema: str, rows: Sequence[str]) -> exp.Expr:
+    def _at_tick_of_rows(self, tree: exp.Expr, schema: str, rows: Sequence[str]) -> exp.Expr:
         """A formula of what is looked up: now, or at the tick of rows that were recorded."""
         if not self.recorded_formula:
             return tree
         first, *others = (exp.column("tick", table=row) for row in rows)
         present = exp.select("max(tick)").from_(exp.table_("ticks", db=schema)).subquery()
-        then = in_schema(_parsed(self.recorded_formula), schema)
-        found = exp.case()
+        recorded = in_schema(_parsed(self.recorded_formula), schema)
+        result = exp.case()
         for other in others:
-            told = exp.Literal.string(f"{self.name}: its rows are of two ticks of {schema}")
-            found = found.when(exp.NEQ(this=first, expression=other), exp.func("error", told))
-        return found.when(exp.EQ(this=first.copy(), expression=present), tree).else_(then)
+            message = exp.Literal.string(f"{self.name}: its rows are of two ticks of {schema}")
+            result = result.when(exp.NEQ(this=first, expression=other), exp.func("error", message))
+        return result.when(exp.EQ(this=first.copy(), expression=present), tree).else_(recorded)
 
     def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
         """The statement that makes the DuckDB macro of the same name.
@@ -233,12 +235,12 @@ class Relation:
             f"COMMENT ON MACRO {'.'.join(parts)} IS {exp.Literal.string(self.help).sql('duckdb')}"
         )
 
-    def body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
+    def macro_body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
         """A formula as a macro has it, in the schema that it looks things up in."""
         if not self.tables:
             return tree
         if schema is not None:
-            return self._of_rows(_lenient(tree), schema)
+            return self._checked(_lenient_joints(tree), schema)
         reason = (
             f"{self.name}: in SQL it is for one world, and there is none or several; write the "
             f"name of the world that is meant before it, world.{self.name}(…)"
@@ -252,25 +254,25 @@ def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
     Raises:
         ValueError: two have the same name.
     """
-    found: dict[str, Relation] = {}
+    result: dict[str, Relation] = {}
     for relation in relations:
         seconds = (
             replace(relation, name=n, aliases=(), alias_of=relation.name) for n in relation.aliases
         )
         for own in (relation, *seconds):
-            if own.name in found:
+            if own.name in result:
                 raise ValueError(f"there are two relations {own.name!r}")
-            found[own.name] = own
-    return found
+            result[own.name] = own
+    return result
 
 
-_OF_ANOTHER_RUN = (
+_OTHER_RUN_MESSAGE = (
     "{}: a row is of another run than {}: what was found there is not known here; open the record "
     "that the row is of, or write the name of its world before the relation"
 )
 # The columns of a row by which it is known whose it is, and whether it is as it was.
-TOLD_BY = ("run", "tick", "id", "x", "y", "z", "qw", "qx", "qy", "qz")
-CHECKED_TICK = "narrow tick"
+IDENTIFYING_COLUMNS = ("run", "tick", "id", "x", "y", "z", "qw", "qx", "qy", "qz")
+CHECKED_TICK_UDF = "narrow tick"
 
 
 def _with_checked_ticks(formula: exp.Expr, schema: str) -> exp.Expr:
@@ -279,48 +281,48 @@ def _with_checked_ticks(formula: exp.Expr, schema: str) -> exp.Expr:
     def checked(part: exp.Expr) -> exp.Expr:
         if not (isinstance(part, exp.Column) and part.name == "tick"):
             return part
-        columns = [exp.column(name, table=part.table) for name in TOLD_BY]
+        columns = [exp.column(name, table=part.table) for name in IDENTIFYING_COLUMNS]
         world = exp.Literal.string(schema)
-        name = exp.to_identifier(CHECKED_TICK, quoted=True)
+        name = exp.to_identifier(CHECKED_TICK_UDF, quoted=True)
         return exp.Anonymous(this=name, expressions=[world, *columns])
 
-    found: exp.Expr = formula.transform(checked)
-    return found
+    result: exp.Expr = formula.transform(checked)
+    return result
 
 
 # What a function of joints is called where other rows may have what is asked for.
-ANY = "any "
+LENIENT_PREFIX = "any "
 
 
-def _lenient(tree: exp.Expr) -> exp.Expr:
+def _lenient_joints(tree: exp.Expr) -> exp.Expr:
     """A formula for raw SQL, whose conditions come in no order: see `joints`."""
 
     def renamed(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Anonymous) and part.name.startswith("joints "):
-            part.set("this", exp.to_identifier(ANY + part.name, quoted=True))
+            part.set("this", exp.to_identifier(LENIENT_PREFIX + part.name, quoted=True))
         return part
 
-    found: exp.Expr = tree.copy().transform(renamed)
-    return found
+    result: exp.Expr = tree.copy().transform(renamed)
+    return result
 
 
 # DuckDB has functions of texts that are called so; they go on being there.
-_OF_TEXTS = ("contains", "position")
+_TEXT_FUNCTIONS = ("contains", "position")
 
 
 @cache
 def _overloads(relation: Relation, schema: str | None) -> str:
     """What a macro takes and is, by the number of arguments: written once, for it takes long."""
-    found = [
+    result = [
         f"({', '.join(p.name for p in relation.parameters[:count])}) "
-        f"AS ({relation.body(tree, schema).sql('duckdb')})"
+        f"AS ({relation.macro_body(tree, schema).sql('duckdb')})"
         for count, tree in relation.expressions.items()
     ]
     if relation.list_formula:
-        found.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
-    if relation.name in _OF_TEXTS:
-        found.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
-    return ", ".join(found)
+        result.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
+    if relation.name in _TEXT_FUNCTIONS:
+        result.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
+    return ", ".join(result)
 
 
 _RESULT_WORDS: dict[ValueType, str] = {
@@ -344,12 +346,12 @@ def _parsed(formula: str) -> exp.Expr:
 
 def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
     """A formula with the tables of that schema, and the narrow phase of its world."""
-    found = formula.copy()
-    for table in list(found.find_all(exp.Table)):
+    result = formula.copy()
+    for table in list(result.find_all(exp.Table)):
         table.set("db", exp.to_identifier(schema))
-    for world in list(found.find_all(exp.Placeholder)):
+    for world in list(result.find_all(exp.Placeholder)):
         world.replace(exp.Literal.string(schema))
-    return found
+    return result
 
 
 def _listed(parameters: tuple[Parameter, ...]) -> str:

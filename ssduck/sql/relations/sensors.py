@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import told
+from ssduck.sql.relations.common import recorded_numbers
 from ssduck.sql.relations.relation import Parameter, Relation
 
 _SENSOR = (Parameter("s", "entity", "a sensor"),)
 _SENSOR_AND_OTHER = (*_SENSOR, Parameter("e", "entity", "another entity"))
 
-OF_SENSORS: tuple[Relation, ...] = (
+SENSOR_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "isSensing",
         _SENSOR_AND_OTHER,
@@ -18,7 +18,7 @@ OF_SENSORS: tuple[Relation, ...] = (
         "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
         "what is no sensor.",
         across_worlds="FALSE",
-        recorded_formula=f"len({told('sensed', 's', 'e')}) > 0",
+        recorded_formula=f"len({recorded_numbers('sensed', 's', 'e')}) > 0",
     ),
     Relation(
         "sensingAmount",
@@ -29,7 +29,7 @@ OF_SENSORS: tuple[Relation, ...] = (
         "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
         "0 to 1; 0 where isSensing(s, e) is False.",
         across_worlds="0.0::DOUBLE",
-        recorded_formula=f"COALESCE({told('sensed', 's', 'e')}[1], 0.0)",
+        recorded_formula=f"COALESCE({recorded_numbers('sensed', 's', 'e')}[1], 0.0)",
     ),
     Relation(
         "sensingEnvIDs",
@@ -41,6 +41,6 @@ OF_SENSORS: tuple[Relation, ...] = (
         "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
         "order; an empty list while it is switched off.",
         element="integer",
-        recorded_formula=f"{told('perceived', 's')}::BIGINT[]",
+        recorded_formula=f"{recorded_numbers('perceived', 's')}::BIGINT[]",
     ),
 )

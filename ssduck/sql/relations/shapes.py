@@ -81,7 +81,7 @@ _CHECKED_DEPTH = (
     "ELSE 0.0::DOUBLE END"
 )
 
-OF_SHAPES: tuple[Relation, ...] = (
+SHAPE_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "overlaps",
         A_B,
