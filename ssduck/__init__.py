@@ -68,12 +68,12 @@ _HOMES = {
     "load": "interpreter.opening",
     "open": "interpreter.opening",
 }
-# What is called otherwise there: Python has a function of that name.
+# Names that differ in their module, as Python has a function of that name.
 _ORIGINALS = {"open": "open_record"}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is used: the command's help needs none of them."""
+    """Imports a public name when it is used: the command's help needs none of them."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _ORIGINALS.get(name, name))

@@ -1,7 +1,7 @@
-"""Errors and warnings: what is wrong, where, the nearest right name, and what to do about it.
+"""Errors and warnings: what is wrong, where, the nearest right name, and what to do.
 
-Every error that ssduck raises on purpose is a `SelectScriptError`; each kind is also the
-builtin exception that a Python user expects (`LookupError` for an unknown name, and so on).
+Every error that ssduck raises on purpose is a `SelectScriptError`. Each kind is also the builtin
+exception that a Python user expects (`LookupError` for an unknown name, and so on).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-# Longer messages and lines of a program are cut: whoever sees one is to read it.
+# Longer messages and lines of a program are cut, so that a person can read them.
 MOST_OF_MESSAGE = 4000
 MOST_OF_LINE = 160
 _BEFORE = 60
@@ -25,14 +25,23 @@ _BETWEEN = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
 
 @dataclass(frozen=True)
 class SourceSpan:
-    """A part of a program's text: `text[start:end]`, in characters."""
+    """A part of a program's text: `text[start:end]`, in characters.
+
+    Attributes:
+        start: the index of its first character.
+        end: the index behind its last character.
+    """
 
     start: int
     end: int
 
 
 def nearest(name: object, known: Iterable[str], limit: int = 3) -> tuple[str, ...]:
-    """The known names that are most alike to `name`, best first, case aside; to a text only."""
+    """Returns the known names most similar to a name, best first; case does not matter.
+
+    >>> nearest("fridg", ["Fridge", "table"])
+    ('Fridge',)
+    """
     if not isinstance(name, str):
         return ()
     by_folded = {candidate.casefold(): candidate for candidate in sorted(known)}
@@ -42,16 +51,16 @@ def nearest(name: object, known: Iterable[str], limit: int = 3) -> tuple[str, ..
 
 
 class SelectScriptError(Exception):
-    """The root of ssduck's errors.
+    """The base class of ssduck's errors.
 
     Attributes:
-        message: what is wrong, in one line.
-        text: the program's text, where there is one.
-        span: the offending part of it: `text[span.start:span.end]`.
+        message: the message, in one line.
+        text: the text of the program; None if there is none.
+        span: the place of the error in it; None if it is not known.
         suggestions: the nearest right names, best first.
 
     Args:
-        instead: what to write instead, given the program's text.
+        instead: a function that returns the right code, from the text of the program.
     """
 
     def __init__(
@@ -73,7 +82,7 @@ class SelectScriptError(Exception):
         self._instead = instead
 
     def locate(self, text: str) -> None:
-        """Tell it the program in which it arose, unless it knows one already."""
+        """Sets the program in which the error arose, unless it is set."""
         if self.text is None:
             self.text = text
             if self._instead is not None:
@@ -81,28 +90,28 @@ class SelectScriptError(Exception):
 
     @property
     def line(self) -> int | None:
-        """The line of the offending text, from 1."""
+        """The line of the error, from 1."""
         if self.text is None or self.span is None:
             return None
         return self.text.count("\n", 0, self.span.start) + 1
 
     @property
     def column(self) -> int | None:
-        """The column of the offending text's first character, from 1."""
+        """The column of the error's first character, from 1."""
         if self.text is None or self.span is None:
             return None
         return self.span.start - (self.text.rfind("\n", 0, self.span.start) + 1) + 1
 
     def __str__(self) -> str:
-        told = self.message
+        text = self.message
         if self.suggestions:
-            told += f"; did you mean {' or '.join(repr(name) for name in self.suggestions)}?"
+            text += f"; did you mean {' or '.join(repr(name) for name in self.suggestions)}?"
         if self.text is None or self.span is None:
-            return told
-        return f"{told}\n  line {self.line}, column {self.column}\n{self._underlined()}"
+            return text
+        return f"{text}\n  line {self.line}, column {self.column}\n{self._underlined()}"
 
     def _underlined(self) -> str:
-        """The offending line, or its part around the offending text, which is underlined."""
+        """Returns the line of the error, or a part of a long one, with the place underlined."""
         assert self.text is not None
         assert self.span is not None
         first = self.text.rfind("\n", 0, self.span.start) + 1
@@ -122,7 +131,7 @@ class SelectScriptError(Exception):
 
 
 class ProgramWarning(UserWarning):
-    """What in a program has a meaning, and is probably a mistake: what, where, what was meant."""
+    """A part of a program has a meaning, but is probably a mistake."""
 
 
 class ParseError(SelectScriptError, ValueError):
@@ -130,43 +139,43 @@ class ParseError(SelectScriptError, ValueError):
 
 
 class UnknownNameError(SelectScriptError, LookupError):
-    """A name that no variable, function, adapter, entity, table or scene has."""
+    """No variable, function, adapter, entity, table or scene has that name."""
 
 
 class ArgumentError(SelectScriptError, TypeError):
-    """The wrong number of arguments, or one of the wrong type."""
+    """The number of arguments or the type of one is wrong."""
 
 
 class NumberError(ArgumentError, ValueError):
-    """A number of the wrong kind, or out of the range that a function takes."""
+    """A number has the wrong kind, or is out of range."""
 
 
 class StateError(SelectScriptError, ValueError):
-    """A pose, or the value of a joint, that a body cannot be given."""
+    """A body cannot have such a pose or joint position."""
 
 
 class EvaluationError(SelectScriptError, ArithmeticError):
-    """A value that cannot be computed: a division by zero, an index out of range."""
+    """A value cannot be computed: a division by zero, an index out of range."""
 
 
 class FunctionError(SelectScriptError, RuntimeError):
-    """A user's function raised; the original is the cause."""
+    """A user's function raised; the original error is the cause."""
 
 
 class UnsupportedError(SelectScriptError, NotImplementedError):
-    """What this version, or another engine whose SQL is wanted, does not run."""
+    """A feature that this version, or the requested SQL dialect, does not support."""
 
 
 class LimitError(SelectScriptError, RuntimeError):
-    """A program would use more than the interpreter's limits allow, or search without end."""
+    """A program exceeded the limits of the interpreter, or searches without end."""
 
 
 class SceneError(SelectScriptError, ValueError):
-    """A scene description that cannot be loaded: file, key and reason."""
+    """A scene cannot be loaded; the message has file, key and reason."""
 
 
 class RemovedEntityError(SelectScriptError, LookupError):
-    """An entity that is no longer in its world."""
+    """An entity is no longer in its world."""
 
 
 class SimulatorError(SelectScriptError, RuntimeError):
@@ -174,15 +183,15 @@ class SimulatorError(SelectScriptError, RuntimeError):
 
 
 class RecordError(SelectScriptError, OSError):
-    """What was recorded cannot be opened, read or written."""
+    """A record cannot be opened, read or written."""
 
 
 class SqlError(SelectScriptError, RuntimeError):
     """DuckDB refused a statement; its own error is the cause.
 
     Attributes:
-        is_final: whether no other statement could do better.
-        is_refused: whether it did not even begin to run.
+        is_final: whether no other statement could succeed.
+        is_refused: whether the statement did not even begin to run.
     """
 
     def __init__(self, message: str, *, is_final: bool = False, is_refused: bool = False) -> None:
@@ -192,7 +201,7 @@ class SqlError(SelectScriptError, RuntimeError):
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
-    """Warn of the innermost line that is not ssduck's own.
+    """Warns with the place of the innermost line outside ssduck.
 
     Args:
         message: the text of the warning.

@@ -1,4 +1,4 @@
-"""Values and errors in the words of a message: one line each, and never long."""
+"""Writes values and errors into messages: in one line, and never long."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 
 from ssduck.errors import EvaluationError, SourceSpan
 
-# So many keys and letters of what is wrong are told.
+# The largest numbers of keys and of letters in a message.
 MOST_KEYS = 20
 MOST_LETTERS = 200
 _MOST_KINDS = 5
 
-# So many names.
+# The largest number of names in a message.
 MOST_NAMED = 50
 
 _SHORT = Repr()
@@ -24,7 +24,13 @@ _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MOST_LETTERS
 
 
 def short_repr(value: Any) -> str:
-    """A value as it is written, if that is not too long."""
+    """Returns the `repr` of a value, shortened if it is long.
+
+    >>> short_repr([1, 2.5, "cup"])
+    "[1, 2.5, 'cup']"
+    >>> short_repr(10 ** 5000)
+    'a number of some 5000 digits'
+    """
     try:
         return first_line(_SHORT.repr(value))
     except ValueError:  # Python writes no number of thousands of digits
@@ -35,13 +41,17 @@ def short_repr(value: Any) -> str:
 
 
 def joined_names(names: Sequence[str], most: int = MOST_NAMED) -> str:
-    """Names, and how many more there are."""
+    """Returns names separated by commas, and the number of those left out.
+
+    >>> joined_names(["cup", "fork", "plate"], most=2)
+    'cup, fork and 1 more'
+    """
     left = len(names) - most
     return ", ".join(names[:most]) + (f" and {left} more" if left > 0 else "")
 
 
 def error_text(error: BaseException) -> str:
-    """What an error of whatever kind says, if that is not too long."""
+    """Returns the message of any error, shortened if it is long."""
     try:
         return first_line(str(error))
     except Exception:  # noqa: BLE001  # a user's class may do anything
@@ -49,13 +59,17 @@ def error_text(error: BaseException) -> str:
 
 
 def first_line(text: str) -> str:
-    """The first line of a text, if that is not too long."""
+    """Returns the first line of a text, shortened if it is long."""
     line = text.strip().partition("\n")[0]
     return line if len(line) <= MOST_LETTERS else f"{line[:MOST_LETTERS]}…"
 
 
 def type_in_words(value: Any) -> str:
-    """What a value is, in words: those of its class, `IN_WORDS`, if it has any."""
+    """Returns the type of a value in words; a class may give its own as `IN_WORDS`.
+
+    >>> type_in_words(2.5), type_in_words(None)
+    ('a number', 'nothing')
+    """
     if value is None:
         return "nothing"
     words = {
@@ -71,7 +85,11 @@ def type_in_words(value: Any) -> str:
 
 
 def argument_in_words(value: Any) -> str:
-    """A value as an argument that is refused: what it is, and of a list what is in it."""
+    """Returns a refused argument in words: a plain value itself, or the types in a list.
+
+    >>> argument_in_words([1, "cup"])
+    'a list with a number, a text'
+    """
     if isinstance(value, bool | int | float | str):
         return short_repr(value)
     if not isinstance(value, list | tuple):
@@ -84,8 +102,8 @@ def argument_in_words(value: Any) -> str:
 
 
 def as_evaluation_error(error: Exception, span: SourceSpan | None) -> EvaluationError:
-    """Of values that Python brought in: an array that is neither true nor false, say.
+    """Returns the error of a Python value, such as an array that is neither true nor false.
 
-    Their libraries have errors of their own, of whatever kind and length.
+    Its library has errors of its own, of any class and length.
     """
     return EvaluationError(f"{type(error).__name__}: {error_text(error)}", span=span)

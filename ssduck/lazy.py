@@ -1,7 +1,6 @@
-"""Lets packages export names that are imported on first use.
+"""Exports the names of a package without importing their modules before they are used.
 
-Importing a module imports the packages around it. With `exports`, a package declares its public
-names, and the import of their modules waits until they are used.
+Importing a module imports the packages that contain it. This keeps that cheap.
 """
 
 from __future__ import annotations
@@ -18,13 +17,7 @@ def exports(
 
     Args:
         package: the name of the package.
-        names: the public names by the submodule that defines them.
-
-    >>> get, names = exports("ssduck", {"limits": ("Limits",), "errors": ("ParseError",)})
-    >>> names()
-    ['Limits', 'ParseError']
-    >>> get("Limits").__module__
-    'ssduck.limits'
+        names: its public names, by the module of the package that defines them.
     """
     modules = {name: module for module, exported in names.items() for name in exported}
 

@@ -1,4 +1,4 @@
-"""What a program may use: time, rows, memory, depth, files and `eval`."""
+"""The limits of a program: time, rows, memory, depth, files and `eval`."""
 
 from __future__ import annotations
 
@@ -10,22 +10,28 @@ from typing import Any
 from ssduck import validation
 from ssduck.errors import LimitError
 
-# So many rows, calls or paths are counted before the clock is looked at.
+# The number of steps between two looks at the clock.
 _STRIDE = 8
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a program may use; each program, each `sql` anew.
+    """The limits of each program, and of each call of `sql`.
 
     Attributes:
-        seconds: how long it may run; None for no end.
-        rows: how many rows a query may yield, and how many combinations Python may look at.
-        memory: what DuckDB may use, in bytes.
-        depth: how many rows a path of a hierarchical query may have.
-        eval: whether `eval('text')` may be called.
+        seconds: the longest running time, s; None for no limit.
+        rows: the largest number of rows of a query, and of combinations that Python goes through.
+        memory: the memory of DuckDB, bytes.
+        depth: the largest number of rows in a path of a hierarchical query.
+        eval: whether programs may call `eval('text')`.
         files: whether SQL may read and write files, load extensions and change settings, and
             result forms may write files.
+
+    Raises:
+        ArgumentError: a value is none that a limit can have.
+
+    >>> Limits(seconds=2).seconds
+    2.0
     """
 
     seconds: float | None = None
@@ -53,7 +59,11 @@ class Limits:
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
-        """For programs from elsewhere: 10 s, a million rows, 1 GB, no `eval`, no files."""
+        """Returns limits for foreign programs: 10 s, a million rows, 1 GB, no `eval`, no files.
+
+        Args:
+            changes: limits that differ from these.
+        """
         return cls(
             **{
                 "seconds": 10.0,
@@ -67,10 +77,10 @@ class Limits:
 
 
 class UsageMeter:
-    """How much of its limits a running program has used.
+    """Measures how much of its limits a running program has used.
 
     Args:
-        limits: what it may use.
+        limits: the limits of the program.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -79,7 +89,7 @@ class UsageMeter:
         self._steps = 0
 
     def step(self) -> None:
-        """Count a step of Python's: a row, a call, a part of a path.
+        """Counts a step in Python: a row, a call, a part of a path.
 
         Raises:
             LimitError: the time is up.
@@ -88,27 +98,27 @@ class UsageMeter:
         if self._ends is not None and self._steps % _STRIDE == 0:
             self.check_time()
 
-    def looks(self) -> Callable[[], None]:
-        """What one query calls at each combination of its sources that Python looks at.
+    def combination_counter(self) -> Callable[[], None]:
+        """Returns a function to call at each combination of sources that Python goes through.
 
         It raises a LimitError if there are too many, or the time is up.
         """
         most = self.limits.rows
         if most is None:
             return self.step
-        looked = 0
+        count = 0
 
-        def look() -> None:
-            nonlocal looked
-            looked += 1
-            if looked > most:
+        def count_combination() -> None:
+            nonlocal count
+            count += 1
+            if count > most:
                 raise LimitError(f"a query looks at more than {most} rows")
             self.step()
 
-        return look
+        return count_combination
 
     def check_time(self) -> None:
-        """Look at the clock.
+        """Checks the time.
 
         Raises:
             LimitError: the time is up.
@@ -118,11 +128,11 @@ class UsageMeter:
 
     @property
     def remaining(self) -> float | None:
-        """Seconds that are left, not less than 0; None for no end."""
+        """The remaining time, s, 0 or more; None for no limit."""
         return None if self._ends is None else max(0.0, self._ends - time.monotonic())
 
     def check_rows(self, count: int) -> None:
-        """Complain of too many rows.
+        """Checks the number of rows of a query.
 
         Raises:
             LimitError: there are more than the limits allow.

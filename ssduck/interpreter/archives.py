@@ -1,4 +1,4 @@
-"""Opening what was recorded: a folder of Parquet files, or a DuckDB file."""
+"""Opens records: folders of Parquet files, and DuckDB files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from ssduck.world.run_numbers import new_run
 
 
 class RecordedRun(Protocol):
-    """A run of a world that was recorded."""
+    """A recorded run of a world."""
 
     @property
     def world(self) -> str:
@@ -42,18 +42,21 @@ class RecordedRun(Protocol):
 
     @property
     def has_ticks(self) -> bool:
-        """Whether anything was stored."""
+        """Whether ticks were stored."""
 
     @property
     def episode(self) -> Episode:
-        """What it holds."""
+        """The contents of the run."""
 
 
 def episodes(path: str | Path) -> list[Episode]:
-    """The episodes in a folder or in a DuckDB file, by world and number.
+    """Returns the episodes in a folder or in a DuckDB file, by world and number.
+
+    Args:
+        path: the path of the folder or the file.
 
     Raises:
-        RecordError: there is no such record, it is damaged, of a newer version, or in use by
+        RecordError: there is no such record, or it is damaged, of a newer version, or in use by
             another process.
     """
     database = Database(":memory:", None)
@@ -64,14 +67,14 @@ def episodes(path: str | Path) -> list[Episode]:
 
 
 def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
-    """The recorded_runs that are recorded at a place, by world and number.
+    """Returns the runs in a folder or in a DuckDB file, by world and number.
 
     Args:
-        path: a folder, or a DuckDB file, which is attached to be read.
-        database: where to.
+        path: the path of a folder, or of a DuckDB file, which is attached to be read.
+        database: the database to which the file is attached.
 
     Raises:
-        RecordError: there is no record, it is damaged, of a newer version, or in use.
+        RecordError: there is no record, or it is damaged, of a newer version, or in use.
     """
     if path.is_dir():
         return runs_in(path)
@@ -83,10 +86,10 @@ def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
 def select_runs(
     found: Sequence[RecordedRun], world: str | None, number: int | None
 ) -> list[RecordedRun]:
-    """One run of each world, or of one: that of a number, or the last that holds any tick.
+    """Returns one run of each world, or of one: the run of a number, or the last one with ticks.
 
     Raises:
-        RecordError: there is none such.
+        RecordError: there is no such run.
     """
     if not found:
         raise RecordError("nothing is recorded there")
@@ -107,7 +110,7 @@ def select_runs(
 
 
 def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
-    """The world of a run, as far as it was recorded.
+    """Returns the world of a recorded run.
 
     Raises:
         RecordError: a file is missing or damaged.
@@ -147,15 +150,15 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
-    """A run that is recorded in a DuckDB file.
+    """A recorded run in a DuckDB file.
 
     Attributes:
         path: the file.
-        catalog: what it is attached as.
-        schema: what holds the run.
+        catalog: the name under which it is attached.
+        schema: the schema of the run.
         world: the name of the world.
-        number: of the episode, from 0.
-        description: what the record tells of itself.
+        number: the number of the episode, from 0.
+        description: the description of the run in the file.
         reader: a connection that can read it.
     """
 
@@ -168,18 +171,18 @@ class StoredRun:
     reader: StoreConnection
 
     def history(self, reader: StoreConnection) -> DuckDBStore:
-        """What is stored of it."""
+        """Returns the store of the run."""
         recording = _recording(self.description["recording"], self.path)
         return DuckDBStore(self.schema, reader, recording, catalog=self.catalog)
 
     @property
     def has_ticks(self) -> bool:
-        """Whether anything was stored."""
+        """Whether ticks were stored."""
         return self.episode.ticks > 0
 
     @cached_property
     def episode(self) -> Episode:
-        """What it holds."""
+        """The contents of the run."""
         history = self.history(self.reader)
         return Episode.of(
             self.path,
@@ -214,7 +217,7 @@ def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[Sto
 
 
 def _description(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
-    """What a record tells of itself."""
+    """Returns the description of a run, checked."""
     try:
         description: dict[str, Any] = json.loads(rows[0][0])
         version = description["version"]

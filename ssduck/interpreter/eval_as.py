@@ -1,7 +1,7 @@
-"""A query in parts, as `Interpreter.evalAs` gets it: what OpenRAVE's dialect hands over.
+"""A query in parts, as `Interpreter.evalAs` receives it in OpenRAVE's dialect.
 
 There, a subclass goes through the rows itself. A column is a sequence of a kind, a name and the
-arguments; `eval(part, elements, names)` gives the value of a part for the elements of a row.
+arguments; `eval(part, elements, names)` returns the value of a part for the elements of a row.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class QueryPart:
     """A part of a query, to be evaluated for the elements of a row.
 
     Args:
-        node: the part; bare names in it are looked up.
-        frame: what is around the query.
+        node: the part, its names resolved.
+        frame: the scope and the rows around the query.
     """
 
     def __init__(self, node: Node, frame: Frame) -> None:
@@ -41,7 +41,11 @@ class QueryPart:
         self._frame = frame
 
     def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
-        """Its value.
+        """Returns its value.
+
+        Args:
+            elements: the elements of the row, one of each source.
+            names: the names of the sources.
 
         Raises:
             ArgumentError: there are not as many elements as names.
@@ -56,15 +60,15 @@ class QueryPart:
 
 
 class Condition(QueryPart):
-    """What WHERE says."""
+    """The condition behind WHERE."""
 
 
 class SelectedColumn(QueryPart, Sequence[Any]):
-    """A column: `["function", name, arguments]`; of `to`, the value and the name.
+    """A column: `["function", name, arguments]`; for `to`, the value and the name.
 
     Args:
         column: the column.
-        frame: what is around the query.
+        frame: the scope and the rows around the query.
     """
 
     def __init__(self, column: SelectedValue, frame: Frame) -> None:
@@ -76,16 +80,16 @@ class SelectedColumn(QueryPart, Sequence[Any]):
         return self._column.name != _plain_name(self.node)
 
     def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
-        """Its value; of `to`, with the name."""
+        """Returns its value; for `to`, with the name."""
         value = self.plain_value(elements, names)
         return (value, self.column_name(elements, names)) if self._is_renamed else value
 
     def plain_value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
-        """Its value; of `to`, without the name."""
+        """Returns its value; for `to`, without the name."""
         return super().value(elements, names)
 
     def column_name(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
-        """What a row calls it."""
+        """Returns its name in a row."""
         name = self._column.name
         return (
             name if isinstance(name, str) else QueryPart(name, self._frame).value(elements, names)
@@ -119,12 +123,12 @@ class SelectedColumn(QueryPart, Sequence[Any]):
 
 
 class SelectedColumns(Sequence[SelectedColumn]):
-    """What SELECT lists; `eval` gives the value of the only column, or a list of all.
+    """The columns behind SELECT; `eval` gives the value of the only column, or a list of all.
 
     Args:
         query: the query.
-        columns: what it selects, bare names looked up.
-        frame: what is around it.
+        columns: the selected columns, their names resolved.
+        frame: the scope and the rows around the query.
     """
 
     def __init__(self, query: Query, columns: Sequence[SelectedValue], frame: Frame) -> None:
@@ -134,7 +138,7 @@ class SelectedColumns(Sequence[SelectedColumn]):
         self._columns = [SelectedColumn(column, frame) for column in columns]
 
     def value(self, elements: Sequence[Any], names: Sequence[str]) -> Any:
-        """The value of the only column, or a list of all."""
+        """Returns the value of the only column, or a list of all."""
         values = [column.value(elements, names) for column in self._columns]
         return values[0] if len(values) == 1 else values
 
@@ -150,7 +154,7 @@ class SelectedColumns(Sequence[SelectedColumn]):
 
 
 class SourceElements(Iterator[tuple[Any, ...]]):
-    """The combinations of the sources' elements: an iterator, by Python 2's name of it too."""
+    """The combinations of the sources' elements: an iterator, also by Python 2's `next`."""
 
     def __init__(self, elements: Sequence[Sequence[Any]]) -> None:
         self._rows = product(*elements)
@@ -162,16 +166,16 @@ class SourceElements(Iterator[tuple[Any, ...]]):
 
 
 def takes_results(call: Callable[..., Any]) -> bool:
-    """Whether an `evalAs` is one of the published interpreters: of rows that WHERE left."""
+    """Tells whether an `evalAs` has the parameters of the published interpreters."""
     return "RESULTS" in inspect.signature(call).parameters
 
 
 class EvalAsMethods:
-    """The three basic forms as methods, as the published interpreters have them.
+    """The three basic forms as methods, as in the published interpreters.
 
-    A subclass calls them with what its `evalAs(self, AS, PARAMS, SELECT, FROM_n, RESULTS)` is
-    given: the form's arguments, the columns, the names of the sources, and a tuple of elements
-    for each row.
+    A subclass passes on the arguments of its `evalAs(self, AS, PARAMS, SELECT, FROM_n, RESULTS)`:
+    the form's arguments, the columns, the names of the sources, and a tuple of elements for each
+    row.
     """
 
     def evalAS_list(  # noqa: N802
@@ -181,7 +185,7 @@ class EvalAsMethods:
         names: Sequence[str],
         rows: Iterable[Sequence[Any]],
     ) -> list[Any]:
-        """`AS list`: the values row after row."""
+        """`AS list`: returns the values row after row."""
         return [column.plain_value(row, names) for row in rows for column in select]
 
     def evalAS_dict(  # noqa: N802
@@ -191,7 +195,7 @@ class EvalAsMethods:
         names: Sequence[str],
         rows: Iterable[Sequence[Any]],
     ) -> list[dict[Any, Any]]:
-        """`AS dict`: a dict a row."""
+        """`AS dict`: returns a dict for each row."""
         return [
             {column.column_name(row, names): column.plain_value(row, names) for column in select}
             for row in rows
@@ -204,14 +208,14 @@ class EvalAsMethods:
         names: Sequence[str],
         rows: Iterable[Sequence[Any]],
     ) -> Any:
-        """`AS value`: the first value of the first row; `[]` if there is none."""
+        """`AS value`: returns the first value of the first row; `[]` if there is none."""
         for row in rows:
             return select[0].plain_value(row, names)
         return []
 
 
 def _plain_name(node: Node) -> str:
-    """What a column is column_name that `to` does not name."""
+    """Returns the name of a column without `to`."""
     match node:
         case Call(name=name) | UnresolvedName(name=name) | Name(name=name) | TimeIndex(name=name):
             return written_name(name)

@@ -1,8 +1,8 @@
-"""What in a program is probably a mistake, though it has a meaning.
+"""Finds probable mistakes in programs: parts that have a meaning, but hardly the intended one.
 
-A name that no entity bears, a variable that hiding_message a function, a text where a name was
-meant. What the text alone tells is noted by the parser; what depends on variables, functions and
-worlds is looked up before each statement runs.
+A name that no entity has, a variable that hides a function, a text in the place of a name. The
+parser notes the mistakes that the text alone shows; those that depend on variables, functions and
+worlds are looked up here before each statement runs.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ _NAME = "id"
 
 @dataclass(frozen=True)
 class NameSite:
-    """A place where the name of an entity is compared with a text, or with a variable.
+    """A place where the name of an entity is compared with a text or a variable.
 
     Attributes:
-        source: what the entity is of; None if that is not known.
-        value: the text, or the variable.
+        source: the source of the entity; None if it is not known.
+        value: the text or the variable.
         is_bare: whether the name is a bare one, which may be a key of a dict.
     """
 
@@ -62,16 +62,16 @@ class NameSite:
 
 @dataclass
 class StatementFacts:
-    """What of a statement is to be looked up.
+    """The parts of a statement to look up.
 
     Attributes:
-        names: where the names of entities are compared.
-        given: the variables that it sets, and where.
-        texts: texts in the place of a name, with the clause.
+        names: the places where names of entities are compared.
+        given: the variables that the statement sets.
+        texts: texts in the place of a name.
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
         bare: names that are selected, keys or conditions.
-        columns: bare names in GROUP BY, HAVING and ORDER BY that are also those of columns.
+        columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
     """
 
     names: list[NameSite] = field(default_factory=list)
@@ -84,7 +84,7 @@ class StatementFacts:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is to be looked up."""
+        """Whether there is nothing to look up."""
         return not any(getattr(self, kind.name) for kind in fields(self))
 
 
@@ -92,7 +92,7 @@ _OuterSources = Mapping[str, Source]
 
 
 def facts_of(statement: Node) -> StatementFacts:
-    """What of a statement is to be looked up."""
+    """Returns the parts of a statement to look up."""
     facts = StatementFacts()
     _collect(statement, {}, None, facts)
     return facts
@@ -170,7 +170,7 @@ def _collect_from_query(query: Query, outer_sources: _OuterSources, facts: State
 
 
 def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
-    """Bare names that are conditions themselves, or are compared with what is written out."""
+    """Yields bare names that are conditions themselves, or are compared with a literal."""
     for node in nodes:
         match node:
             case Name():
@@ -217,13 +217,13 @@ def _collect_name_site(
 
 
 class Linter:
-    """What is told of the programs of an interpreter, each thing once.
+    """Finds probable mistakes in the programs of an interpreter, and reports each once.
 
     Args:
-        variable: gives the value of a variable, None if there is none.
-        is_function: whether there is a function of a name.
-        worlds: gives the worlds.
-        recorded: gives the names of all entities that a world's record knows.
+        variable: a function that returns the value of a variable; None if there is none.
+        is_function: a function that tells whether a function has a name.
+        worlds: a function that returns the worlds.
+        recorded: a function that returns the names of all entities in a world's record.
     """
 
     def __init__(
@@ -244,12 +244,12 @@ class Linter:
     def check(
         self, text: str, statement: Node, local: Mapping[str, Any]
     ) -> list[SelectScriptError]:
-        """What is to be told of a statement of a program, each time that it runs.
+        """Returns the probable mistakes in a statement, as errors.
 
         Args:
-            text: the program.
+            text: the text of the program.
             statement: the statement.
-            local: the state variables where it stands.
+            local: the state variables at its place.
         """
         facts = self._facts.get(statement)
         if facts is None:
@@ -266,7 +266,7 @@ class Linter:
         return check
 
     def is_new(self, error: SelectScriptError) -> bool:
-        """Whether it was not told before."""
+        """Tells whether an error was not reported before."""
         if len(self._reported) > MOST_REPORTED:
             self._reported.clear()
         told = (error.text, error.message)
@@ -316,7 +316,7 @@ class Linter:
         self, facts: StatementFacts, local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
         for site in facts.names:
-            worlds = self.worlds_of(site)
+            worlds = self._worlds_at(site)
             if not worlds:
                 continue
             value = site.value
@@ -331,7 +331,7 @@ class Linter:
                 if isinstance(text, str) and not any(self._has_entity(w, text) for w in worlds):
                     yield self._unknown_entity(text, worlds, value.span)
 
-    def worlds_of(self, site: NameSite) -> list[World]:
+    def _worlds_at(self, site: NameSite) -> list[World]:
         """The worlds that the entity may be of; none where that is not known."""
         value = None if site.source is None else site.source.value
         if isinstance(value, Name | TimeIndex):
@@ -366,14 +366,14 @@ class Linter:
         )
 
 
-# So many things are known to have been told.
+# The largest number of reported mistakes that are remembered.
 MOST_REPORTED = 10_000
-# So many names that no entity bears are told of a statement: of more, a list of others is meant.
+# The largest number of unknown names reported in a statement: more must be a list of others.
 MOST_UNKNOWN = 20
 
 
 def hiding_message(name: str) -> str:
-    """What is told of a variable that has a function's name."""
+    """Returns the message about a variable that has the name of a function."""
     return (
         f"the variable {name} hides the function {name}: a bare {name} is the variable; "
         f"{name}(…) still calls the function"

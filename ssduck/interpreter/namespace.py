@@ -1,4 +1,4 @@
-"""Variables and functions by name: what expressions see of an interpreter."""
+"""The variables and functions of an interpreter, by name."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from ssduck.world.world import World
 
 
 class Namespace:
-    """The variables and functions of an interpreter, and the worlds that they are about.
+    """The variables and functions of an interpreter, and its worlds.
 
     Args:
-        database: where the worlds are bound.
+        database: the database to which the worlds are bound.
     """
 
     def __init__(self, database: Database) -> None:
@@ -46,7 +46,7 @@ class Namespace:
         self._lock = threading.RLock()
         self._variables: dict[str, Any] = {}
         self._functions: dict[str, Function] = dict(BUILTINS)
-        # What the language has of its own; and users' functions that stand in the place of that.
+        # The language's own functions that users' functions override, by name.
         self._overrides: dict[str, Function | None] = {}
         self._functions.update((command.name, command) for command in self._commands())
         self._functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
@@ -57,7 +57,11 @@ class Namespace:
     # -- variables (ssduck.language.evaluator.EvaluationScope) -------------------------------
 
     def variable(self, name: str) -> Any:
-        """The value of a variable, or an UnknownNameError with the nearest names."""
+        """Returns the value of a variable.
+
+        Raises:
+            UnknownNameError: no variable has that name; the error suggests the nearest names.
+        """
         validation.text(name, "the name of a variable is a text")
         if name in self._variables:
             value = self._variables[name]
@@ -73,11 +77,11 @@ class Namespace:
         )
 
     def has_variable(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Tells whether a variable has that name."""
         return name in self._variables
 
     def is_function(self, name: str) -> bool:
-        """Whether there is a function, or a relation, of that name."""
+        """Tells whether a function or a relation has that name."""
         return name in RELATIONS or name in self._functions
 
     def variable_or_none(self, name: str) -> Any:
@@ -85,15 +89,15 @@ class Namespace:
         return self.variable(name) if self.has_variable(name) else None
 
     def names(self) -> list[str]:
-        """The names of all variables and functions."""
+        """Returns the names of all variables and functions."""
         return [*self._variables, *self._known_functions()]
 
     def assign(self, name: str, value: Any) -> None:
-        """Set a variable."""
+        """Sets a variable."""
         self._variables[name] = value
 
     def keep(self, name: str, value: Any, horizon: float) -> None:
-        """Set a variable that keeps its values of so many seconds."""
+        """Sets a variable that keeps its values for a time in seconds."""
         before, now = self._variables.get(name), self._now()
         if isinstance(value, World):
             raise ArgumentError(
@@ -102,7 +106,7 @@ class Namespace:
         self._variables[name] = with_assignment(before, value, horizon, now)
 
     def past_value(self, name: str, *age: Any) -> Any:
-        """What a variable was; all that it keeps if no age is given."""
+        """Returns the past value of a variable; all values that it keeps if no age is given."""
         self.variable(name)
         held = self._variables[name]
         if isinstance(held, World):
@@ -111,31 +115,31 @@ class Namespace:
         return past_value(name, held, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
-        """What `name{}` gives, with the simulated times.
+        """Returns the values of a variable with a history, and their times.
 
         Args:
-            name: of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
+            name: the name of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
 
         Returns:
-            The time of each assignment, in seconds, and its value, the oldest first.
+            The simulated time of each assignment, s, and its value, the oldest first.
 
         Raises:
-            UnknownNameError: there is no such variable, with the nearest names.
-            ArgumentError: it has no history.
+            UnknownNameError: no variable has that name; the error suggests the nearest names.
+            ArgumentError: the variable has no history.
         """
         with self._lock:
             self.variable(name)
             return history_of(name, self._variables[name]).within(math.inf, self._now())
 
     def _now(self) -> float:
-        """The simulated time in seconds, that of the first world."""
+        """Returns the simulated time of the first world, s."""
         worlds = self._database.worlds.values()
         for world in worlds:
             return world.time
         raise UnknownNameError("there is no world, so no simulated time; add one with add_variable")
 
     def _expire_histories(self) -> None:
-        """Drop what is out of its horizon, or later than now."""
+        """Drops values that are older than their horizon, or later than now."""
         temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, ValueHistory)]
         if temporal:
             now = self._now()
@@ -145,20 +149,20 @@ class Namespace:
     # -- functions ---------------------------------------------------------------------------
 
     def function(self, name: str) -> Function | None:
-        """A function that is no relation; the language's own, where the name is not marked."""
+        """Returns a function that is no relation; the language's own if the name is not marked."""
         if name in self._overrides:
             return self._overrides[name]
         return self._functions.get(written_name(name))
 
     def resolved_name(self, name: str) -> str:
-        """What calls the function of that name: the user's, where it replaces another."""
+        """Returns the name that calls a function: the user's function, if it overrides another."""
         return marked_name(name) if name in self._overrides else name
 
     def _add_function(self, function: Function) -> None:
-        """Take a user's function; one of the language's name replaces that, with a warning.
+        """Adds a user's function; warns if it overrides a part of the language.
 
         Raises:
-            ArgumentError: nothing can replace what has this name.
+            ArgumentError: a function of that name cannot be replaced.
         """
         name = function.name
         known = self._functions.get(name)
@@ -181,10 +185,10 @@ class Namespace:
         )
 
     def _remove_function(self, name: str) -> None:
-        """Forget a user's function; what it replaced is there again.
+        """Removes a user's function; the one that it overrode is back.
 
         Raises:
-            UnknownNameError: there is none, with the nearest names.
+            UnknownNameError: there is none; the error suggests the nearest names.
         """
         is_name = isinstance(name, str) and name == written_name(name)
         if not is_name or not self.is_users(self.resolved_name(name)):
@@ -199,16 +203,21 @@ class Namespace:
             self._functions[name] = before
 
     def is_users(self, name: str) -> bool:
-        """Whether that calls a user's function."""
+        """Tells whether a name calls a user's function."""
         function = self.function(name)
         return function is not None and not function.builtin
 
     def builtin(self, name: str) -> Function | None:
-        """A function of plain values that comes with the language."""
+        """Returns the language's own function of plain values; None if there is none."""
         return BUILTINS.get(name)
 
     def check_call(self, node: Call) -> None:
-        """Complain of an unknown function, or of a wrong number of arguments."""
+        """Checks that a function is known, and the number of its arguments.
+
+        Raises:
+            UnknownNameError: there is no such function; the error suggests the nearest names.
+            ArgumentError: the number of arguments is wrong.
+        """
         given, name = len(node.arguments), written_name(node.name)
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
@@ -229,10 +238,10 @@ class Namespace:
             )
 
     def help(self, name: str | None = None) -> Any:
-        """The names of all functions, or the help of one; that of `AS` lists the result forms.
+        """Returns the names of all functions, or the help of one; `AS` lists the result forms.
 
         Raises:
-            UnknownNameError: there is no such function, with the nearest names.
+            UnknownNameError: no function has that name; the error suggests the nearest names.
         """
         if name is None:
             return sorted(self._known_functions(), key=str.casefold)
@@ -249,6 +258,8 @@ class Namespace:
         return list(dict.fromkeys((*RELATIONS, *self._functions)))
 
     def _commands(self) -> list[Function]:
+        """Returns the functions that use the interpreter."""
+
         def clear(name: str | None = None) -> bool:
             if name is None:
                 others = {n: v for n, v in self._variables.items() if isinstance(v, World)}
@@ -280,7 +291,7 @@ class Namespace:
         return list(self._database.worlds.values())
 
     def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
-        """The worlds that parts may be about; None if their values alone tell."""
+        """Returns the worlds that nodes may read; None if only their values tell."""
         worlds: list[World] = []
         for node in nodes:
             called = calls_of(node)
@@ -298,7 +309,7 @@ class Namespace:
         return worlds
 
     def tables_read(self, node: Node) -> frozenset[str]:
-        """The tables that relations in a part look things up in."""
+        """Returns the tables that the relations in a node look up."""
         found = tables_of(node) | tables_read_by(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
@@ -308,7 +319,11 @@ class Namespace:
 
 
 def check_name(name: str, what: str) -> None:
-    """Complain of a name that a variable or a function cannot have."""
+    """Checks the name of a variable or a function.
+
+    Raises:
+        ArgumentError: the name is no identifier, or a word of the language.
+    """
     validation.identifier(name, what)
     if is_reserved(name):
         raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")

@@ -1,4 +1,4 @@
-"""Running a query: its SQL on one tick, then what is left to Python; or row by row."""
+"""Runs a query: its SQL on one tick and the rest in Python, or row by row."""
 
 from __future__ import annotations
 
@@ -48,31 +48,31 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import with_values
 from ssduck.sql.types import SqlType
 
-# So often may a query fail in SQL before its cautious plan is taken at once; now and then it is
-# tried again.
+# After so many failures in SQL the cautious plan is taken at once; SQL is tried again once in so
+# many runs.
 MOST_FAILURES = 3
 RETRY_INTERVAL = 64
-# A search or a product of lists with at most so many rows a state is not worth a statement.
+# The largest number of rows at a state for which a search or a product of lists runs row by row.
 FEW_ROWS = 64
-# So many combinations of the sources are kept from state to state.
+# The largest number of combinations of sources that is kept from state to state.
 MOST_COMBINATIONS = 10_000
-# Of more ticks than this, values are written into a statement that is planned each time.
+# For more ticks than this, values are literals of a statement that is planned each time.
 LONG = 10_000
-# Longer lists are not written into a statement.
+# Longer lists do not become literals of a statement.
 MOST_LITERALS = 1000
 
 
 class SqlFailedError(Exception):
-    """A statement came to something that only Python can decide."""
+    """A statement met a case that only Python can decide."""
 
 
 class PlannedQuery:
     """A query with its plan, ready to run.
 
     Args:
-        plan: how it runs.
-        database: where its SQL runs.
-        scope: variables and functions.
+        plan: the plan.
+        database: the database that runs its SQL.
+        scope: the variables and functions.
     """
 
     def __init__(self, plan: Plan, database: Database, scope: EvaluationScope) -> None:
@@ -80,7 +80,7 @@ class PlannedQuery:
         self._failures = 0
         self._database = database
         self._statement: Statement | None = None
-        # The parameters that are no numbers, as they were last time.
+        # The parameters that are no numbers, at the last run.
         self._last_texts: dict[str, Any] | None = None
         self._converters = {
             output.tag: database.converter(output.tag)
@@ -100,30 +100,31 @@ class PlannedQuery:
 
     @property
     def columns(self) -> tuple[SelectedValue, ...]:
-        """What it selects."""
+        """The selected columns."""
         return self.plan.rest.columns
 
     def _column_reader(self, output: OutputColumn) -> Thunk:
+        """Returns a function that reads the value of an SQL column from a frame."""
         index, convert = output.index, self._converters[output.tag]
         if convert is None:
             return lambda frame: frame.columns[index]
         return lambda frame: convert(frame.columns[index])
 
     def skips_sql(self) -> bool:
-        """Whether its SQL has failed so often that it is not tried this time."""
+        """Tells whether its SQL failed so often that it is not tried this time."""
         if self._failures < MOST_FAILURES:
             return False
         self._failures += 1
         return self._failures % RETRY_INTERVAL != 0
 
     def forget(self) -> None:
-        """Let the database forget it."""
+        """Drops its prepared statement."""
         if self._statement is not None:
             self._statement.forget()
             self._statement = None
 
     def parameters(self, outer: Frame, values: Sequence[Any]) -> dict[str, Any]:
-        """The values of the SQL's parameters."""
+        """Returns the values of the SQL's parameters."""
         return _parameter_values(self.plan, outer, self._by_alias(values))
 
     def _by_alias(self, values: Sequence[Any]) -> dict[str, Any]:
@@ -131,11 +132,11 @@ class PlannedQuery:
         return dict(zip(aliases, values, strict=True))
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """What the query selects; the caller holds the worlds.
+        """Returns the rows of the query; the caller holds the worlds.
 
         Args:
-            outer: knows the variables, and the rows of the queries around this one.
-            values: those of the sources.
+            outer: the variables, and the rows of the queries around this one.
+            values: the values of the sources.
 
         Raises:
             SqlFailedError: the plan is not cautious, and its SQL failed.
@@ -161,7 +162,7 @@ class PlannedQuery:
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)
 
     def _output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
-        """The rows as they are, if nothing is left to Python."""
+        """Returns the rows from SQL, if nothing is left to Python."""
         outputs = self.plan.outputs or []
         converters = [self._converters[output.tag] for output in outputs]
         indices = [output.index for output in outputs]
@@ -186,16 +187,17 @@ class PlannedQuery:
         return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
 
     def _fetch(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+        """Executes the SQL and returns its rows."""
         plan, database = self.plan, self._database
         parameters = _parameter_values(plan, outer, sources)
         if any(
             _is_long_past(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source
         ):
-            # What is written in a statement DuckDB compares whole blocks of rows with.
+            # DuckDB compares whole blocks of rows with literals.
             return database.connection.rows(
                 plan.select.transform(with_values(parameters)).sql("duckdb")
             )
-        # A buffer of numbers has no place for an unknown one.
+        # A buffer of numbers cannot hold None.
         if not plan.tables and None not in parameters.values():
             numbers = {name: parameters[name] for name in plan.numbers}
             texts = {name: value for name, value in parameters.items() if name not in numbers}
@@ -215,9 +217,9 @@ class PlannedQuery:
                 database.connection.unshow(name)
 
     def _prepared(self, texts: dict[str, Any]) -> Statement | None:
-        """The prepared statement for these values of what is no number.
+        """Returns the prepared statement for these values of parameters that are no numbers.
 
-        They are part of its text, so that it is worth its while only when they stay the same.
+        They are part of its text, so that preparing it pays only while they stay the same.
         """
         if not _are_same(self._last_texts, texts):
             self.forget()
@@ -233,7 +235,7 @@ class PlannedQuery:
     def _frames(
         self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
     ) -> Iterator[Frame]:
-        """The frames of the rows that SQL has left."""
+        """Yields the frames of the rows from SQL."""
         plan = self.plan
         around: dict[str | None, Any] = dict(outer.elements)
         around.pop(None, None)
@@ -253,7 +255,7 @@ class PlannedQuery:
     def _element_reader(
         self, shape: SourceType, sources: Mapping[str, Any]
     ) -> Callable[[tuple[Any, ...]], Any]:
-        """The current element of a source; where SQL has only its number, by that."""
+        """Returns a function that reads the current element of a source."""
         output = self.plan.elements[shape.alias]
         index = output.index
         if output.tag.type in ("any", "record"):
@@ -266,7 +268,7 @@ class PlannedQuery:
 
 
 def _relation_error(error: SqlError) -> SelectScriptError:
-    """What a relation's formula says of its arguments, as an error of the language."""
+    """Returns the error of a relation's formula as an error of the language."""
     told = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
     if told is None or told[2] not in RELATIONS:
         return error
@@ -274,12 +276,12 @@ def _relation_error(error: SqlError) -> SelectScriptError:
 
 
 def _is_long_past(past: Any) -> bool:
-    """Whether so many ticks are looked at that planning does not matter."""
+    """Tells whether a past has so many ticks that the time for planning does not matter."""
     return bool(past.last - past.first > LONG)
 
 
 def _are_same(before: dict[str, Any] | None, now: dict[str, Any]) -> bool:
-    """Whether they would be written alike: 0.0 and -0.0 are equal, and are not."""
+    """Tells whether values are written alike: 0.0 and -0.0 are equal, but are not."""
     return before == now and (_element_count(now) > MOST_LITERALS or repr(before) == repr(now))
 
 
@@ -297,7 +299,7 @@ def _graph_paths(
     names: tuple[str, ...],
     count: Callable[[], None],
 ) -> Paths:
-    """The paths through a graph whose edges SQL has found, breadth first."""
+    """Returns the paths through a graph whose edges SQL has found, breadth first."""
     root = Vertex[tuple[Any, ...]]((), found=False)
     vertices = {(): root}
     for start, end, found, *items in edges:
@@ -312,7 +314,7 @@ def _graph_paths(
 
 
 def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of the SQL's parameters."""
+    """Returns the values of the SQL's parameters."""
     bound = {}
     for binding in plan.bindings:
         if binding.source is not None and binding.end:
@@ -334,7 +336,7 @@ def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
 
 
 def _list_parameter(elements: Sequence[Any], tag: SqlType) -> list[Any]:
-    """What stands for the elements of a source in SQL: of what SQL does not know, the count."""
+    """Returns a source's elements for SQL; zeros in their place if SQL has no type for them."""
     return [0] * len(elements) if tag.element is None else [to_sql(value) for value in elements]
 
 
@@ -343,15 +345,15 @@ class RowByRowQuery:
 
     Args:
         query: the query.
-        resolved: the same with its names looked up.
-        scope: variables and functions.
-        max_depth: how many rows a path may have.
-        deferred: the variables in it that hold lists for the query that uses them.
-        of_past: whether a source is the past of a world, with which handles go.
+        resolved: the query with its names resolved.
+        scope: the variables and functions.
+        max_depth: the largest number of rows in a path.
+        deferred: the variables in it that hold lists which the query itself evaluates.
+        of_past: whether a source is the past of a world, so that handles depend on the row's tick.
 
     Attributes:
-        resolved: the same with its names looked up.
-        deferred: as given.
+        resolved: the query with its names resolved.
+        deferred: the variables in it that hold lists which the query itself evaluates.
     """
 
     def __init__(
@@ -401,15 +403,15 @@ class RowByRowQuery:
 
     @property
     def columns(self) -> tuple[SelectedValue, ...]:
-        """What it selects."""
+        """The selected columns."""
         return self.resolved.columns
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """What the query selects; the caller holds the worlds.
+        """Returns the rows of the query; the caller holds the worlds.
 
         Args:
-            outer: what is around the query.
-            values: those of the sources.
+            outer: the variables, and the rows of the queries around this one.
+            values: the values of the sources.
         """
         elements = all_elements(values)
         kept = {MEMOS: {}, **outer.cached}
@@ -420,7 +422,7 @@ class RowByRowQuery:
     def _rows_of_states(
         self, outer: Frame, elements: list[Sequence[Any]], kept: dict[Node, Any]
     ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
-        """The elements of the sources at each row of a state."""
+        """Returns a function that gives the combinations of elements at a state of the search."""
         if self._sources_change or prod(map(len, elements)) > MOST_COMBINATIONS:
             return lambda state: self._combinations(outer, state, elements, kept)
         same = list(combinations(self._aliases, elements, outer))
@@ -433,7 +435,7 @@ class RowByRowQuery:
         elements: list[Sequence[Any]],
         kept: dict[Node, Any],
     ) -> Iterator[dict[str | None, Any]]:
-        """The elements of each row of a state, where they differ from state to state."""
+        """Yields the combinations of elements at a state, where they differ between states."""
         inside = Frame(outer.scope, outer.elements, state, outer.placeholders, (), kept)
         if self._sources_change:
             elements = [elements_of(inside.value(s.value)) for s in self._query.sources]
@@ -441,12 +443,12 @@ class RowByRowQuery:
 
 
 def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set[Node]:
-    """The largest parts of a query that are the same for all its rows, and cost something.
+    """Returns the largest parts of a query that are constant for all rows, and worth caching.
 
     Args:
         query: the query.
-        changed: variables that are not the same.
-        of_past: whether calls, but in queries of their own, depend on the row's tick.
+        changed: the variables that are not constant.
+        of_past: whether calls, except in nested queries, depend on the row's tick.
     """
     own = {None, *aliases_of(query)}
     found: set[Node] = set()
@@ -469,10 +471,10 @@ def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set
 
 
 def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) -> bool:
-    """Whether running it row by row is quicker than planning a statement.
+    """Tells whether a query is faster row by row than as a statement.
 
-    So it is for a search through short lists, and for a product of short lists: a statement
-    takes DuckDB half a millisecond and more to plan, a row takes Python microseconds.
+    This is so for a search through short lists, and for a product of short lists: DuckDB takes
+    half a millisecond and more to plan a statement, Python microseconds for a row.
     """
     if any(not shape.has_values or shape.tag is None for shape in shapes):
         return False
@@ -483,7 +485,7 @@ def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) 
 
 @known
 def _needs_sql(node: Node) -> bool:
-    """Whether a part is, or has in it, a relation or a query."""
+    """Tells whether a part is or contains a relation or a query."""
     if isinstance(node, Query) or (isinstance(node, Call) and node.name in RELATIONS):
         return True
     return any(map(_needs_sql, node.children()))

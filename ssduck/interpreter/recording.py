@@ -1,4 +1,4 @@
-"""What an interpreter keeps of its worlds: recording them, their past, writing it to folders."""
+"""The methods of an interpreter on records: recording worlds, their past, exports to folders."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ssduck.world.world import World
 
 
 class RecordingMethods(ABC):
-    """What an interpreter lets its users do with what is kept of its worlds."""
+    """The methods of an interpreter on records."""
 
     _database: Database
     _lock: threading.RLock
@@ -32,25 +32,26 @@ class RecordingMethods(ABC):
 
     @abstractmethod
     def variable(self, name: str) -> Any:
-        """The value of a variable."""
+        """Returns the value of a variable."""
 
     @abstractmethod
     def eval(self, program: str | CompiledProgram) -> Any:
-        """Run a program."""
+        """Runs a program."""
 
     def record(self, world: str | World, recording: Recording | None) -> None:
-        """Keep the ticks of a world from now on: what of them, and for how long.
+        """Records the ticks of a world from now on, in place of the recording before.
 
-        It begins with the present tick. What was kept of the world before is dropped, but for
-        that in a file.
+        The record begins with the present tick. The record before is dropped, unless it is in a
+        file.
 
         Args:
             world: the world, or the name of its variable.
-            recording: what is kept; None for nothing.
+            recording: the tables, entities and ticks to record; None for none.
 
         Raises:
-            ArgumentError: it is no world of this interpreter, or has no entity of a name.
-            UnsupportedError: it is a record itself.
+            ArgumentError: the world is not of this interpreter, or lacks an entity of the
+                recording.
+            UnsupportedError: the world is a record itself.
         """
         if not isinstance(recording, Recording | None):
             raise ArgumentError(f"what is kept is told by a Recording, not {short_repr(recording)}")
@@ -59,16 +60,16 @@ class RecordingMethods(ABC):
             self._planner.forget()
 
     def past(self, world: str | World, age: float | None = None) -> PastTicks:
-        """What `kitchen{age}` is: a source for queries.
+        """Returns the past of a world, as `kitchen{age}` does: a source for queries.
 
         Args:
             world: the world, or the name of its variable.
-            age: seconds: from 0 up a simulated time, below 0 the time until now, None for all
-                that is kept.
+            age: a simulated time from 0 up, s, or the time before now if negative; None for all
+                ticks.
 
         Raises:
-            EvaluationError: nothing is kept of it, or nothing of that time.
-            ArgumentError: it is no world of this interpreter, or that is no finite number.
+            EvaluationError: the world is not recorded, or not at that time.
+            ArgumentError: the world is not of this interpreter, or the age is no finite number.
         """
         with self._lock:
             chosen = self._world(world)
@@ -81,22 +82,23 @@ class RecordingMethods(ABC):
         world: str | World | None = None,
         recording: Recording | None = None,
     ) -> ParquetRecording:
-        """Write the ticks of a world to a folder of Parquet files from now on, as a new episode.
+        """Writes the ticks of a world to a folder of Parquet files from now on, as a new episode.
 
-        What is written is sealed in parts: whatever ends the recording, all but the last part is
-        there, and it is whole.
+        The files are sealed in parts: however the recording ends, all parts but the last are there
+        and whole.
 
         Args:
-            path: the folder; it is made if it is not there, and may hold other episodes.
-            world: the world, or the name of its variable; None for the first one.
-            recording: what is written; None for all tables.
+            path: the folder; it is made if it does not exist, and may hold other episodes.
+            world: the world, or the name of its variable; None for the first world.
+            recording: the tables, entities and ticks to write; None for all tables.
 
         Returns:
-            What writes them, until it is closed: `with ss.record_to("run/"): …`.
+            The running recording, to be closed: `with ss.record_to("run/"): …`.
 
         Raises:
-            RecordError: the folder has something else in it, or cannot be written.
-            ArgumentError: it is no world of this interpreter, or has no entity of a name.
+            RecordError: the folder holds other files, or cannot be written.
+            ArgumentError: the world is not of this interpreter, or lacks an entity of the
+                recording.
         """
         recording = recording or Recording(tables=RECORDABLE)
         if recording.is_bounded:
@@ -106,7 +108,7 @@ class RecordingMethods(ABC):
             if world is None and not worlds:
                 raise ArgumentError("there is no world to be recorded")
             chosen = worlds[0] if world is None else self._world(world)
-            # Whoever records may go to another working directory meanwhile.
+            # The working directory may change while the recording runs.
             return self._database.record_to(chosen, recording, given_path(path).absolute())
 
     def export(
@@ -118,22 +120,22 @@ class RecordingMethods(ABC):
         start: float | None = None,
         end: float | None = None,
     ) -> dict[str, Path]:
-        """Write what is kept of worlds to a folder of Parquet files, each as a new episode.
+        """Writes the records of worlds to a folder of Parquet files, each as a new episode.
 
         Args:
-            path: the folder; it is made if it is not there, and may hold other episodes.
-            world: the world, or the name of its variable; None for all that are recorded.
-            entities: those that are written, by name or as handles, or a program that yields
-                them; None for all. A sensor brings the body that it sits on.
-            start: simulated time from which on ticks are written, s.
-            end: and until which.
+            path: the folder; it is made if it does not exist, and may hold other episodes.
+            world: the world, or the name of its variable; None for all recorded worlds.
+            entities: the entities to write, by name or as handles, or a program that gives them;
+                None for all. A sensor includes the body that it is mounted on.
+            start: the simulated time of the first tick, s.
+            end: the simulated time of the last tick, s.
 
         Returns:
             The folder of each episode's ticks, by the name of its world.
 
         Raises:
-            RecordError: the folder has something else in it, or cannot be written.
-            EvaluationError: nothing is kept of a world, or nothing of that time.
+            RecordError: the folder holds other files, or cannot be written.
+            EvaluationError: a world is not recorded, or not at that time.
         """
         chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
         names = None if chosen is None else _names(chosen)
@@ -153,13 +155,13 @@ class RecordingMethods(ABC):
             }
 
     def flush(self) -> dict[str, int]:
-        """Store what is recorded; in a file it survives whatever happens then.
+        """Stores all recorded ticks; in a file they survive a crash.
 
         Returns:
-            The last tick of each world, by its name.
+            The last stored tick of each world, by its name.
 
         Raises:
-            SqlError: it cannot be stored, for the disk is full, say; nothing is lost by that.
+            SqlError: the ticks cannot be stored, as the disk is full, say; none of them is lost.
         """
         with self._lock:
             return self._database.flush()
@@ -172,7 +174,7 @@ class RecordingMethods(ABC):
 
 
 def _names(entities: Iterable[str | Entity]) -> tuple[str, ...]:
-    """The names of entities that are given by name or as handles."""
+    """Returns the names of entities that are given by name or as handles."""
     found = []
     for entity in entities:
         if not isinstance(entity, str | Entity):

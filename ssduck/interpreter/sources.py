@@ -1,4 +1,4 @@
-"""What may stand in FROM: worlds, lists, tables, any value."""
+"""The sources behind FROM: worlds, lists, tables, any value."""
 
 from __future__ import annotations
 
@@ -24,20 +24,25 @@ from ssduck.sql.types import ANY, INTEGER, SqlType
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# A longer list may be of any worlds.
+# In a longer list, entities of any worlds are expected.
 MOST_EXAMINED = 100
 
 
 def elements_of(value: Any) -> Sequence[Any]:
-    """The elements of a source.
+    """Returns the elements of a source.
 
     Args:
         value: a world (its entities), a list or a tuple, an array (its rows), a table of
             pandas, polars, Arrow or of `Interpreter.sql`, or a structured array (its rows as
-            dicts); anything else is an element itself.
+            dicts); any other value is the only element.
 
     Raises:
         ArgumentError: two columns of a table have the same name.
+
+    >>> elements_of([1, 2])
+    [1, 2]
+    >>> elements_of(3)
+    [3]
     """
     if isinstance(value, list | tuple):
         return value
@@ -51,7 +56,7 @@ def elements_of(value: Any) -> Sequence[Any]:
 
 
 def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
-    """The elements of all sources of a query, those of several ticks of one world tied."""
+    """Returns the elements of all sources; those of several ticks of one world run in lockstep."""
     found: list[Sequence[Any]] = []
     first: dict[World, int] = {}
     for place, value in enumerate(values):
@@ -65,13 +70,13 @@ def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
 
 @dataclass(frozen=True)
 class _Table:
-    """A data frame: its columns' names, and their values."""
+    """A data frame: the names of its columns, and their values."""
 
     names: list[str]
     columns: list[list[Any]]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Its rows as dicts."""
+        """Returns its rows as dicts."""
         twice = [name for name, times in Counter(self.names).items() if times > 1]
         if twice:
             raise ArgumentError(f"a table has two columns that are called {twice[0]!r}")
@@ -79,7 +84,7 @@ class _Table:
 
 
 def _table(value: Any) -> _Table | None:
-    """A data frame; None if it is none."""
+    """Returns the data frame that a value is; None if it is none."""
     if isinstance(value, Result):
         return _Table(value.columns, [python_values(column) for column in value.arrow().columns])
     if isinstance(value, pa.Table | pa.RecordBatch):
@@ -97,7 +102,7 @@ def _table(value: Any) -> _Table | None:
 
 
 def _pandas_values(column: Any) -> list[Any]:
-    """A column's values: Python's, None where there is none."""
+    """Returns the values of a column as Python's, None for missing ones."""
     if column.dtype != object:
         with suppress(pa.ArrowException, TypeError):  # there are kinds that Arrow has not
             found = pa.array(column, from_pandas=True)
@@ -113,7 +118,7 @@ def _python_value(value: Any) -> Any:
 
 
 def _polars_values(column: Any) -> list[Any]:
-    """A column's values; Arrow sees the addresses of Python's objects, and no 128 bits."""
+    """Returns the values of a column; Arrow has neither Python's objects nor 128 bits."""
     kind = str(column.dtype)
     if kind == "Object" or "128" in kind:
         return [_python_value(value) for value in column.to_list()]
@@ -123,12 +128,12 @@ def _polars_values(column: Any) -> list[Any]:
 def source_types(
     query: Query, values: Sequence[Any], schema_of: SchemaOf
 ) -> tuple[SourceType, ...]:
-    """What the sources of a query are.
+    """Returns the types of a query's sources.
 
     Args:
         query: the query.
-        values: those of its sources; `INLINE` for a query that is to be a part of this one.
-        schema_of: gives the schema of a world.
+        values: the values of its sources; `INLINE` for a nested query that is a part of the SQL.
+        schema_of: a function that returns the schema of a world.
 
     Raises:
         ArgumentError: two sources have the same name.
@@ -178,7 +183,7 @@ def _is_scalar(tag: SqlType) -> bool:
 
 
 def arrow_table(elements: Sequence[Any], tag: SqlType) -> pa.Table:
-    """Records as a table: `n` from 1, and a column a key."""
+    """Returns records as a table: the column `n` from 1, and a column for each key."""
     columns: dict[str, Any] = {"n": pa.array(range(1, len(elements) + 1), pa.int64())}
     for index, (key, part) in enumerate(tag.fields):
         if part.is_sql and part.type != "record":
@@ -204,14 +209,14 @@ _ARROW_TYPES = {
 
 
 def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
-    """The values of sources; a world whose past is one as well, as it is at its present tick.
+    """Returns the values of sources; a world whose past is a source too, at its present tick.
 
     Args:
-        values: of the sources of a query.
-        elements: those of the queries around it that it depends on.
+        values: the values of the sources of a query.
+        elements: the elements of the queries around it on which it depends.
 
     Raises:
-        EvaluationError: a past is kept no longer.
+        EvaluationError: a past is no longer kept.
     """
     records = {
         value.world: cast("Record", value.moment.record)
@@ -231,7 +236,7 @@ def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[A
 
 
 def worlds_in(value: Any) -> list[World] | None:
-    """The worlds that a value is of: a world, an entity, a list of such; None if nobody knows."""
+    """Returns the worlds of a value: a world, an entity, a list of such; None if unknown."""
     match value:
         case World():
             return [value]

@@ -1,8 +1,8 @@
-"""Expressions that are evaluated at each recorded tick: `since`, `holds`, `changes` and others.
+"""Functions of an expression at each recorded tick: `since`, `holds`, `changes` and others.
 
-`holds(near(gripper, cup, 0.02))` becomes a query whose sources are the entities in the
-expression, each at the ticks of the record, and which selects the time and the value of the
-expression; what it gives is made of these in Python.
+`holds(near(gripper, cup, 0.02))` becomes a query. Its sources are the entities in the expression,
+each at the ticks of the record; it selects the time and the value of the expression. Python
+computes the result from these.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from ssduck.recording.replay.record import Record
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# So many ticks are looked at first to find since when something holds, then twice as many.
+# The number of ticks that `since` reads first; then it reads twice as many, and so on.
 FIRST_TICKS = 240
 _PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
 
@@ -46,10 +46,10 @@ class TemporalFunction:
     """A function whose first argument is evaluated at each tick.
 
     Attributes:
-        name: what it is called.
-        make: what it yields, of how to evaluate its argument.
-        about: what that is.
-        usage: how it is called.
+        name: its name.
+        make: the function that computes its value from a series of ticks and an age.
+        about: its description for help.
+        usage: its signature for help.
     """
 
     name: str
@@ -68,8 +68,8 @@ class TickSeries:
     """The values of an expression at the recorded ticks of a world.
 
     Args:
-        record: what is kept of the world.
-        run: gives the rows [tick, time, value] of some of its ticks.
+        record: the record of the world.
+        run: a function that returns rows [tick, time, value] of some ticks.
         node: the expression.
     """
 
@@ -81,17 +81,17 @@ class TickSeries:
         self._run = run
 
     def at(self, past: PastTicks) -> tuple[list[float], list[Any]]:
-        """The times and values at some ticks; where an entity was not there it is None."""
+        """Returns the times and values at some ticks; None where an entity was not there."""
         known = {row[0]: row[2] for row in self._run(past)}
         return past.times, [known.get(tick) for tick in past.ticks]
 
     def holding(self, past: PastTicks) -> tuple[list[float], list[bool]]:
-        """The times, and whether it held."""
+        """Returns the times, and whether the expression was true."""
         times, values = self.at(past)
         return times, [value is not None and truth(value, self.node) for value in values]
 
     def backwards(self) -> Iterator[PastTicks]:
-        """All ticks in pieces, the last ones first, each twice as long as the one before."""
+        """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
         numbers, _ = self.record.until_now()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
@@ -185,7 +185,7 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
 
 
 class TemporalEvaluator:
-    """Makes queries of expressions, and keeps them: one is planned once."""
+    """Turns expressions into queries, and caches these: each is planned once."""
 
     def __init__(self) -> None:
         self._queries: WeakKeyDictionary[Node, dict[tuple[bool, ...], Query]] = WeakKeyDictionary()
@@ -197,17 +197,17 @@ class TemporalEvaluator:
         record_of: Callable[[World], Record],
         run: Callable[[Query, dict[str, Any]], list[list[Any]]],
     ) -> TickSeries:
-        """The values of the first argument of a call.
+        """Returns the values of the first argument of a call, tick by tick.
 
         Args:
-            call: `holds(…)` and the like.
-            frame: knows the entities in it, and its other values.
-            record_of: gives what is kept of a world.
-            run: gives the rows of a query with values that are given.
+            call: the call, `holds(…)` say.
+            frame: the scope, which has the entities in the expression and its other values.
+            record_of: a function that returns the record of a world.
+            run: a function that returns the rows of a query, from the values of its placeholders.
 
         Raises:
-            ArgumentError: there is no entity in it.
-            UnsupportedError: it has a query in it, or entities of two worlds.
+            ArgumentError: the expression contains no entity.
+            UnsupportedError: the expression contains a query, or entities of two worlds.
         """
         expression = call.arguments[0]
         places = list(_places(expression, call))
@@ -241,12 +241,12 @@ class TemporalEvaluator:
 
 
 def _of_entity(past: PastTicks, entity: Entity) -> PastTicks:
-    """One entity at some ticks."""
+    """Returns the past of one entity."""
     return PastTicks(past.record, past.first, past.last, is_window=True, id=entity.id)
 
 
 def _places(node: Node, call: Call) -> Iterator[Node]:
-    """The parts of an expression that may be entities."""
+    """Yields the parts of an expression that may be entities."""
     if isinstance(node, Query):
         raise UnsupportedError(
             f"{call.name} takes an expression without a query in it; ask FROM world{{}} instead",

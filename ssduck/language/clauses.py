@@ -403,7 +403,7 @@ def row_frames(
     kept: dict[Node, Any],
 ) -> Iterator[Frame]:
     """The frames of all rows of a query, in order; each one is a step."""
-    look = outer.scope.meter.looks()
+    look = outer.scope.meter.combination_counter()
     for elements in combinations(aliases, values, outer):
         look()
         yield outer.row(elements, kept)

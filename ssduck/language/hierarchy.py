@@ -245,7 +245,11 @@ class Hierarchy:
         found_at = stop_at if self._query.where is None else self._query.where
         # Under UNIQUE it matters of a row that is found whether it counts.
         always_stops = where is None or self._recursion.unique
-        scope, placeholders, look = outer.scope, outer.placeholders, outer.scope.meter.looks()
+        scope, placeholders, look = (
+            outer.scope,
+            outer.placeholders,
+            outer.scope.meter.combination_counter(),
+        )
 
         def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[PathStep]:
             of_state: dict[Node, Any] = {}
@@ -317,7 +321,7 @@ class Hierarchy:
         visited: set[int | None] = set()
         path: list[PathStep] = []
         open_rows = [_again(states(state))]
-        look = outer.scope.meter.looks()
+        look = outer.scope.meter.combination_counter()
         while open_rows:
             for step in open_rows[-1]:
                 look()
