@@ -19,7 +19,7 @@ from ssduck.sql.types import IDS, Signature, SqlType
 
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type
-    for column in TABLES["entities"]
+    for column in TABLES["entities"].columns
     if column.type in ("real", "integer", "text", "flag")
 }
 ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
