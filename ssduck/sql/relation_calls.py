@@ -44,10 +44,10 @@ def expanded(
 
 
 def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
-    """A relation's formula with the tables of its entities' world.
+    """Returns a relation's formula with the tables of its entities' world.
 
     Raises:
-        NotSqlError: which world that is is not known yet.
+        NotSqlError: the world is not known yet.
     """
     schemas = {value.tag.schema for value in values.values() if value.tag.type == "entity"}
     if None in schemas:
@@ -62,7 +62,7 @@ def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValu
 
 
 def _as_exists(part: exp.Expr) -> exp.Expr:
-    """`(x, y) IN (SELECT …)` as EXISTS: DuckDB has no such IN with what depends on rows."""
+    """Rewrites `(x, y) IN (SELECT …)` as EXISTS: DuckDB has no such IN for correlated queries."""
     query = part.args.get("query") if isinstance(part, exp.In) else None
     if query is None or not isinstance(part.this, exp.Tuple):
         return part
