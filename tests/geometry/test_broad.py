@@ -197,7 +197,7 @@ def test_many_candidates_are_compared_in_parts(monkeypatch):
     heights = np.arange(500.0)[None] * 1e-3
     flat = np.zeros((2, 500))
     boxes = np.vstack((flat, heights, flat + 1.0, heights + 1e-4))
-    monkeypatch.setattr(broad, "_AT_ONCE", 1000)
+    monkeypatch.setattr(broad, "_CANDIDATES_AT_ONCE", 1000)
     assert max(compared(monkeypatch, boxes)) <= 1500
     assert found(boxes) == []
     boxes[5] += 2e-3
@@ -206,6 +206,6 @@ def test_many_candidates_are_compared_in_parts(monkeypatch):
 
 def test_with_too_many_cells_a_coarser_grid_finds_the_same(monkeypatch):
     boxes = with_far(scene(200, 11), 2e3, 1e9)
-    monkeypatch.setattr(broad, "_NUMBERS", 1000)
+    monkeypatch.setattr(broad, "_MAX_CELL_NUMBER", 1000)
     assert broad._numbered(boxes[:3], 0.4)[0].max() < 1000
     assert found(boxes) == brute(boxes)
