@@ -1,18 +1,18 @@
-"""Write the kitchen scene: `python tools/build_kitchen.py [--check]`.
+"""Writes the scene `kitchen`: the URDFs, their meshes and `scene.toml`.
 
-Everything below `scenes/kitchen` comes from this file: the URDFs, their meshes and `scene.toml`.
-With `--check` nothing is written, and the exit status is 1 if a file there differs.
+`python tools/build_kitchen.py` writes all files of `scenes/kitchen` in a second or two; `--check`
+only compares them, with exit status 1 if a file differs.
 
-Metres, kilograms, radians; z is up. A model is drawn in its own link frame, which the scene then
-places in the world; quaternions are w, x, y, z. The kitchen's frame is the world's: its floor is
-at z = 0.157, its back wall at large y, its left wall at small x, and it is open towards the
-viewer. Boxes and outlines are those of the kitchen in the SelectScript tutorial, whose printed
-figures follow from them; what fills these boxes was made for this project.
+Metres, kilograms, radians; z is up. A model is defined in its own link frame, which the scene
+places in the world; quaternions are w, x, y, z. The frame of the kitchen is that of the world: its
+floor is at z = 0.157, its back wall at large y, its left wall at small x, and it is open towards
+the viewer. Boxes and outlines are those of the kitchen in the SelectScript tutorial, whose printed
+figures follow from them; the shapes in these boxes were made for this project.
 
-Every shape both collides and is drawn. PyBullet takes each `o` group of a mesh as one convex
-hull, so a mesh is a list of convex pieces, and hollow things are put together from several.
-PyBullet lets hulls (and its many-sided cylinders) float 1 mm above what they rest on, so that is
-the gap left under what stands on hulls: then nothing moves when the simulation starts.
+Every shape both collides and is visible. PyBullet treats each `o` group of a mesh as a convex
+hull, so a mesh is a list of convex pieces, and hollow things consist of several. PyBullet lets
+hulls (and its many-sided cylinders) float 1 mm above their support. The scene leaves this gap
+under things on hulls, so that nothing moves when the simulation starts.
 """
 
 from __future__ import annotations

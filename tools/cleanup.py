@@ -1,6 +1,7 @@
-"""Let the robot clean up tables with cups in random places, and count how often it does.
+"""Checks how often the robot clears a table with cups in random places.
 
-python -m tools.cleanup 20 --seed 1
+`python -m tools.cleanup COUNT [--seed N]` runs the demonstration `cleanup` once for each seed from
+N on; the exit status is 1 if a table was not cleared. A table takes minutes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Draw the pictures of docs/reference/result-forms.md: `python tools/draw_forms.py [FOLDER]`.
+"""Draws the pictures of docs/reference/result-forms.md.
 
-The folder is docs/images by default.
-
-All are of the shipped kitchen. Those of grids are their own, `grid.image()`, the pixels enlarged.
+`python tools/draw_forms.py [FOLDER]` writes them to docs/images or to another folder, in less than
+a minute. All show the shipped kitchen. Pictures of grids are enlarged ones of `grid.image()`.
 """
 
 from __future__ import annotations

@@ -1,11 +1,14 @@
-"""Run mutated programs: `python -m tools.fuzz [COUNT] [--seed N] [--jobs J]`.
+"""Checks that mutated programs end in a value or a `SelectScriptError`.
 
-Each input is a program of `tests/data/programs.txt`, mutated, or sometimes mutated SQL. It must
-end in a value or in a `SelectScriptError` that can be printed and lies in its text; after an
-error the variables must be as before, and the next good query right. Whatever else happens is
-a finding: another exception, a crash, a hang. Worker processes run the inputs; each tells which
-one it is at, so that the parent can name the input of a crash or a hang. An input is made of
-the seed and its number alone: `--only NUMBER` runs one again, and prints it.
+`python -m tools.fuzz [COUNT] [--seed N] [--jobs J]` prints the findings; 1,000,000 inputs take
+about 25 minutes on two busy cores.
+
+Each input is a mutated program of `tests/data/programs.txt`, or sometimes mutated SQL. An error
+must be printable and its position must lie in the text; after it the variables must be unchanged,
+and the next correct query must give the right result. Everything else is a finding: another
+exception, a crash, a hang. Worker processes run the inputs and report their progress, so that the
+parent can name the input of a crash or a hang. An input depends only on the seed and its number:
+`--only NUMBER` repeats and prints one.
 """
 
 from __future__ import annotations

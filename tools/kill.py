@@ -1,10 +1,12 @@
-"""Kill recorders, and open what they left: `python -m tools.kill [COUNT] [--seed N] [--to KIND]`.
+"""Checks that the records of killed processes open and are complete.
 
-A process of its own records a small world and stores it at random moments; it tells each tick, and
-each tick that is stored. Half of them also store every few ticks in a thread, and have DuckDB move
-its log each time. It is killed at a random moment. Its record has to open, to hold all that was
-told to be stored, whole ticks only, with the rows and the values that they had. The exit status is
-1 if one does not.
+`python -m tools.kill [COUNT] [--seed N] [--to KIND]` kills COUNT recorders; 200 take about 8
+minutes on two busy cores. The exit status is 1 if a record is not as it must be.
+
+A separate process records a small world, stores ticks at random moments, and reports each tick and
+each stored tick. Half of the processes also store every few ticks in a thread and checkpoint
+DuckDB each time. The process is killed at a random moment. Its record must open, contain every
+tick that was reported as stored, and contain only whole ticks with the right rows and values.
 """
 
 from __future__ import annotations

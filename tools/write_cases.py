@@ -1,6 +1,7 @@
-"""`python -m tools.write_cases`: write the SQL of the language's cases anew, and their results.
+"""Rewrites the SQL and the results in the test cases of the language, tests/data/language.toml.
 
-Read the difference before it is kept: the tests compare with what stands in the file.
+`python -m tools.write_cases` takes some seconds. Review the difference before committing it: the
+tests compare with the file.
 """
 
 from __future__ import annotations

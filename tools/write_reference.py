@@ -1,8 +1,8 @@
-"""Write the manual's pages that come from the code: `python tools/write_reference.py [--check]`.
+"""Writes the generated pages of the manual.
 
-`docs/reference/relations.md` comes from the registry of relations and functions,
-`docs/reference/tables.md` from the declarations of the tables. With `--check` nothing is written,
-and the exit status is 1 if a page differs.
+`python tools/write_reference.py` takes some seconds: it writes `docs/reference/relations.md` from
+the registry of relations and functions, and `docs/reference/tables.md` from the declarations of
+tables. `--check` only compares them, with exit status 1 if a page differs.
 """
 
 from __future__ import annotations
