@@ -17,7 +17,7 @@ EACH = 500
 
 
 class Run:
-    """Counts of a run.
+    """The counts of a run.
 
     Args:
         both: the evaluators.
@@ -29,7 +29,7 @@ class Run:
         self.found: dict[str, str] = {}
 
     def add(self, seed: int) -> None:
-        """Run the program of a seed."""
+        """Runs the program of a seed."""
         choices = seeded(seed)
         text = program(choices)
         rows = self.both.outcome(self.both.rows, text)

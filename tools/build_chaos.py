@@ -61,7 +61,7 @@ def side(name: str, colour: str, low: Vec, high: Vec, *, drawn: bool = True) -> 
 
 
 def sides() -> Iterator[Model]:
-    """Six sides; those that a viewer looks through are not drawn."""
+    """Six sides; those towards the viewer are invisible."""
     a, b = HALF, HALF + 0.2
     yield side("side_west", "ice", (-b, -b, -b), (-a, b, b))
     yield side("side_east", "ice", (a, -b, -b), (b, b, b), drawn=False)

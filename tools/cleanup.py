@@ -26,7 +26,7 @@ REACHED = 0.15
 
 
 def scatter(world: World, rng: np.random.Generator) -> list[tuple[float, float]]:
-    """Put the cups in random places of the part of the table that the job is about."""
+    """Puts the cups at random places within the part of the table that is to be cleared."""
     low, high = (np.array(corner) for corner in world["table"].aabb)
     robot = np.array(world["barrett_4918"].position)
     plates = [np.array(e.position[:2]) for e in world if e.name.startswith("plate")]

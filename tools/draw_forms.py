@@ -104,7 +104,7 @@ def sub_scene(ss: ssduck.Interpreter) -> Image.Image:
 
 
 def cloud(ss: ssduck.Interpreter) -> Image.Image:
-    """Points from the side and from above a little, in a colour an entity."""
+    """Draws points, with a colour for each entity, from the side and slightly from above."""
     table = "table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;"
     near = "SELECT obj FROM kitchen WHERE distance(table, this) < 1.3 AND volume(this) < 1"
     found = ss.eval(f"{table} {near} AND NOT isSensor(this) AS points(0.02);")
@@ -119,7 +119,7 @@ def cloud(ss: ssduck.Interpreter) -> Image.Image:
 
 
 def network(ss: ssduck.Interpreter) -> Image.Image:
-    """What is above what, drawn by networkx and matplotlib."""
+    """The graph of `above`, drawn by networkx and matplotlib."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -101,7 +101,7 @@ def how(kinds: tuple[str, str]) -> str:
 
 
 def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], Worst]:
-    """The worst of some pairs of a combination."""
+    """Returns the worst errors of some pairs of a combination."""
     kinds, first, count = task
     worst = Worst()
     two, gaps = [], []
@@ -130,14 +130,14 @@ def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], W
 
 
 def shapes_of(seed: int) -> list[Any]:
-    """Something hollow, and things in its hole."""
+    """Returns a hollow shape and shapes in its hole."""
     scene: Any = hollows.scene
     shapes: list[Any] = scene(seed)
     return shapes
 
 
 def in_holes(task: tuple[int, int]) -> Worst:
-    """The worst of some scenes of things in holes, each of three pairs with what is hollow."""
+    """Returns the worst errors of scenes with three shapes in a hole each."""
     first, count = task
     worst = Worst()
     for seed in range(first, first + count):
@@ -153,7 +153,7 @@ def in_holes(task: tuple[int, int]) -> Worst:
 
 
 def differences(a: Any, b: Any, gap: float, seed: int) -> Iterator[float]:
-    """How much the gap is another if the shapes are swapped, or moved together."""
+    """Returns the changes of the distance if the shapes are swapped or moved together."""
     swapped = pairs.gap(b, a).distance
     yield 0.0 if swapped == gap else abs(swapped - gap)
     random = np.random.default_rng(seed + 1)

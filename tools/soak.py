@@ -37,14 +37,14 @@ SQL = "SELECT name, count(*), avg(z) FROM lab.entities_history GROUP BY name"
 
 
 def memory() -> float:
-    """What the process has in memory, megabytes."""
+    """Returns the memory of the process, megabytes."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
     return pages * 4096 / 1e6
 
 
 class Lab:
-    """A world that goes on, and an interpreter that keeps its last seconds."""
+    """A running world and an interpreter that records its last seconds."""
 
     def __init__(self, database: str, seed: int) -> None:
         self._random = np.random.default_rng(seed)
@@ -98,7 +98,7 @@ class Lab:
 
 
 def soaked(ticks: int, seed: int, database: str = ":memory:") -> list[float]:
-    """The memory at each tenth of a run, megabytes."""
+    """Returns the memory at each tenth of a run, megabytes."""
     lab = Lab(database, seed)
     found = []
     try:

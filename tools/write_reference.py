@@ -195,7 +195,7 @@ those of link frames, not of centres of mass.
 
 
 def relation_lines(relation: Relation) -> Iterator[str]:
-    """The entry of a relation."""
+    """Returns the entry of a relation."""
     yield f"\n### `{relation.usage}`\n"
     unit = f" Unit: {relation.unit}." if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
@@ -208,7 +208,7 @@ def relation_lines(relation: Relation) -> Iterator[str]:
 
 
 def relations_page() -> str:
-    """The page of the relations, the plain functions and the result forms."""
+    """Returns the page of the relations, the plain functions and the result forms."""
     lines = [RELATIONS_HEAD.rstrip()]
     for relation in RELATIONS.values():
         if not relation.alias_of:
@@ -225,7 +225,7 @@ def relations_page() -> str:
 
 
 def merged(columns: tuple[Column, ...]) -> Iterator[tuple[str, str, str]]:
-    """Neighbouring columns of one meaning as one row."""
+    """Merges neighbouring columns of one meaning into one row."""
     names: list[str] = []
     for index, column in enumerate(columns):
         names.append(column.name)
@@ -240,7 +240,7 @@ def merged(columns: tuple[Column, ...]) -> Iterator[tuple[str, str, str]]:
 
 
 def tables_page() -> str:
-    """The page of the tables."""
+    """Returns the page of the tables."""
     lines = [TABLES_HEAD.rstrip()]
     for name, columns in TABLES.items():
         lines += [
