@@ -20,7 +20,7 @@ _READ = {"mass": MASSES, "margin": MARGINS}
 
 def _asked_with(table: str) -> frozenset[str]:
     """A table, and what is read into its columns when it is asked for."""
-    return frozenset((table, *(_READ[c.name] for c in TABLES[table] if c.name in _READ)))
+    return frozenset((table, *(_READ[name] for name in TABLES[table].names if name in _READ)))
 
 
 # The tables that a word in a statement stands for: a table's name, or that of a relation that
