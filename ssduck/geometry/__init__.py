@@ -1,9 +1,10 @@
-"""Shapes, poses, and what lies between shapes: distances, overlaps, lines of sight.
+"""Shapes, poses and the distances between shapes, as functions of numpy arrays.
 
-Pure functions of numpy arrays; they know no simulator, no world and no query. `shapes` defines the
-kinds of shapes and their poses. `broad_phase` finds the pairs of shapes whose boxes meet.
-`narrow_phase` compares the shapes of one pair, `batch` those of many pairs at once, and `queries`
-answers for entities, by their ids. `rasterize` finds the cells of a `raster` that shapes occupy.
+The package knows nothing of simulators, worlds or queries. `shapes`, `poses`, `bounds` and
+`mesh_files` hold the kinds of shapes, their poses, their boxes and their files. `broad_phase`
+finds the candidate pairs, and `narrow_phase` compares the shapes of a pair, one pair at a time or
+all pairs of a tick in a `batch`. `queries` answers by the ids of entities. `rasterize` finds the
+cells of a `raster` that shapes occupy, and `line_of_sight` finds the points that shapes hide.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Types of the arrays that geometry is made of."""
+"""The array types of geometry."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Which entities of a tick collide, touch or are near each other, all of them at once.
+"""Compares all candidate pairs of a tick at once: which entities collide, touch or are near.
 
-The broad phase finds the pairs of shapes whose boxes meet. Spheres around the shapes that are far
-apart, and spheres in them that are near, decide many of these; half-spaces are decided by support
-functions, boxes that may collide by their separating axes (Gottschalk, Lin and Manocha, OBBTree,
-1996), what else is convex by `ssduck.geometry.gjk`. The convex hull of a mesh tells if it is far
-from something. Only what is left is compared one by one: what is as near to the bound as errors
-are, meshes that may meet.
+The broad phase finds the pairs of shapes with overlapping boxes. Many of them are decided by
+spheres: those around the shapes are far apart, or those in the shapes overlap. Support functions
+decide half-spaces, separating axes decide boxes that may collide (Gottschalk, Lin and Manocha,
+OBBTree, 1996), and `ssduck.geometry.gjk` decides other convex shapes. The convex hull of a mesh
+shows that the mesh is far from something. Only the pairs that are left are compared one by one:
+pairs that are as near to the bound as rounding errors, and meshes that may collide.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from ssduck.geometry.gjk import (
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.solids import Solid
 
-# Two edges that are as parallel have no axis of their own.
-_PARALLEL = 1e-6
-# Boxes are looked at a little farther out, m, for what is exactly as far as is asked for.
-_MARGIN = 1e-8
+# The cross product of edges that are more parallel is no separating axis.
+_MIN_SINE = 1e-6
+# Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
+_BOUND_MARGIN = 1e-8
 _MOST_ENTITIES = 1 << 32
-# The other two axes of each.
+# The other two axes of each axis.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
@@ -46,12 +46,12 @@ PredicateKind: TypeAlias = Literal["colliding", "within", "touching"]
 
 @dataclass(frozen=True)
 class PairPredicate:
-    """What is asked of two entities: it holds if it does of two of their shapes.
+    """A condition on two entities; it holds if it holds for two of their shapes.
 
     Attributes:
-        of: whether they collide: are deeper in each other than `distance`; whether the distance
-            of their nearest points is at most `distance`; whether they touch: that distance is
-            at most `distance` and the collision margins of both shapes.
+        of: "colliding": they are deeper in each other than `distance`. "within": the distance of
+            their nearest points is at most `distance`. "touching": that distance is at most
+            `distance` plus the collision margins of both shapes.
         distance: metres.
     """
 
@@ -59,17 +59,17 @@ class PairPredicate:
     distance: float
 
     def bound(self, margins: float) -> float:
-        """What the gap of two shapes is to be below, or at most.
+        """The bound of the signed distance of two shapes.
 
         Args:
-            margins: of both together, metres.
+            margins: the sum of their collision margins, metres.
         """
         if self.of == "colliding":
             return -self.distance
         return self.distance + margins if self.of == "touching" else self.distance
 
     def bounds(self, table: ShapeTable, first: Indices, second: Indices) -> Array:
-        """The bounds of pairs of shapes, (n,)."""
+        """The bounds for pairs of shapes, (n,)."""
         found = np.full(len(first), self.bound(0.0))
         if self.of == "touching":
             found += table.margins[first] + table.margins[second]
@@ -80,19 +80,19 @@ class PairPredicate:
         if self.of == "colliding":
             return _candidates(tick, tick.boxes, 0.0)
         if self.of == "within":
-            return _candidates(tick, tick.boxes, self.distance + _MARGIN)
+            return _candidates(tick, tick.boxes, self.distance + _BOUND_MARGIN)
         margins = tick.table.margins
         grown = np.concatenate((tick.boxes[:3] - margins, tick.boxes[3:] + margins))
-        return _candidates(tick, grown, max(self.distance, 0.0) + _MARGIN)
+        return _candidates(tick, grown, max(self.distance, 0.0) + _BOUND_MARGIN)
 
 
 class ShapeTable:
-    """What does not depend on the poses of shapes.
+    """The properties of shapes that do not depend on their poses.
 
     Args:
-        solids: the different solids.
-        of: (n,), which solid each shape is.
-        entities: (n,), whose shape it is.
+        solids: the distinct solids.
+        of: (n,), the index of each shape's solid.
+        entities: (n,), the index of each shape's entity.
         margins: (n,), the collision margins, metres; None for none.
     """
 
@@ -129,8 +129,8 @@ class TickShapes:
     """The shapes of a tick, in arrays.
 
     Attributes:
-        table: what they are, and whose.
-        is_known: (n,), whether the poses and the shapes of its entity are known.
+        table: the properties that do not depend on the tick.
+        is_known: (n,), whether all poses and shapes of the entity are known.
         boxes: (6, n), lower corners, upper corners.
         positions: (n, 3).
         matrices: (n, 3, 3).
@@ -143,7 +143,7 @@ class TickShapes:
     matrices: Array
 
     def moved(self, points: Array) -> Array:
-        """A point (n, 3) of each shape, in the world."""
+        """A point (n, 3) of each shape, transformed to the world."""
         if not points.any():
             return self.positions
         with np.errstate(invalid="ignore"):
@@ -152,39 +152,43 @@ class TickShapes:
 
     @cached_property
     def centres(self) -> Array:
-        """(n, 3), of the spheres around the shapes."""
+        """The centres of the spheres around the shapes, (n, 3)."""
         return self.moved(self.table.centre)
 
     @cached_property
     def inner(self) -> Array:
-        """(n, 3), of the spheres in the shapes."""
+        """The centres of the spheres in the shapes, (n, 3)."""
         return self.moved(self.table.inscribed_centre)
 
     @cached_property
     def placed_cores(self) -> PlacedCores:
-        """The shapes' cores."""
+        """The cores of the shapes."""
         turns = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
         centres, inner = map(np.ascontiguousarray, (self.centres.T, self.inner.T))
         return PlacedCores(self.table.cores, turns, centres, inner)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
-        """Whose shapes these are: a number for each pair of entities, as of `pair_number`."""
+        """The pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
         i, j = self.table.entities[first], self.table.entities[second]
         return np.minimum(i, j) * _MOST_ENTITIES + np.maximum(i, j)
 
 
 def pair_number(i: int, j: int) -> int:
-    """A number for a pair of entities in either order."""
+    """The number of a pair of entities, in either order.
+
+    >>> pair_number(3, 7) == pair_number(7, 3)
+    True
+    """
     return min(i, j) * _MOST_ENTITIES + max(i, j)
 
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """What was found of all pairs of entities.
+    """The result for all pairs of entities of a tick.
 
     Attributes:
-        numbers: of those asked for, ascending; see `pair_number`.
-        compared: of those with shapes whose boxes meet, or are as near as is asked for.
+        numbers: the pairs for which the predicate holds, ascending; see `pair_number`.
+        compared: the candidate pairs of entities.
     """
 
     numbers: Indices
@@ -192,18 +196,18 @@ class PairResult:
 
     @property
     def sides(self) -> Pairs:
-        """The lesser entity of each pair, and the other."""
+        """The lower entity of each pair, and the other."""
         return self.numbers // _MOST_ENTITIES, self.numbers % _MOST_ENTITIES
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """The pairs, in order; of each the lesser entity is the first."""
+        """The pairs in order; the lower entity of each is first."""
         first, second = self.sides
         return list(zip(first.tolist(), second.tolist(), strict=True))
 
 
 def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
-    """Of each shape whether all of its entity are known."""
+    """Whether all shapes of each shape's entity are known, (n,)."""
     lost = np.bincount(table.entities[~is_known], minlength=table.count)
     all_known: Flags = lost[table.entities] == 0
     return all_known
@@ -215,20 +219,20 @@ def matching_pairs(
     holds: Callable[[int, int], bool],
     among: Pairs | None = None,
 ) -> PairResult:
-    """The pairs of entities of which something holds.
+    """The pairs of entities for which a predicate holds.
 
     Args:
         tick: the shapes.
-        predicate: what is to hold of two of their shapes.
-        holds: whether it does, asked of those that nothing else decides.
-        among: the pairs of shapes that are compared; None for all that are near enough.
+        predicate: the condition on two shapes.
+        holds: decides the pairs of shapes that no rule decides.
+        among: the pairs of shapes to compare; None for all candidate pairs.
     """
     among = predicate.candidates(tick) if among is None else _usable(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
     if predicate.of == "colliding":
         rules = _by_spheres, _by_planes, _by_axes, _by_cores
-    else:  # no distance is below 0
+    else:  # a distance is not negative
         usable = bounds >= 0.0
         among, bounds = (among[0][usable], among[1][usable]), bounds[usable]
     return _found(tick, among, rules, bounds, holds)
@@ -244,7 +248,7 @@ def _usable(tick: TickShapes, shapes: Pairs) -> Pairs:
 Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
 
 
-# What is too large for its squares is not decided by them.
+# Shapes whose squared lengths overflow stay undecided.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _found(
     tick: TickShapes,
@@ -253,14 +257,14 @@ def _found(
     bounds: Array,
     is_below: Callable[[int, int], bool],
 ) -> PairResult:
-    """The pairs of entities with shapes whose gaps are below bounds, or of which it is said.
+    """The pairs of entities with shapes whose signed distance is below a bound.
 
     Args:
         tick: the shapes.
-        candidates: the pairs of shapes that are compared.
-        rules: what is asked of them, one after another, until they are decided.
-        bounds: of each pair, metres.
-        is_below: asked of two shapes that no rule decides.
+        candidates: the pairs of shapes to compare.
+        rules: the rules to apply, one after another, until all pairs are decided.
+        bounds: one for each pair, metres.
+        is_below: decides pairs that no rule decides.
     """
     first, second = candidates
     has_single_shapes = tick.table.has_single_shapes
@@ -283,9 +287,9 @@ def _found(
 
 
 def _candidates(tick: TickShapes, boxes: Array, apart: float) -> Pairs:
-    """The pairs of known shapes, of two entities, whose boxes (6, n) are no farther apart.
+    """The pairs of known shapes of two entities whose boxes (6, n) are near each other.
 
-    There are none if that is below 0, or no number.
+    There are none if the greatest distance is negative or NaN.
     """
     if not apart >= 0.0:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
@@ -306,85 +310,87 @@ def _candidates(tick: TickShapes, boxes: Array, apart: float) -> Pairs:
 
 
 def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
-    """The spheres around shapes, and those in them; a half-space has none."""
+    """Decides by the spheres around and in the shapes; a half-space has none."""
     table, error = tick.table, tolerances(tick.placed_cores, first, second)
     verdicts = np.zeros(len(first), np.int8)
-    around = table.bounding_radius[first] + table.bounding_radius[second]
-    verdicts[_distances(tick.centres, first, second) > around + bounds + error] = ABOVE
-    within = table.inscribed_radius[first], table.inscribed_radius[second]
-    apart = _distances(tick.inner, first, second) - within[0] - within[1]
-    verdicts[(apart < bounds - error) & (within[0] > 0.0) & (within[1] > 0.0)] = BELOW
+    outer_radii = table.bounding_radius[first] + table.bounding_radius[second]
+    verdicts[_distances(tick.centres, first, second) > outer_radii + bounds + error] = ABOVE
+    inner_radii = table.inscribed_radius[first], table.inscribed_radius[second]
+    apart = _distances(tick.inner, first, second) - inner_radii[0] - inner_radii[1]
+    verdicts[(apart < bounds - error) & (inner_radii[0] > 0.0) & (inner_radii[1] > 0.0)] = BELOW
     return verdicts
 
 
 def _distances(points: Array, first: Indices, second: Indices) -> Array:
-    way = points[first] - points[second]
-    lengths: Array = np.sqrt(np.einsum("ni,ni->n", way, way))
+    offsets = points[first] - points[second]
+    lengths: Array = np.sqrt(np.einsum("ni,ni->n", offsets, offsets))
     return lengths
 
 
 def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
-    """Half-spaces and any other shape, by the point of it that is farthest in."""
+    """Decides half-spaces against any other shape, by the point that is deepest."""
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
-    some = np.flatnonzero(table.is_plane[first] != table.is_plane[second])
-    if not len(some):
+    indices = np.flatnonzero(table.is_plane[first] != table.is_plane[second])
+    if not len(indices):
         return verdicts
-    is_first = table.is_plane[first[some]]
-    plane = np.where(is_first, first[some], second[some])
-    other = np.where(is_first, second[some], first[some])
+    is_first = table.is_plane[first[indices]]
+    plane = np.where(is_first, first[indices], second[indices])
+    other = np.where(is_first, second[indices], first[indices])
     normals = rotate(tick.matrices[plane], table.normal[plane])
     lowest = tick.centres[other] - tick.positions[plane]
     lowest += tick.placed_cores.support_points(other, -normals.T).T
     gaps = np.einsum("ni,ni->n", normals, lowest) - table.cores.radius[other]
     error = tolerances(tick.placed_cores, plane, other)
-    verdicts[some[gaps > bounds[some] + error]] = ABOVE
-    verdicts[some[gaps < bounds[some] - error]] = BELOW
+    verdicts[indices[gaps > bounds[indices] + error]] = ABOVE
+    verdicts[indices[gaps < bounds[indices] - error]] = BELOW
     return verdicts
 
 
 def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
-    """Boxes that may be deep in each other: exactly."""
+    """Decides boxes exactly, by separating axes."""
     verdicts = np.zeros(len(first), np.int8)
-    some = np.flatnonzero(tick.table.is_box[first] & tick.table.is_box[second])
-    is_deep = box_depths(tick, first[some], second[some]) > -bounds[some]
-    verdicts[some] = np.where(is_deep, BELOW, ABOVE)
+    indices = np.flatnonzero(tick.table.is_box[first] & tick.table.is_box[second])
+    is_deep = box_depths(tick, first[indices], second[indices]) > -bounds[indices]
+    verdicts[indices] = np.where(is_deep, BELOW, ABOVE)
     return verdicts
 
 
 def _by_cores(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
-    """What is convex; the convex hull of a mesh only tells that it is far from something."""
+    """Decides convex shapes by GJK. The convex hull of a mesh can only show that it is far away."""
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
-    some = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
-    found = classify_gaps(tick.placed_cores, first[some], second[some], bounds[some])
-    hollow = ~(table.is_convex[first[some]] & table.is_convex[second[some]])
+    indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
+    found = classify_gaps(tick.placed_cores, first[indices], second[indices], bounds[indices])
+    hollow = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
     found[hollow & (found == BELOW)] = UNDECIDED
-    verdicts[some] = found
+    verdicts[indices] = found
     return verdicts
 
 
 def box_depths(tick: TickShapes, first: Indices, second: Indices) -> Array:
-    """How deep boxes are in each other, m: the least overlap along their 15 axes; < 0 if apart."""
+    """The depths of pairs of boxes, m: the least overlap along 15 axes; negative if separated."""
     a, b = tick.table.cores.half_extents[:, first].T, tick.table.cores.half_extents[:, second].T
     turn_a, turn_b = tick.matrices[first], tick.matrices[second]
     # The second box in the frame of the first.
     turn = np.einsum("nji,njk->nik", turn_a, turn_b)
-    way = np.einsum("nji,nj->ni", turn_a, tick.positions[second] - tick.positions[first])
+    offsets = np.einsum("nji,nj->ni", turn_a, tick.positions[second] - tick.positions[first])
     size = np.abs(turn)
-    faces_a = a + np.einsum("nij,nj->ni", size, b) - np.abs(way)
-    faces_b = b + np.einsum("nij,ni->nj", size, a) - np.abs(np.einsum("nij,ni->nj", turn, way))
-    edges = _edge_overlaps(a, b, turn, size, way).reshape(len(first), 9)
+    faces_a = a + np.einsum("nij,nj->ni", size, b) - np.abs(offsets)
+    faces_b = b + np.einsum("nij,ni->nj", size, a) - np.abs(np.einsum("nij,ni->nj", turn, offsets))
+    edges = _edge_overlaps(a, b, turn, size, offsets).reshape(len(first), 9)
     depths: Array = np.concatenate((faces_a, faces_b, edges), axis=1).min(axis=1)
     return depths
 
 
-def _edge_overlaps(a: Array, b: Array, turn: Array, size: Array, way: Array) -> Array:
+def _edge_overlaps(a: Array, b: Array, turn: Array, size: Array, offsets: Array) -> Array:
     """The overlaps along the cross products of edges, (n, 3, 3)."""
     of_a = a[:, _NEXT, None] * size[:, _LAST, :] + a[:, _LAST, None] * size[:, _NEXT, :]
     of_b = b[:, None, _NEXT] * size[:, :, _LAST] + b[:, None, _LAST] * size[:, :, _NEXT]
-    across = way[:, _LAST, None] * turn[:, _NEXT, :] - way[:, _NEXT, None] * turn[:, _LAST, :]
+    across = (
+        offsets[:, _LAST, None] * turn[:, _NEXT, :] - offsets[:, _NEXT, None] * turn[:, _LAST, :]
+    )
     length = np.sqrt(np.maximum(1.0 - turn * turn, 0.0))
-    parallel = length < _PARALLEL
+    parallel = length < _MIN_SINE
     overlaps: Array = (of_a + of_b - np.abs(across)) / np.where(parallel, 1.0, length)
     return np.where(parallel, np.inf, overlaps)

@@ -1,4 +1,4 @@
-"""Exact axis-aligned boxes of shapes."""
+"""Exact axis-aligned bounding boxes of shapes."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import PlacedGeometry
 
-# A plane whose normal is off an axis by less is across it: 1 km out that is 1e-6 m.
+# A normal that deviates from an axis by less counts as parallel to it: 1e-6 m at 1 km.
 LEVEL = 1e-9
-# Points are turned and compared in bunches of this size; a box has eight corners.
-TOGETHER = 8
-# Below this many points a hull costs more to find than it saves in each box.
-WORTH_A_HULL = 9
+# Points are rotated and compared in groups of this size. A box has eight corners.
+GROUP_SIZE = 8
+# Below this number of points, computing a hull costs more than it saves.
+MIN_HULL_POINTS = 9
 
 
 @dataclass(frozen=True, eq=False)
 class _Core:
-    """Points of a frame, with a sphere around each, or a disc across an axis around each.
+    """Points of a frame, each with a sphere around it or a disc across an axis.
 
-    What is convex of a shape, for its box: a sphere is one point with a sphere, a capsule two; a
-    cylinder is two with discs; boxes, hulls and meshes are points with neither.
+    The core of a convex shape, for its box: a sphere is one point with a sphere, a capsule two, and
+    a cylinder two points with discs. Boxes, hulls and meshes are points with neither.
 
     Attributes:
-        group: whose box it belongs to.
-        frame: whose points these are.
+        group: the group whose box it belongs to.
+        frame: the frame of its points.
         points: (n, 3), in the frame.
         radius: of the spheres.
         disc: (2, 3), two radii of the discs at a right angle.
@@ -41,22 +41,28 @@ class _Core:
     disc: Array = field(default_factory=lambda: np.zeros((2, 3)))
 
     def parts(self) -> Iterator[_Core]:
-        """The same with `TOGETHER` points each; the last point is there as often as it takes."""
-        for start in range(0, len(self.points), TOGETHER):
-            some = np.minimum(np.arange(start, start + TOGETHER), len(self.points) - 1)
-            yield replace(self, points=self.points[some])
+        """Splits the points into groups of `GROUP_SIZE`; the last point is repeated to fill one."""
+        for start in range(0, len(self.points), GROUP_SIZE):
+            indices = np.minimum(np.arange(start, start + GROUP_SIZE), len(self.points) - 1)
+            yield replace(self, points=self.points[indices])
 
 
 class BoundingBoxes:
-    """Exact world boxes of groups of rigid frames' shapes, for many poses one after another.
+    """Exact boxes of groups of shapes on rigid frames, for many sets of poses.
 
-    What does not depend on the poses is worked out once.
+    The constructor computes all that does not depend on the poses.
+
+    >>> from ssduck.geometry.poses import IDENTITY
+    >>> from ssduck.geometry.shapes import Geometry
+    >>> ball = PlacedGeometry(0, Geometry.primitive("sphere", (0.5, 0, 0)), np.zeros(3), IDENTITY)
+    >>> BoundingBoxes([ball], [0], 1).boxes(np.ones((1, 3)), np.eye(3)[None])[:, 0].tolist()
+    [0.5, 0.5, 0.5, 1.5, 1.5, 1.5]
 
     Args:
         shapes: the shapes, in any order.
-        groups: per shape, the group whose box it belongs to.
-        count: how many groups there are. One without shapes gets an empty box: its lower
-            corner is at infinity, its upper one at minus infinity.
+        groups: for each shape, the group whose box it belongs to.
+        count: the number of groups. A group without shapes gets an empty box: its lower corner is
+            at infinity, its upper corner at minus infinity.
     """
 
     def __init__(self, shapes: Sequence[PlacedGeometry], groups: Sequence[int], count: int) -> None:
@@ -71,21 +77,22 @@ class BoundingBoxes:
         self._frames = np.array([core.frame for core in cores], dtype=np.intp)
         self._radii = np.array([core.radius for core in cores])
         self._has_discs = any(core.disc.any() for core in cores)
-        # What turns with the frames: of each core its points, then two radii of its discs.
-        turning = [core.points for core in cores]
+        # These rotate with the frames: the points of each core, then two radii of its discs.
+        vectors = [core.points for core in cores]
         if self._has_discs:
-            turning = [np.vstack((core.points, core.disc)) for core in cores]
-        self._vectors = np.array(turning).reshape(len(cores), -1, 3).T.copy() if cores else None
+            vectors = [np.vstack((core.points, core.disc)) for core in cores]
+        self._vectors = np.array(vectors).reshape(len(cores), -1, 3).T.copy() if cores else None
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
-        """The boxes at these poses of the frames.
+        """The boxes at some poses of the frames, in the frame of the poses.
 
         Args:
-            positions: (frames, 3).
+            positions: (frames, 3), metres.
             matrices: (frames, 3, 3) rotations.
 
         Returns:
-            (6, groups): the lower corners' x, y, z, then the upper corners'.
+            (6, groups): the lower corners' x, y, z, then the upper corners'. A box that a plane
+            extends is infinite.
         """
         boxes = self._of_groups(positions, matrices)
         for shape, group in self._planes:
@@ -103,32 +110,32 @@ class BoundingBoxes:
 
     def _of_cores(self, positions: Array, matrices: Array, vectors: Array) -> tuple[Array, Array]:
         """The lower and the upper corners of the cores' boxes, (3, cores) each."""
-        # Copies, for what is not contiguous costs more than copying it.
-        turn = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
-        turned = turn[:, 0, None] * vectors[0]
-        turned += turn[:, 1, None] * vectors[1]
-        turned += turn[:, 2, None] * vectors[2]
+        # Copied, because operations on strided arrays cost more than a copy.
+        rotations = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
+        rotated = rotations[:, 0, None] * vectors[0]
+        rotated += rotations[:, 1, None] * vectors[1]
+        rotated += rotations[:, 2, None] * vectors[2]
         origins = positions.take(self._frames, axis=0).T.copy()
-        low = turned[:, :TOGETHER].min(axis=1) + origins
-        high = turned[:, :TOGETHER].max(axis=1) + origins
+        low = rotated[:, :GROUP_SIZE].min(axis=1) + origins
+        high = rotated[:, :GROUP_SIZE].max(axis=1) + origins
         reach = self._radii
         if self._has_discs:
-            # A circle reaches as far along x as the x of two of its radii are long together.
-            sides = turned[:, TOGETHER:]
+            # The extent of a circle along x is the length of the vector of its two radii's x.
+            sides = rotated[:, GROUP_SIZE:]
             reach = reach + np.sqrt(sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1])
         return low - reach, high + reach
 
     def _spread(self, boxes: Array) -> Array:
-        """The boxes of all groups, those without shapes among them."""
-        every = np.repeat([[np.inf], [-np.inf]], 3, axis=0).repeat(self._count, axis=1)
-        every[:, self._groups] = boxes
-        return every
+        """The boxes of all groups, with those of groups without shapes."""
+        all_boxes = np.repeat([[np.inf], [-np.inf]], 3, axis=0).repeat(self._count, axis=1)
+        all_boxes[:, self._groups] = boxes
+        return all_boxes
 
 
 def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
-    """What the boxes of all shapes but planes are made of.
+    """The cores of all shapes but planes.
 
-    The polyhedral shapes of a frame and a group become one set of points: those of its hull.
+    The polyhedral shapes of a frame and a group share one core: the corners of their hull.
     """
     cores = []
     polyhedra: dict[tuple[int, int], list[Array]] = {}
@@ -158,19 +165,19 @@ _ENDS = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]])
 
 def _extreme(points: Array) -> Array:
     """The points that a box can touch: the corners of the convex hull."""
-    if len(points) < WORTH_A_HULL:
+    if len(points) < MIN_HULL_POINTS:
         return points
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         corners: Array = points[ConvexHull(points).vertices]
-    except QhullError:  # flat or thin sets have no hull with a volume; all their points serve
+    except QhullError:  # a flat or thin set has no hull with a volume
         return points
     return corners
 
 
 def _add_plane(box: Array, shape: PlacedGeometry, positions: Array, matrices: Array) -> None:
-    """Widen a box (6,) in place by a half-space: endless, but for a side across an axis."""
+    """Extends a box (6,) in place by a half-space: to infinity, but to an axis-aligned side."""
     local = rotation_matrices(shape.orientation[None])[0]
     normal = matrices[shape.frame] @ (local @ np.array(shape.geometry.size))
     origin = positions[shape.frame] + matrices[shape.frame] @ shape.position

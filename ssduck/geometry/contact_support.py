@@ -1,7 +1,7 @@
-"""Which pushes carry a body: by the normals of its contacts, without friction and moments.
+"""Which contact forces carry a body: by the normals of its contacts, without friction and moments.
 
-A push that is near up carries alone. Steeper ones carry together, where their sum may be near up:
-as of the two sides of a groove, of three balls under a fourth one, of a slope and a wall.
+A force that points nearly up carries alone. Steeper ones carry together if their sum can point
+nearly up: the two sides of a groove, three balls under a fourth, a slope and a wall.
 """
 
 from __future__ import annotations
@@ -14,60 +14,62 @@ import numpy as np
 
 from ssduck.geometry.placed_solid import Point
 
-# What carries pushes within 30 degrees of up, alone or together with others.
-UPRIGHT = math.cos(math.radians(30.0)) - 1e-9
-# Of pushes that carry together, one that is farther from up than 80 degrees only holds against.
-RISING = math.cos(math.radians(80.0))
-# What pushes down by no more is level.
+# A force within 30 degrees of up carries, alone or as a sum.
+MIN_UP = math.cos(math.radians(30.0)) - 1e-9
+# A force that deviates from up by more than 80 degrees does not carry, but may counteract.
+MIN_RISING = math.cos(math.radians(80.0))
+# A force that points down by less counts as level.
 LEVEL = 1e-3
-# Pushes that are as alike are one.
-ALIKE = 3
+# Forces that agree to this number of digits are equal.
+DIGITS = 3
 
 
-def is_carried_by(own: Sequence[Point], others: Iterable[Point]) -> bool:
-    """Whether a body carries another one, alone or with others.
+def is_carried_by(own_normals: Sequence[Point], other_normals: Iterable[Point]) -> bool:
+    """Whether a body is carried by another one, alone or together with others.
 
-    It does if one of its pushes is in a set of pushes that together may be within 30 degrees of up,
-    and of which no part may be so: then they need each other.
+    It is if one of the other's normals is in a set of normals that have a positive combination
+    within 30 degrees of up, while no part of the set has one: then they need each other.
 
     Args:
-        own: the unit normals of the contacts in which it pushes that body.
-        others: those in which other bodies push it.
+        own_normals: the unit normals of the contacts through which that body pushes the first one.
+        other_normals: those of the contacts with all other bodies.
     """
-    if any(push[2] >= UPRIGHT for push in own):
+    if any(normal[2] >= MIN_UP for normal in own_normals):
         return True
-    rising = _different(push for push in own if push[2] >= RISING)
+    rising = _distinct(normal for normal in own_normals if normal[2] >= MIN_RISING)
     if not rising:
         return False
-    steep = _different(p for p in (*own, *others) if -LEVEL <= p[2] < UPRIGHT)
-    if any(_may_rise(p, q) for p in rising for q in steep):
+    steep = _distinct(p for p in (*own_normals, *other_normals) if -LEVEL <= p[2] < MIN_UP)
+    if any(_can_point_up(p, q) for p in rising for q in steep):
         return True
     return any(
-        _hold_together(p, q, r) and not _may_rise(q, r)
+        _balance_upward(p, q, r) and not _can_point_up(q, r)
         for p in rising
         for q, r in combinations(steep, 2)
     )
 
 
-def _different(pushes: Iterable[Point]) -> list[Point]:
-    """Without those that are about the same."""
-    return list({tuple(round(part, ALIKE) for part in push): push for push in pushes}.values())
+def _distinct(normals: Iterable[Point]) -> list[Point]:
+    """Normals without near duplicates."""
+    return list(
+        {tuple(round(part, DIGITS) for part in normal): normal for normal in normals}.values()
+    )
 
 
-def _may_rise(p: Point, q: Point) -> bool:
-    """Whether a sum of two steep pushes may be near up: where that is nearest, both are needed."""
+def _can_point_up(p: Point, q: Point) -> bool:
+    """Whether a positive sum of two steep normals can point nearly up, with both of them needed."""
     along = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
     room = 1.0 - along * along
     if room < 1e-9:
         return False
     of_p, of_q = (p[2] - along * q[2]) / room, (q[2] - along * p[2]) / room
-    # The part of up in their plane is of_p * p + of_q * q; its height is its length's square.
-    return of_p > 0.0 and of_q > 0.0 and of_p * p[2] + of_q * q[2] >= UPRIGHT**2
+    # The projection of up to their plane is of_p * p + of_q * q. Its z is its squared length.
+    return of_p > 0.0 and of_q > 0.0 and of_p * p[2] + of_q * q[2] >= MIN_UP**2
 
 
-def _hold_together(p: Point, q: Point, r: Point) -> bool:
-    """Whether a sum of three pushes is up, each of which is needed."""
-    pushes = np.array([p, q, r]).T
-    if abs(float(np.linalg.det(pushes))) < 1e-9:
+def _balance_upward(p: Point, q: Point, r: Point) -> bool:
+    """Whether a positive sum of three normals points up, with all of them needed."""
+    normals = np.array([p, q, r]).T
+    if abs(float(np.linalg.det(normals))) < 1e-9:
         return False
-    return bool((np.linalg.solve(pushes, [0.0, 0.0, 1.0]) > 1e-9).all())
+    return bool((np.linalg.solve(normals, [0.0, 0.0, 1.0]) > 1e-9).all())

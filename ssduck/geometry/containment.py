@@ -1,4 +1,4 @@
-"""How much of a volume is inside a convex hull, and what a hull covers on the ground."""
+"""The fraction of a volume inside a convex hull, and the footprint of shapes on the ground."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import FLAT, Solid, hull_solid, solid_of
 from ssduck.geometry.surfaces import unique_points
 
-# What sticks out of a hull by less, metres, is in it; what sticks into it by less is not.
+# Shapes that stick out of a hull by less are in it; those that stick into it by less are out, m.
 ROUNDING = 1e-9
-# Corners of polyhedra stick out of what is round by no more, as a share of its radius.
-ROUND = 0.002
-# Points times directions that are looked at together: 8 MB an array.
-REACHES = 1_000_000
+# Polyhedra stick out of the round shapes that they stand for by at most this, relative to the
+# radius.
+ROUND_SHAPE_ERROR = 0.002
+# The number of pairs of a point and a direction that are compared at a time: 8 MB an array.
+PAIRS_AT_ONCE = 1_000_000
 
 # The lower corner and the upper one.
 Box: TypeAlias = list[float]
@@ -32,9 +33,9 @@ class WorldHull:
     """The convex hull of shapes, in the world; it has a volume.
 
     Attributes:
-        normals: (m, 3) outward unit normals of the faces; none of what is all of space.
+        normals: (m, 3), the outward unit normals of the faces; none if it is all of space.
         offsets: (m,): x is inside if `normals @ x <= offsets`.
-        triangles: (k, 3, 3) the surface, facing outward; none of what has no end.
+        triangles: (k, 3, 3), the surface, facing outward; none if it is unbounded.
     """
 
     normals: Array
@@ -43,14 +44,14 @@ class WorldHull:
 
     @property
     def is_everything(self) -> bool:
-        """Whether no point is outside."""
+        """Whether it contains all points."""
         return not len(self.normals)
 
 
 def world_hull(a: Sequence[PlacedSolid]) -> WorldHull | None:
     """The convex hull of shapes; None if it has no volume.
 
-    Round shapes are polyhedra: see `fraction_inside`.
+    Polyhedra stand for round shapes; see `fraction_inside`.
     """
     planes = [one for one in a if one.solid.type == "plane"]
     own = _own_hull(a[0]) if len(a) == 1 else None
@@ -64,7 +65,9 @@ def world_hull(a: Sequence[PlacedSolid]) -> WorldHull | None:
     endless = np.zeros((0, 3, 3))
     normal = planes[0].normals[0]
     if any(float(np.linalg.norm(normal - one.normals[0])) > ROUNDING for one in planes):
-        return WorldHull(np.zeros((0, 3)), np.zeros(0), endless)  # they differ in direction
+        return WorldHull(
+            np.zeros((0, 3)), np.zeros(0), endless
+        )  # half-spaces that differ in direction
     heights = [float(normal @ one.position) for one in planes]
     bodies = (one for one in a if one.solid.type != "plane")
     heights += [float(one.support_heights(normal[None])[0]) + one.solid.radius for one in bodies]
@@ -72,7 +75,7 @@ def world_hull(a: Sequence[PlacedSolid]) -> WorldHull | None:
 
 
 def _own_hull(a: PlacedSolid) -> WorldHull | None:
-    """That of a polyhedron that is its own, and surely is not flat."""
+    """The hull of a polyhedron that is convex and certainly not flat."""
     sharp = (
         a.solid.type in ("box", "hull")
         and a.solid.inscribed_radius > FLAT * a.solid.bounding_radius
@@ -83,87 +86,87 @@ def _own_hull(a: PlacedSolid) -> WorldHull | None:
 
 
 def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float | None:
-    """The share of b's volume that is inside a convex hull, 0..1.
+    """The fraction of the volume of some shapes inside a convex hull, 0..1.
 
-    Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, balls and
-    the ends of capsules are polyhedra of about 1000 corners, cylinders prisms with 64 sides, of
-    the same volume. Their surfaces are off by at most 0.002 of the radius, shares by at most
-    0.005 if b is no thinner than half the radius of what is round in the hull. Shapes of b count
-    one by one; an open mesh has no volume, and does not count.
+    Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, polyhedra
+    of about 1000 corners stand for balls and the ends of capsules, and prisms with 64 sides for
+    cylinders, of the same volume. Their surfaces are off by at most 0.002 of the radius, fractions
+    by at most 0.005 if the shapes are no thinner than half the radius of the round shapes in the
+    hull. Overlapping shapes count more than once. An open mesh has no volume and does not count.
 
     Returns:
-        None if b has no volume.
+        None if the shapes have no volume.
     """
     if any(one.solid.type == "plane" for one in b):
         return 1.0 if hull is not None and hull.is_everything else 0.0
     solid = [one for one in b if one.solid.volume > 0.0]
-    whole = sum(one.solid.volume for one in solid)
+    total = sum(one.solid.volume for one in solid)
     if not solid:
         return None
     if hull is None:
         return 0.0
-    inside, cut = 0.0, []
+    inside, crossing = 0.0, []
     for one in solid:
         bottom, top = _span(hull, one)
         if top <= ROUNDING:
             inside += one.solid.volume
         elif bottom < -ROUNDING:
-            cut.append(one)
-    if cut:
-        inside += _volume_inside(hull, cut)
-    return min(1.0, max(0.0, inside / whole))
+            crossing.append(one)
+    if crossing:
+        inside += _volume_inside(hull, crossing)
+    return min(1.0, max(0.0, inside / total))
 
 
 def hull_bounds(a: Iterable[tuple[Solid, Box]]) -> Box:
-    """A box that the hull of shapes is in: by the solids, and the box of each."""
+    """A box that contains the hull of shapes: by the solids, and the box of each."""
     boxes = np.array([_grown(solid, box) for solid, box in a]).reshape(-1, 6)
     low, high = boxes[:, :3].min(0, initial=math.inf), boxes[:, 3:].max(0, initial=-math.inf)
     corners: Box = [*low.tolist(), *high.tolist()]
     return corners
 
 
-def max_fraction_in_box(around: Box, b: Iterable[tuple[Solid, Box]]) -> float:
-    """What `fraction_inside` says at most: no more of a shape is inside than its box has room for.
+def max_fraction_in_box(hull_box: Box, b: Iterable[tuple[Solid, Box]]) -> float:
+    """An upper bound of `fraction_inside`: no more of a shape is inside than its box overlaps.
 
     Args:
-        around: a box that the hull is in.
+        hull_box: a box that contains the hull.
         b: the solids, and the box of each; they have a volume, and none is a plane.
     """
-    inside = whole = 0.0
+    inside = total = 0.0
     for solid, box in b:
-        own, room = _grown(solid, box), 1.0
+        own, overlap_volume = _grown(solid, box), 1.0
         for k in range(3):
-            room *= max(min(around[k + 3], own[k + 3]) - max(around[k], own[k]), 0.0)
-        inside += min(solid.volume, room)
-        whole += solid.volume
-    return inside / whole
+            overlap_volume *= max(min(hull_box[k + 3], own[k + 3]) - max(hull_box[k], own[k]), 0.0)
+        inside += min(solid.volume, overlap_volume)
+        total += solid.volume
+    return inside / total
 
 
 def max_fraction_in_hull(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float:
-    """The same: what a face of the hull cuts off from the sphere in a shape is not inside."""
+    """An upper bound of `fraction_inside`: a face of the hull cuts a cap off a shape's sphere."""
     if hull is None:
         return 0.0
-    inside = whole = 0.0
+    inside = total = 0.0
     for one in b:
         middle, radius = one.to_world(*one.solid.inscribed_centre), one.solid.inscribed_radius
         over = float((hull.normals @ middle - hull.offsets).max(initial=-math.inf)) - ROUNDING
         height = min(max(radius + over, 0.0), 2.0 * radius)
         inside += one.solid.volume - math.pi * height**2 * (radius - height / 3.0)
-        whole += one.solid.volume
-    return inside / whole
+        total += one.solid.volume
+    return inside / total
 
 
 def _grown(solid: Solid, box: Box) -> Box:
-    """The box of what stands in for a solid here: of a polyhedron if it is round."""
+    """The box of the polyhedron that stands for a solid."""
     if solid.type == "plane":
         return [-math.inf] * 3 + [math.inf] * 3
-    off = ROUNDING + ROUND * max(solid.radius, solid.disc_radius)
+    off = ROUNDING + ROUND_SHAPE_ERROR * max(solid.radius, solid.disc_radius)
     a, b, c, d, e, f = box
     return [a - off, b - off, c - off, d + off, e + off, f + off]
 
 
 def _points(a: Sequence[PlacedSolid]) -> Array:
-    """Points of shapes in the world whose convex hull is theirs."""
+    """Points in the world whose convex hull is that of the shapes."""
     bodies = [one for one in a if one.solid.type != "plane"]
     placed = [one.solid.points @ one.matrix.T + one.position for one in bodies]
     return np.concatenate(placed) if placed else np.zeros((0, 3))
@@ -173,45 +176,45 @@ def _points(a: Sequence[PlacedSolid]) -> Array:
 
 
 def _span(hull: WorldHull, one: PlacedSolid) -> tuple[float, float]:
-    """Heights over the faces of a hull: the most of a shape's lowest points, and of its highest.
+    """The greatest heights of a shape's lowest and highest points over the faces of a hull.
 
-    A shape whose highest are all below the faces is inside; one whose lowest are above a face is
-    not. That is all that counts, so one that a sphere around it shows to be so is not looked at.
+    A shape whose highest points are below all faces is inside. A shape whose lowest points are
+    above one face is outside. If a sphere around the shape decides that, only the sphere is used.
     """
     middle, reach = one.to_world(*one.solid.centre), one.solid.bounding_radius
     heights = hull.normals @ middle - hull.offsets
     farthest = float(heights.max(initial=-math.inf))
     if abs(farthest) >= reach:
         return farthest - reach, farthest + reach
-    near = np.flatnonzero(heights > -reach)
+    face_numbers = np.flatnonzero(heights > -reach)
     bottom = top = -math.inf
-    step = max(1, REACHES // len(one.points))
-    for start in range(0, len(near), step):
-        some = near[start : start + step]
-        normals, offsets = hull.normals[some], hull.offsets[some]
+    step = max(1, PAIRS_AT_ONCE // len(one.points))
+    for start in range(0, len(face_numbers), step):
+        indices = face_numbers[start : start + step]
+        normals, offsets = hull.normals[indices], hull.offsets[indices]
         radius = one.solid.radius
         top = max(top, float((one.support_heights(normals) + radius - offsets).max()))
         bottom = max(bottom, float((-one.support_heights(-normals) - radius - offsets).max()))
     return bottom, top
 
 
-def _volume_inside(hull: WorldHull, cut: Sequence[PlacedSolid]) -> float:
-    """How much of shapes' volumes is within a hull."""
+def _volume_inside(hull: WorldHull, crossing: Sequence[PlacedSolid]) -> float:
+    """The volume of shapes within a hull."""
     parts, weights = [], []
-    for one in cut:
+    for one in crossing:
         surface = one.solid.closed_surface
         parts.append((surface.vertices @ one.matrix.T + one.position)[surface.faces])
-        # A capsule has the volume of its polyhedron only nearly.
+        # The volume of a capsule differs slightly from that of its polyhedron.
         weights.append(np.full(len(surface.faces), one.solid.volume / surface.volume))
     triangles = np.concatenate(parts)
-    around = hull.triangles
-    if not len(around):
-        around = _below(hull, triangles.reshape(-1, 3))
-    return common_volume(triangles, np.concatenate(weights), around)
+    hull_box = hull.triangles
+    if not len(hull_box):
+        hull_box = _below(hull, triangles.reshape(-1, 3))
+    return common_volume(triangles, np.concatenate(weights), hull_box)
 
 
 def _below(hull: WorldHull, points: Array) -> Array:
-    """The surface (12, 3, 3) of a cube in a half-space, with all that it has of points it cuts."""
+    """The surface (12, 3, 3) of a cube that is the part of a half-space around some points."""
     low, high = points.min(axis=0), points.max(axis=0)
     normal, middle = hull.normals[0], (low + high) / 2
     side = 2.0 * math.dist(low, high)
@@ -228,7 +231,10 @@ def _below(hull: WorldHull, points: Array) -> Array:
 
 
 def footprint(a: Sequence[PlacedSolid]) -> Array:
-    """The corners (k, 2) of the convex hull of the shapes' shadows; of half-spaces not."""
+    """The corners (k, 2) of the convex hull of the shapes' projections on the ground.
+
+    Half-spaces are left out.
+    """
     points = unique_points(_points(a)[:, :2])
     from scipy.spatial import ConvexHull, QhullError
 
@@ -236,13 +242,13 @@ def footprint(a: Sequence[PlacedSolid]) -> Array:
         return points
     try:
         corners: Array = points[ConvexHull(points).vertices]
-    except QhullError:  # all in a line
+    except QhullError:  # all on one line
         return points
     return corners
 
 
 def is_over_footprint(a: Sequence[PlacedSolid], corners: Array, x: float, y: float) -> bool:
-    """Whether a point of the ground is over the footprint, its rim included."""
+    """Whether a point of the ground is in the footprint, including its boundary."""
     for one in a:
         if one.solid.type == "plane":
             nx, ny, nz = one.normals[0].tolist()

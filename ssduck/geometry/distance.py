@@ -1,16 +1,16 @@
-"""How far two placed solids are apart, or how deep one is in the other.
+"""The signed distance of two solids: their distance, or minus the depth of their overlap.
 
-The gap of a and b is the distance of their nearest points where they are apart, and else minus
-their depth: the length of the shortest translation after which they only touch. It comes with a
-point of each and the unit normal from b to a, so that `point_a - point_b == gap * normal`.
+The signed distance of a and b is the distance of their nearest points. If they overlap, it is minus
+the length of the shortest translation that separates them. It comes with a point of each solid and
+the unit normal from b to a, so that `point_a - point_b == distance * normal`.
 
-Of what is convex, the gap is that of the cores less the radii (of parallel bodies, Schneider,
-Convex Bodies, 3.1). The cores of spheres and capsules are compared by formula (Ericson,
-Real-Time Collision Detection, 5.1), half-spaces by support functions, all others by FCL's
-distance of triangle surfaces. FCL's own GJK is not asked: on boxes and cylinders whose edges are
-parallel its distances are wrong by their size, and its signed distance ends the process.
-Answers are certified: n separates a from b by as much as the nearest points are apart. Where that
-fails they meet, and the depth is found by expanding a polytope (van den Bergen 2001).
+For convex solids, it is that of their cores minus the radii (Schneider, Convex Bodies, 3.1, for
+parallel bodies). Formulas compare the cores of spheres and capsules (Ericson, Real-Time Collision
+Detection, 5.1), support functions compare half-spaces, and FCL's distance of triangle surfaces
+compares all others. FCL's own GJK is not used: its distances of boxes and cylinders with parallel
+edges are wrong by their size, and its signed distance ends the process. Results are certified: the
+normal separates a from b by the distance of the nearest points. If that fails, the solids overlap,
+and an expanding polytope yields the depth (van den Bergen 2001).
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.poses import cross
 
-# Below this, metres, surfaces touch.
+# Surfaces that are nearer touch, metres.
 CONTACT_TOLERANCE = 1e-9
-# How far the answers for cylinders may be off, metres; of other convex shapes it is rounding.
+# The error of results for cylinders, metres; other convex shapes are exact up to rounding.
 CYLINDER_TOLERANCE = 1e-7
-# Corners of a face that is as flush, metres, all lie in it.
-FLUSH = 1e-6
-# The same as a share of the sizes, where a cylinder takes part.
-_LEVEL = 2e-5
-ROUNDS = 40
-MOST_POINTS = 400
-STEPS = 100
+# Corners that are nearer to a face lie in it, metres.
+FACE_TOLERANCE = 1e-6
+# The same for cylinders, relative to the sizes.
+_CYLINDER_FACE_TOLERANCE = 2e-5
+MAX_EXPANSIONS = 40
+MAX_POLYTOPE_POINTS = 400
+MAX_STEPS = 100
 _UP: Point = (0.0, 0.0, 1.0)
 _AROUND = np.array(
     [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z],
@@ -47,10 +47,12 @@ _AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
 
 @dataclass
 class CallCounter:
-    """Counts the calls of FCL's collide and distance, and the pairs of entities compared.
+    """Counts calls of FCL and compared pairs of entities.
 
-    A pair counts once a tick. Of all pairs that are compared at once, those count whose boxes
-    meet, or are as near as was asked for; few of them are calls.
+    Attributes:
+        calls: calls of FCL's collide and distance.
+        pairs: the pairs of entities that were compared. A pair counts once a tick. If all pairs of
+            a tick are compared at once, the candidate pairs count.
     """
 
     calls: int = 0
@@ -59,16 +61,16 @@ class CallCounter:
 
 @dataclass(frozen=True, slots=True)
 class SignedDistance:
-    """The gap of a and b: `point_a - point_b == gap * normal`.
+    """The signed distance of a and b: `point_a - point_b == distance * normal`.
 
     Attributes:
         distance: metres; that of their nearest points, or minus the depth.
-        point_a: on a, in the world frame; where they meet, the point of a that is deepest in b,
-            or one as deep. Where a cylinder is deep in something it may be off by up to 0.005 of
-            their sizes, for the depth hardly depends on it.
+        point_a: on a, in the world. If they overlap, a point of a that is deepest in b. If a
+            cylinder is deep in something, the point may be off by up to 0.005 of their sizes,
+            because the depth hardly depends on it.
         point_b: on b.
-        normal: unit, from b to a: the way in which a would leave b. None for half-spaces that
-            meet, as no way leads out.
+        normal: unit, from b to a: the direction in which a would leave b. None for overlapping
+            half-spaces, which no translation separates.
     """
 
     distance: float
@@ -77,7 +79,7 @@ class SignedDistance:
     normal: Point | None
 
     def swapped(self) -> SignedDistance:
-        """The same of b and a."""
+        """The signed distance of b and a."""
         normal = self.normal
         turned = None if normal is None else (-normal[0], -normal[1], -normal[2])
         return SignedDistance(self.distance, self.point_b, self.point_a, turned)
@@ -87,7 +89,7 @@ Rule: TypeAlias = Callable[[PlacedSolid, PlacedSolid], SignedDistance]
 
 
 def signed_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
-    """The gap of two convex solids, or of a half-space and any solid."""
+    """The signed distance of two convex solids, or of a half-space and any solid."""
     kinds = a.solid.type, b.solid.type
     rule = _RULES.get(kinds)
     if rule is not None:
@@ -106,7 +108,7 @@ def signed_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Signe
 def offset_by_radii(
     gap: float, p: Any, q: Any, normal: Any, a: PlacedSolid, b: PlacedSolid
 ) -> SignedDistance:
-    """The separation of two shapes from that of their cores."""
+    """The signed distance of two shapes, from that of their cores."""
     ra, rb = a.solid.radius, b.solid.radius
     x, y, z = float(normal[0]), float(normal[1]), float(normal[2])
     return SignedDistance(
@@ -131,22 +133,22 @@ def _ends(a: PlacedSolid) -> tuple[Point, Point]:
 
 
 def _segments(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
-    """Spheres and capsules: nearest points of two segments."""
+    """Spheres and capsules: the nearest points of two segments."""
     (p1, p2), (q1, q2) = _ends(a), _ends(b)
     d1, d2, r = _minus(p2, p1), _minus(q2, q1), _minus(p1, q1)
     s, t = _nearest_on_segments(d1, d2, r)
     p = (p1[0] + s * d1[0], p1[1] + s * d1[1], p1[2] + s * d1[2])
     q = (q1[0] + t * d2[0], q1[1] + t * d2[1], q1[2] + t * d2[2])
-    way = _minus(p, q)
-    length = math.sqrt(_dot(way, way))
+    offset = _minus(p, q)
+    length = math.sqrt(_dot(offset, offset))
     if length > CONTACT_TOLERANCE:
-        normal = (way[0] / length, way[1] / length, way[2] / length)
+        normal = (offset[0] / length, offset[1] / length, offset[2] / length)
         return offset_by_radii(length, p, q, normal, a, b)
     return offset_by_radii(0.0, p, p, _across(d1, d2), a, b)
 
 
 def _nearest_on_segments(d1: Point, d2: Point, r: Point) -> tuple[float, float]:
-    """Ericson, 5.1.9: how far along each, 0..1, two segments are nearest."""
+    """Ericson, 5.1.9: the fractions 0..1 along two segments at which they are nearest."""
     a, e, f = _dot(d1, d1), _dot(d2, d2), _dot(d2, r)
     if a <= 0.0 and e <= 0.0:
         return 0.0, 0.0
@@ -167,7 +169,7 @@ def _nearest_on_segments(d1: Point, d2: Point, r: Point) -> tuple[float, float]:
 
 
 def _across(u: Point, v: Point) -> Point:
-    """A unit vector across both, whatever their lengths."""
+    """A unit vector normal to two vectors of any length."""
     x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
     length = math.sqrt(x * x + y * y + z * z)
     if length > 1e-9 * math.sqrt(_dot(u, u) * _dot(v, v)) and length > 0.0:
@@ -175,8 +177,8 @@ def _across(u: Point, v: Point) -> Point:
     along = u if _dot(u, u) > 0.0 else v
     if _dot(along, along) == 0.0:
         return _UP
-    least = min(range(3), key=lambda k: abs(along[k]))
-    return _across(along, (float(least == 0), float(least == 1), float(least == 2)))
+    smallest = min(range(3), key=lambda k: abs(along[k]))
+    return _across(along, (float(smallest == 0), float(smallest == 1), float(smallest == 2)))
 
 
 def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
@@ -184,10 +186,10 @@ def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     x, y, z = point = b.to_local(centre)
     halves: Point = tuple(b.solid.core[7].tolist())
     nearest = [min(max(c, -h), h) for c, h in zip(point, halves, strict=True)]
-    way = _minus((x, y, z), (nearest[0], nearest[1], nearest[2]))
-    length = math.sqrt(_dot(way, way))
+    offset = _minus((x, y, z), (nearest[0], nearest[1], nearest[2]))
+    length = math.sqrt(_dot(offset, offset))
     if length > CONTACT_TOLERANCE:
-        normal = b.direction_to_world(way[0] / length, way[1] / length, way[2] / length)
+        normal = b.direction_to_world(offset[0] / length, offset[1] / length, offset[2] / length)
         return offset_by_radii(length, centre, b.to_world(*nearest), normal, a, b)
     axis = min(range(3), key=lambda k: halves[k] - abs(point[k]))
     side = math.copysign(1.0, point[axis])
@@ -208,9 +210,9 @@ def _sphere_cylinder(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     if max(side, top) > CONTACT_TOLERANCE:
         r, h = min(off, wide), min(max(z, -half), half)
         length = math.hypot(max(side, 0.0), max(top, 0.0))
-        way = (max(side, 0.0) / length * ux, max(side, 0.0) / length * uy, (z - h) / length)
+        offset = (max(side, 0.0) / length * ux, max(side, 0.0) / length * uy, (z - h) / length)
         return offset_by_radii(
-            length, centre, b.to_world(r * ux, r * uy, h), b.direction_to_world(*way), a, b
+            length, centre, b.to_world(r * ux, r * uy, h), b.direction_to_world(*offset), a, b
         )
     if side >= top:
         nearest, normal, gap = (wide * ux, wide * uy, z), (ux, uy, 0.0), side
@@ -220,7 +222,7 @@ def _sphere_cylinder(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
 
 
 def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
-    """Any solid a over the half-space b: the point of a that is farthest in."""
+    """Any solid a and the half-space b: the point of a that is deepest."""
     normal = b.normals[0]
     heights = (a.points - b.position) @ normal
     lowest = float(heights.min())
@@ -236,13 +238,13 @@ def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
 
 
 def _planes(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
-    """Half-spaces are apart only if they face away from each other."""
+    """Two half-spaces, which are separate only if they face away from each other."""
     n, m = a.normals[0], b.normals[0]
     p, q = np.array(a.position), np.array(b.position)
     if float(np.linalg.norm(n + m)) <= CONTACT_TOLERANCE:
         gap = float((p - q) @ m)
         return offset_by_radii(gap, q + gap * m, q, m, a, b)
-    # A point that is in both: on the border of both, or of the deeper one of parallel ones.
+    # A point in both: on both boundaries, or on that of the deeper of two parallel half-spaces.
     if float(np.linalg.norm(n - m)) <= CONTACT_TOLERANCE:
         inside = p if float((p - q) @ n) <= 0.0 else q
     else:
@@ -280,11 +282,11 @@ Core: TypeAlias = tuple[float, Array, Array, Array]
 
 
 def surface_distance(a: Any, b: Any, calls: CallCounter) -> tuple[float, Array, Array]:
-    """FCL's distance of two surfaces, 0 where they cross, and their nearest points."""
+    """FCL's distance of two surfaces, 0 if they cross, and their nearest points."""
     import fcl
 
     calls.calls += 1
-    result = fcl.DistanceResult()  # a new one each time: FCL only ever lowers what it finds
+    result = fcl.DistanceResult()  # a new object each time: FCL only lowers its distance
     distance = fcl.distance(a, b, fcl.DistanceRequest(enable_nearest_points=True), result)
     p, q = result.nearest_points
     return max(0.0, distance), p, q
@@ -303,7 +305,7 @@ def _core_gap(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
 
 
 def _onto(a: PlacedSolid, towards: Array, point: Array) -> Array:
-    """A point of the prism of a cylinder, moved to where the cylinder is nearest to another."""
+    """Moves a point of a cylinder's prism to the point of the cylinder nearest to another point."""
     if not a.solid.disc_radius:
         return point
     x, y, z = a.to_local((float(towards[0]), float(towards[1]), float(towards[2])))
@@ -313,12 +315,12 @@ def _onto(a: PlacedSolid, towards: Array, point: Array) -> Array:
 
 
 def _certified(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: float) -> Core | None:
-    """The gap if the way from q to p separates by it."""
-    way = p - q
-    length = math.sqrt(float(way @ way))
+    """The distance if the direction from q to p separates the cores by it."""
+    offset = p - q
+    length = math.sqrt(float(offset @ offset))
     if length <= CONTACT_TOLERANCE:
         return None
-    normal = way / length
+    normal = offset / length
     apart = -float((a.support_heights(-normal[None]) + b.support_heights(normal[None]))[0])
     scale = a.solid.bounding_radius + b.solid.bounding_radius
     if length - apart > max(tolerance, 1e-12 * scale):
@@ -328,12 +330,12 @@ def _certified(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: fl
 
 def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
     """Minus the depth, the least overlap in any direction; None if a direction separates them."""
-    ways = _ways(a, b)
-    overlaps = b.support_heights(ways) + a.support_heights(-ways)
-    least = int(overlaps.argmin())
-    if overlaps[least] < -CONTACT_TOLERANCE:
+    directions = _ways(a, b)
+    overlaps = b.support_heights(directions) + a.support_heights(-directions)
+    smallest = int(overlaps.argmin())
+    if overlaps[smallest] < -CONTACT_TOLERANCE:
         return None
-    normal, depth = ways[least], max(0.0, float(overlaps[least]))
+    normal, depth = directions[smallest], max(0.0, float(overlaps[smallest]))
     for first, second in ((a, b), (b, a)):
         corner = _deepest_corner(first, second, depth)
         if corner is not None:
@@ -341,21 +343,24 @@ def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
                 return -depth, corner, corner + depth * normal, normal
             return -depth, corner - depth * normal, corner, normal
     if not a.solid.type == b.solid.type == "box":
-        expanded = _expanded(a, b, ways, normal, float(overlaps[least]), tolerance)
+        expanded = _expanded(a, b, directions, normal, float(overlaps[smallest]), tolerance)
         if expanded is None:
             return None
         depth, normal = expanded
-    flush = FLUSH
+    flush = FACE_TOLERANCE
     if a.solid.disc_radius or b.solid.disc_radius:
-        # The depth is known up to the tolerance, and the direction by as much for their sizes.
-        flush = max(FLUSH, _LEVEL * (a.solid.bounding_radius + b.solid.bounding_radius))
+        # The depth has the error of the tolerance, and so has the direction relative to the sizes.
+        flush = max(
+            FACE_TOLERANCE,
+            _CYLINDER_FACE_TOLERANCE * (a.solid.bounding_radius + b.solid.bounding_radius),
+        )
     return _witnesses(
         depth, normal, a.extreme_points(-normal, flush), b.extreme_points(normal, flush)
     )
 
 
 def _ways(a: PlacedSolid, b: PlacedSolid) -> Array:
-    """Directions of least overlap: all of two boxes (Gottschalk 1996), some of other shapes."""
+    """Directions that may have the least overlap: all of two boxes (Gottschalk 1996), else some."""
     if a.solid.type == b.solid.type == "box":
         pairs = np.repeat(a.matrix.T, 3, axis=0), np.tile(b.matrix.T, (3, 1))
         edges = cross(*pairs)
@@ -369,7 +374,7 @@ def _ways(a: PlacedSolid, b: PlacedSolid) -> Array:
 def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | None:
     """A point of a that is as deep in b as the overlap in some direction, if there is one.
 
-    That this point has to leave b bounds the depth from below, the overlap from above.
+    The depth of this point bounds the depth of a from below, the overlap bounds it from above.
     """
     if b.offsets is None:
         return None
@@ -383,25 +388,25 @@ def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | Non
 
 
 def _expanded(
-    a: PlacedSolid, b: PlacedSolid, ways: Array, normal: Array, depth: float, tolerance: float
+    a: PlacedSolid, b: PlacedSolid, directions: Array, normal: Array, depth: float, tolerance: float
 ) -> tuple[float, Array] | None:
-    """The depth and its direction, by a polytope in the difference that grows where it is thin.
+    """The depth and its direction, by a polytope that grows in the difference where it is thin.
 
     Args:
         a: a core.
-        b: another.
-        ways: directions to begin with.
-        normal: the best one of them.
-        depth: the overlap in it.
-        tolerance: how far the result may be off.
+        b: another core.
+        directions: directions to begin with.
+        normal: the best of them.
+        depth: the overlap in that direction.
+        tolerance: the error that is allowed.
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    of_a, of_b = a.support_points(-ways), b.support_points(ways)
-    for _ in range(ROUNDS):
+    of_a, of_b = a.support_points(-directions), b.support_points(directions)
+    for _ in range(MAX_EXPANSIONS):
         try:
             hull = ConvexHull(of_a - of_b)
-        except QhullError:  # a flat difference: they only touch, across it
+        except QhullError:  # a flat difference: they only touch
             across = np.linalg.svd((of_a - of_b) - (of_a - of_b)[0])[2][2:]
             across = np.concatenate((across, -across))
             overlaps = b.support_heights(across) + a.support_heights(-across)
@@ -421,16 +426,16 @@ def _expanded(
             return None
         reached = np.einsum("ij,kj->ik", thin, of_a - of_b).max(axis=1)
         new = overlaps > reached + tolerance / 4
-        # Where all sides are as thin, as in a cylinder on the axis of another, no one of many
-        # directions is worse than the best.
-        if not new.any() or len(of_a) > MOST_POINTS:
+        # If all sides are equally thin, as for coaxial cylinders, any of many directions is as
+        # good as the best one.
+        if not new.any() or len(of_a) > MAX_POLYTOPE_POINTS:
             break
         of_a, of_b = np.concatenate((of_a, more_a[new])), np.concatenate((of_b, more_b[new]))
     return None if depth < -CONTACT_TOLERANCE else (max(0.0, depth), normal)
 
 
 def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
-    """A point of each for a depth: mixtures of deepest points that are one above the other."""
+    """A point of each core at a depth: combinations of deepest points, opposite to each other."""
     from scipy.optimize import nnls
 
     middle = (of_a.mean(axis=0) + of_b.mean(axis=0)) / 2
@@ -445,32 +450,32 @@ def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
     weights, _ = nnls(system, np.concatenate((-depth / scale * normal, (1.0, 1.0))))
     p, q = weights[:count] @ of_a / weights[:count].sum(), weights[count:] @ of_b
     q /= weights[count:].sum()
-    # What is left of rounding is shared, so that the points are exactly the depth apart.
+    # Each point takes half of the rounding error, so that their distance is exactly the depth.
     middle = (p + q) / 2
     return -depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal
 
 
 def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
-    """The nearest points of cores that are apart: Wolfe's point of least norm (1976)."""
+    """The nearest points of separate cores: Wolfe's point of least norm (1976)."""
     of_a, of_b = a.support_points((q - p)[None]), b.support_points((p - q)[None])
     if float(np.linalg.norm(p - q)) > CONTACT_TOLERANCE:
         of_a, of_b = np.vstack((p, of_a)), np.vstack((q, of_b))
     weights = np.zeros(len(of_a))
     weights[0] = 1.0
     normal, before = np.array(_UP), math.inf
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         weights, of_a, of_b = _least(weights, of_a, of_b)
         p, q = weights @ of_a, weights @ of_b
-        way = p - q
-        length = float(np.linalg.norm(way))
+        offset = p - q
+        length = float(np.linalg.norm(offset))
         if length <= CONTACT_TOLERANCE:
             break
-        normal = way / length
+        normal = offset / length
         new_a, new_b = a.support_points(-normal[None]), b.support_points(normal[None])
         if length - float((new_a - new_b)[0] @ normal) <= CYLINDER_TOLERANCE / 10:
             break
         if length > before - CONTACT_TOLERANCE / 1e4:
-            # Points that are nearly one are worth no more than their mixture.
+            # Points that nearly coincide are replaced by their combination.
             of_a, of_b, weights = p[None], q[None], np.ones(1)
         before = length
         of_a, of_b = np.vstack((of_a, new_a)), np.vstack((of_b, new_b))
@@ -479,14 +484,14 @@ def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
 
 
 def _least(weights: Array, of_a: Array, of_b: Array) -> tuple[Array, Array, Array]:
-    """The mixture of least norm: step to that of the affine hull, drop what falls out."""
+    """The convex combination of least norm: steps to the affine one, and drops points outside."""
     while True:
         points = of_a - of_b
-        # From the first point along the ways to the others: the normal equations would square
-        # what is lost between points that are close together.
-        ways = (points[1:] - points[0]).T
-        length = np.maximum(np.sqrt((ways * ways).sum(axis=0)), 1e-300)
-        shares = -np.linalg.lstsq(ways / length, points[0], rcond=1e-12)[0] / length
+        # Relative to the first point: the normal equations would square the rounding errors of
+        # points that are close together.
+        directions = (points[1:] - points[0]).T
+        length = np.maximum(np.sqrt((directions * directions).sum(axis=0)), 1e-300)
+        shares = -np.linalg.lstsq(directions / length, points[0], rcond=1e-12)[0] / length
         aim = np.concatenate(([1.0 - shares.sum()], shares))
         if aim.min() > 1e-14:
             return aim, of_a, of_b

@@ -1,22 +1,22 @@
-"""Whether the gaps of many pairs of convex shapes are below a bound, found for all pairs at once.
+"""Decides for many pairs of convex shapes whether their signed distance is below a bound.
 
-The algorithm of Gilbert, Johnson and Keerthi (1988) as van den Bergen has it (A Fast and Robust
-GJK Implementation, 1999), on the difference of two cores: the set of all `a - b`. It holds up to
-four of its points, and the point v of their hull that is nearest to the origin; the difference's
-farthest point against v is the next. All pairs take a step together, and those that are decided
-are left out of the next one.
+The algorithm is that of Gilbert, Johnson and Keerthi (1988) in the form of van den Bergen (A Fast
+and Robust GJK Implementation, 1999). It works on the difference of two cores: the set of all `a -
+b`. It holds up to four points of the difference, and the point v of their hull that is nearest to
+the origin; the support point of the difference against v is the next point. All pairs take a step
+together. Decided pairs are left out of the next step.
 
-What it tells is proved, never guessed:
+Every verdict is proved:
 
-* the difference is beyond a plane across v, so that the gap is at least the plane's distance
-  from the origin. This holds for any direction, and however badly v is known;
-* v is in the difference, so that the gap is at most its length;
-* between a ball and a point of the difference all smaller and smaller balls are in it, so that the
-  depth is at least how far the origin is inside one of them;
-* if the origin is inside the tetrahedron of four points, the depth is at least the radius of the
+* The difference is beyond a plane across v, so that the distance is at least that of the plane
+  from the origin. This holds for any direction, however inaccurate v is.
+* v is in the difference, so that the distance is at most its length.
+* Between a ball in the difference and a point of it lie smaller balls in the difference. The depth
+  is at least the depth of the origin in one of them.
+* If the origin is inside the tetrahedron of four points, the depth is at least the radius of the
   ball around the origin in it.
 
-What rounding could turn is left undecided: touching shapes, and differences that are flat.
+Pairs that rounding errors could decide stay undecided: touching shapes, and flat differences.
 """
 
 from __future__ import annotations
@@ -35,34 +35,34 @@ from ssduck.geometry.solids import Solid
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 
 BELOW, ABOVE, UNDECIDED = 1, -1, 0
-# Steps of a polytope are few; those towards a cylinder's rim are ever smaller.
+# Polytopes need few steps; the steps towards a cylinder's rim get smaller and smaller.
 STEPS = 40
-# Rounds in which a tetrahedron is moved around the origin.
+# The number of times that a tetrahedron is moved around the origin.
 MOVES = 12
-# Pairs that are looked at together, so that their arrays stay in the cache.
-TOGETHER = 4096
-# Of what is larger or farther away, metres, there are no cubes: nothing is decided.
+# The number of pairs that are compared at a time, so that their arrays stay in the cache.
+PAIRS_AT_ONCE = 4096
+# Cubes of larger lengths and distances, metres, overflow: nothing is decided.
 LARGE = 1e100
-# Numbers of points that are looked at together.
+# The number of points that are compared at a time.
 MOST_POINTS = 1 << 20
 _NEXT = np.array([1, 2, 0])
-# Directions around that are across nothing; how far a direction is moved off a normal, in turn.
+# Four directions that are parallel to no axis. The offsets of directions from normals, in turn.
 _AROUND = np.array([[1.0, 0.9, 0.8], [-0.9, -0.8, 1.0], [-0.8, 1.0, -0.9], [0.9, -1.0, -0.8]])
 _OFF = np.array([[0, 0, 0], [0.27, 0.11, 0.4], [0, 0, 0], [-0.4, -0.27, -0.11]])
-# The faces of a tetrahedron of points 0..3, and the point across from each.
+# The faces of a tetrahedron of points 0..3; face i is opposite to point i.
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
 class ConvexCores:
-    """The convex hulls of solids' cores around their solids' centres, in the solids' frames.
+    """The convex hulls of solids' cores, relative to the centres of the solids.
 
-    Each is a sum: of a box with half extents (a sphere's is a point, a capsule's and a
-    cylinder's a segment), of a disc across z, or it is the hull of points. A half-space is a
-    point here, and means nothing.
+    A core is the sum of a box with half extents (a point for a sphere, a segment for a capsule or a
+    cylinder) and a disc across z, or it is the hull of points. A half-space is represented by a
+    point without a meaning.
 
     Args:
-        solids: the different solids.
-        of: (n,), which solid each shape is.
+        solids: the distinct solids.
+        of: (n,), the index of each shape's solid.
     """
 
     def __init__(self, solids: Sequence[Solid], of: Indices) -> None:
@@ -74,7 +74,7 @@ class ConvexCores:
         ]
         self.bounding_radius = np.array(reaches)[of]
         self.is_thick = np.array([solid.inscribed_radius > 0.0 for solid in solids], dtype=bool)[of]
-        # Of the ball in the core: round solids have some of theirs around it.
+        # The radius of the ball in the core: a part of a round solid's ball is around its core.
         self.thick = np.array([solid.inscribed_radius - solid.radius for solid in solids])[of]
         hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _is_pointed(solid)}
         sizes = {n: _room(len(points)) for n, points in hulls.items()}
@@ -100,12 +100,12 @@ def _is_pointed(solid: Solid) -> bool:
 
 def _corners(solid: Solid) -> Array:
     points = solid.hull_corners if solid.type == "mesh" else solid.core
-    around: Array = points - np.array(solid.centre)
-    return around
+    on_origin: Array = points - np.array(solid.centre)
+    return on_origin
 
 
 def _padded(points: Array, count: int) -> Array:
-    """(3, count): the last point is there as often as it takes."""
+    """Points as (3, count), with the last point repeated."""
     return np.ascontiguousarray(points[np.minimum(np.arange(count), len(points) - 1)].T)
 
 
@@ -114,10 +114,10 @@ class PlacedCores:
     """Cores at poses.
 
     Attributes:
-        cores: in their own frames.
-        turns: (9, n), their rotations, row by row.
-        centres: (3, n), of the solids, in the world, metres.
-        inner: (3, n), of the balls in them.
+        cores: the cores in their own frames.
+        turns: (9, n), their rotation matrices, row by row.
+        centres: (3, n), the centres of the solids in the world, metres.
+        inner: (3, n), the centres of the balls in them.
     """
 
     cores: ConvexCores
@@ -126,21 +126,21 @@ class PlacedCores:
     inner: Array
 
     def balls(self, first: Indices, second: Indices) -> tuple[Flags, Array, Array]:
-        """Balls in the differences of cores: whether one is known, its centre (3, m), radius."""
+        """Balls in the differences of cores: whether one is known, its centre (3, m) and radius."""
         cores, inner = self.cores, self.inner
         known = cores.is_thick.take(first) & cores.is_thick.take(second)
         centre = inner.take(first, axis=1) - inner.take(second, axis=1)
         return known, centre, cores.thick.take(first) + cores.thick.take(second)
 
-    def support_points(self, which: Indices, ways: Array) -> Array:
-        """The farthest points of cores, (3, m), from their centres, in the world's frame.
+    def support_points(self, which: Indices, directions: Array) -> Array:
+        """The support points (3, m) of cores, relative to their centres, in world axes.
 
         Args:
-            which: (m,), the bodies.
-            ways: (3, m), directions, not all zero; their lengths do not matter.
+            which: (m,), the indices of the shapes.
+            directions: (3, m), directions that are not 0; their lengths do not matter.
         """
         cores, turns = self.cores, self.turns.take(which, axis=1)
-        x, y, z = ways
+        x, y, z = directions
         local = turns[0:3] * x
         local += turns[3:6] * y
         local += turns[6:9] * z
@@ -160,14 +160,14 @@ class PlacedCores:
         return found
 
 
-def _farthest(hulls: Array, rows: Indices, ways: Array) -> Array:
-    """Of hulls (h, 3, k) the farthest points (3, m) in directions (3, m); `rows` says which."""
+def _farthest(hulls: Array, rows: Indices, directions: Array) -> Array:
+    """The support points (3, m) of hulls (h, 3, k) in directions (3, m), by the hulls' `rows`."""
     found = np.zeros((3, len(rows)))
     step = max(1, MOST_POINTS // hulls.shape[2])
     for start in range(0, len(rows), step):
         some = slice(start, start + step)
         points = hulls.take(rows[some], axis=0)
-        heights = np.matmul(ways[:, some].T[:, None], points)[:, 0]
+        heights = np.matmul(directions[:, some].T[:, None], points)[:, 0]
         found[:, some] = points[np.arange(len(points)), :, heights.argmax(axis=1)].T
     return found
 
@@ -177,13 +177,14 @@ def _farthest(hulls: Array, rows: Indices, ways: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs, and what is known of the difference of each, first less second.
+    """Pairs of shapes, and the state of the algorithm for the difference of each.
 
     Attributes:
-        number: (n,), which of the pairs that are asked for it is.
-        first, second: (n,), the bodies.
+        number: (n,), the index of the pair in the request.
+        first, second: (n,), the shapes.
         between: (3, n), from the centre of the second to that of the first.
-        low, high: (n,): gaps of the cores above `high` are above the bound, and below `low` below.
+        low, high: (n,): distances of the cores above `high` are above the bound, those below `low`
+            below it.
         simplex: (3, 3, n): three points (point, axis, pair) of the difference.
         nearest: (3, n), a point of their hull.
         most: (n,), its distance from the origin.
@@ -200,14 +201,14 @@ class _Pairs:
     most: Array
 
     def only(self, which: Indices) -> _Pairs:
-        """Some of them."""
+        """The selected pairs."""
         return _Pairs(*(getattr(self, name).take(which, axis=-1) for name in _FIELDS))
 
-    def farthest(self, bodies: PlacedCores, ways: Array) -> Array:
-        """The farthest points of the differences in directions (3, n)."""
+    def farthest(self, bodies: PlacedCores, directions: Array) -> Array:
+        """The support points of the differences in directions (3, n)."""
         count = len(self.first)
         both = np.concatenate((self.first, self.second))
-        points = bodies.support_points(both, np.concatenate((ways, -ways), axis=1))
+        points = bodies.support_points(both, np.concatenate((directions, -directions), axis=1))
         found: Array = points[:, :count] - points[:, count:]
         found += self.between
         return found
@@ -224,28 +225,28 @@ def _joined(parts: Sequence[_Pairs]) -> _Pairs:
 def classify_gaps(
     bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array
 ) -> Verdicts:
-    """Whether the gaps of pairs of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
+    """Whether signed distances of convex shapes are surely BELOW a bound, ABOVE it, or UNDECIDED.
 
-    The gap is as of `ssduck.geometry.distance`: minus the depth where shapes meet. A verdict leaves
-    room for the errors that are allowed there, so that the exact answer is the same.
+    The signed distance is that of `ssduck.geometry.distance`: minus the depth of shapes that
+    overlap. A verdict allows for the errors of that module, so that both always agree.
 
     Args:
-        bodies: their cores.
-        first: (n,), bodies.
-        second: (n,), bodies; of those whose cores are hulls of what is not convex, only ABOVE
-            tells of the shapes.
-        bound: metres, of all pairs or (n,) of each.
+        bodies: the cores.
+        first: (n,), indices of shapes.
+        second: (n,), indices of shapes. For the hull of a shape that is not convex, only ABOVE
+            holds for the shape.
+        bound: metres, for all pairs or (n,) for each.
     """
     verdicts = np.zeros(len(first), np.int8)
     bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
-    for start in range(0, len(first), TOGETHER):
-        some = slice(start, start + TOGETHER)
+    for start in range(0, len(first), PAIRS_AT_ONCE):
+        some = slice(start, start + PAIRS_AT_ONCE)
         _decide(_begin(bodies, first[some], second[some], bounds[some]), bodies, verdicts[some])
     return verdicts
 
 
 def tolerances(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
-    """How near to the bound the gaps of pairs may be for the exact answer to be needed, metres."""
+    """The distances from the bound, metres, within which pairs stay undecided."""
     cores, centres = bodies.cores, bodies.centres
     is_round = (cores.disc_radius[first] > 0.0) | (cores.disc_radius[second] > 0.0)
     far = np.abs(centres).max(axis=0, initial=0.0)
@@ -283,17 +284,17 @@ def _begin(bodies: PlacedCores, first: Indices, second: Indices, bounds: Array) 
 
 
 def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> None:
-    """Write the verdicts of pairs, by their numbers."""
+    """Writes the verdicts of pairs, by their indices."""
     pairs = _first_step(pairs, bodies, verdicts)
-    around = []
+    on_origin = []
     for step in range(STEPS):
         if not len(pairs.number):
             break
         pairs, shallow = _step(pairs, bodies, verdicts, step)
-        around += [shallow] if shallow else []
-    if around:
-        some = _joined([pairs for pairs, _ in around])
-        corners = np.concatenate([corners for _, corners in around], axis=-1)
+        on_origin += [shallow] if shallow else []
+    if on_origin:
+        some = _joined([pairs for pairs, _ in on_origin])
+        corners = np.concatenate([corners for _, corners in on_origin], axis=-1)
         _move_around(some, corners, bodies, verdicts)
         left = some.only(np.flatnonzero(verdicts[some.number] == UNDECIDED))
         if len(left.number):
@@ -301,16 +302,16 @@ def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> None:
 
 
 def _first_step(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> _Pairs:
-    """Go from the centres' difference: it separates most of those that are apart.
+    """Steps from the difference of the centres, which separates most pairs that are apart.
 
-    Of those that meet, many have the origin in a ball between that in the difference and the
-    point that is found; the others go on from there.
+    For many overlapping pairs, the origin is in a ball between the known ball in the difference and
+    the support point. The others continue from there.
     """
-    ways = pairs.between.copy()
-    length = _length(ways)
-    ways[0, length == 0.0] = 1.0
-    new = pairs.farthest(bodies, -ways)
-    apart = _dots(ways, new) > pairs.high * np.where(length == 0.0, 1.0, length)
+    directions = pairs.between.copy()
+    length = _length(directions)
+    directions[0, length == 0.0] = 1.0
+    new = pairs.farthest(bodies, -directions)
+    apart = _dots(directions, new) > pairs.high * np.where(length == 0.0, 1.0, length)
     verdicts[pairs.number[apart]] = ABOVE
     known, centre, radius = bodies.balls(pairs.first, pairs.second)
     centre = np.where(known, centre, new)
@@ -330,17 +331,17 @@ _Around: TypeAlias = tuple[_Pairs, Array]
 def _step(
     pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, step: int
 ) -> tuple[_Pairs, _Around | None]:
-    """Take a step with each pair.
+    """Takes a step with each pair.
 
     Returns:
-        Those that are neither decided nor at an end, and those whose tetrahedron (4, 3, n) has
-        the origin in it or on it, which does not decide them.
+        The pairs that are undecided and can go on, and those whose tetrahedron (4, 3, n) contains
+        the origin without deciding them.
     """
     new = pairs.farthest(bodies, -pairs.nearest)
     height = _dots(pairs.nearest, new)
     apart = height > pairs.high * pairs.most
     verdicts[pairs.number[apart]] = ABOVE
-    # What is as far as its plane is the nearest point: no step gets any nearer.
+    # A point that is as far away as its plane is the nearest one.
     rest = np.flatnonzero(~apart & (height < pairs.most * pairs.most))
     pairs, new = pairs.only(rest), new[:, rest]
     corners = np.concatenate((pairs.simplex, new[None]))
@@ -352,29 +353,29 @@ def _step(
     verdicts[pairs.number[below]] = BELOW
     on = (depth > 0.0) | (most <= 1e-13 * np.abs(corners).max(axis=(0, 1)))
     shallow = np.flatnonzero(on & ~below)
-    around = (pairs.only(shallow), corners[:, :, shallow]) if len(shallow) else None
+    on_origin = (pairs.only(shallow), corners[:, :, shallow]) if len(shallow) else None
     left = np.flatnonzero(~(below | on) & (most < pairs.most))
-    return replace(pairs, simplex=simplex, nearest=nearest, most=most).only(left), around
+    return replace(pairs, simplex=simplex, nearest=nearest, most=most).only(left), on_origin
 
 
 def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:
-    """The point of a tetrahedron's faces at its newest corner that is nearest to the origin.
+    """The point nearest to the origin on the three faces at a tetrahedron's newest corner.
 
-    The other three have it no nearer. Corners may be equal.
+    The fourth face is no nearer. Corners may be equal.
 
     Args:
         simplex: (3, 3, n), the older corners (point, axis, pair).
-        new: (3, n).
+        new: (3, n), the newest corner.
 
     Returns:
-        The corners of the face of which it is, (3, 3, n), the newest one first; the point, (3, n).
+        The corners of the point's face, (3, 3, n), the newest first; the point, (3, n).
     """
     edges = simplex - new
     after = edges[_NEXT]
     square = np.einsum("ecn,ecn->en", edges, edges)
     mixed = np.einsum("ecn,ecn->en", edges, after)
     ahead = -np.einsum("cn,ecn->en", new, edges)
-    # Along the edges, and in the faces by the normal equations; what falls out is on an edge.
+    # On the edges, and in the faces by the normal equations; a point outside a face is on an edge.
     share = np.clip(ahead / np.maximum(square, 1e-300), 0.0, 1.0)
     along = new + share[:, None] * edges
     area = square * square[_NEXT] - mixed * mixed
@@ -394,9 +395,9 @@ def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:
 
 
 def _depths(corners: Array) -> tuple[Array, Array]:
-    """How far the origin is inside the faces of tetrahedra, (4, n), less what may be rounding.
+    """The depths of the origin below the faces of tetrahedra, (4, n), less the rounding error.
 
-    It is below 0 for the faces that it is outside of, and for all faces of a flat tetrahedron.
+    Negative for faces that the origin is beyond, and for all faces of a flat tetrahedron.
 
     Args:
         corners: (4, 3, n).
@@ -416,19 +417,19 @@ def _depths(corners: Array) -> tuple[Array, Array]:
 
 
 def _move_around(pairs: _Pairs, corners: Array, bodies: PlacedCores, verdicts: Verdicts) -> None:
-    """Decide pairs whose tetrahedra have the origin in or on them, by the face nearest to it.
+    """Decides pairs whose tetrahedra contain the origin, by the face nearest to it.
 
-    Either the difference ends there, or its farthest point beyond the face takes the place of
-    the corner that leaves the origin deepest in the tetrahedron. Every other time the direction
-    is off the face's normal: else what is symmetric goes round in circles.
+    Either the difference ends at the face, or its support point beyond the face replaces the corner
+    that leaves the origin deepest in the tetrahedron. Every other time the direction deviates from
+    the face's normal, because symmetric shapes would cycle otherwise.
     """
     for move in range(MOVES):
         depths, normals = _depths(corners)
         every = np.arange(len(pairs.number))
-        ways = _unit(normals[_face(depths, normals), :, every].T)
-        ways += _OFF[move % len(_OFF)][:, None]
-        new = pairs.farthest(bodies, ways)
-        above = -_dots(ways, new) > pairs.high * _length(ways)
+        directions = _unit(normals[_face(depths, normals), :, every].T)
+        directions += _OFF[move % len(_OFF)][:, None]
+        new = pairs.farthest(bodies, directions)
+        above = -_dots(directions, new) > pairs.high * _length(directions)
         verdicts[pairs.number[above]] = ABOVE
         moved, depth = _deepest(corners, new)
         below = ~above & (-depth < pairs.low)
@@ -440,14 +441,14 @@ def _move_around(pairs: _Pairs, corners: Array, bodies: PlacedCores, verdicts: V
 
 
 def _tetrahedron(pairs: _Pairs, bodies: PlacedCores) -> Array:
-    """Points of the differences in four directions around, of the frame of the first, (4, 3, n)."""
+    """Support points of the differences in four directions of the first's frame, (4, 3, n)."""
     turns = bodies.turns.take(pairs.first, axis=1).reshape(3, 3, -1)
-    ways = np.einsum("ijn,dj->din", turns, _AROUND)
-    return np.array([pairs.farthest(bodies, way) for way in ways])
+    directions = np.einsum("ijn,dj->din", turns, _AROUND)
+    return np.array([pairs.farthest(bodies, way) for way in directions])
 
 
 def _face(depths: Array, normals: Array) -> Indices:
-    """The face that the origin is nearest to; of flat tetrahedra the largest one."""
+    """The face nearest to the origin; the largest face of a flat tetrahedron."""
     flat = ~np.isfinite(depths).all(axis=0)
     area = np.einsum("fcn,fcn->fn", normals, normals)
     found: Indices = np.where(flat, area.argmax(axis=0), depths.argmin(axis=0))
@@ -455,7 +456,7 @@ def _face(depths: Array, normals: Array) -> Indices:
 
 
 def _deepest(corners: Array, new: Array) -> tuple[Array, Array]:
-    """With which corner replaced by a new one the origin is deepest inside, and how deep."""
+    """The tetrahedra in which a new corner leaves the origin deepest, and its depth."""
     every = np.arange(new.shape[1])
     choices = np.repeat(corners[None], 4, axis=0)
     choices[np.arange(4), np.arange(4)] = new
@@ -481,12 +482,12 @@ def _dots(first: Array, second: Array) -> Array:
 
 
 def _cross(first: Array, second: Array) -> Array:
-    """Of (m, 3, n), along the second axis."""
+    """Cross products of (m, 3, n), along the second axis."""
     a, b, c = first[:, 0], first[:, 1], first[:, 2]
     x, y, z = second[:, 0], second[:, 1], second[:, 2]
     return np.stack((b * z - c * y, c * x - a * z, a * y - b * x), axis=1)
 
 
 def _room(count: int) -> int:
-    """How many points as many are padded to, so that there are few sizes: 8, 16, 32, …."""
+    """The padded number of points: a power of two from 8 up, so that few sizes occur."""
     return 1 << max(3, (count - 1).bit_length())

@@ -1,8 +1,8 @@
-"""What is in the way between a point and others: rays that end at points, by formulas of shapes.
+"""The line of sight between a point and others: rays against the formulas of shapes.
 
-As for the rays of sensors, a convex shape that a ray begins in is not in its way; the triangles of
-a mesh are, from either side. A shape that holds the far end is in the way, one that begins there is
-not.
+A convex shape that contains the start of a ray does not block it, as for the rays of sensors. The
+triangles of a mesh block from either side. A shape that contains the end of a ray blocks it; a
+shape that begins there does not.
 """
 
 from __future__ import annotations
@@ -13,39 +13,52 @@ from ssduck.geometry.arrays import Array, Flags
 from ssduck.geometry.ray_casting import HIT_TOLERANCE, first_hits
 from ssduck.geometry.solids import PlacedSolids, Solid
 
-# Rays times faces that are looked at together.
-TOGETHER = 1_000_000
+# The number of pairs of a ray and a face that are compared at a time.
+PAIRS_AT_ONCE = 1_000_000
 
 
 def are_blocked(placed: PlacedSolids, start: Array, ends: Array) -> Flags:
-    """Of points (n, 3) whether a shape is between `start` (3,) and each."""
+    """Whether a shape blocks the line of sight from a point to each of some others.
+
+    Args:
+        placed: the shapes.
+        start: (3,), the eye.
+        ends: (n, 3), the points to see.
+
+    Returns:
+        (n,), booleans.
+    """
     blocked = np.zeros(len(ends), dtype=bool)
-    ways = ends - start
-    lengths = np.linalg.norm(ways, axis=1)
+    rays = ends - start
+    lengths = np.linalg.norm(rays, axis=1)
     for solid, position, matrix in placed:
-        left = np.flatnonzero(~blocked)
-        left = left[_may_meet(solid, matrix, position - start, ways[left], lengths[left])]
-        many = max(1, TOGETHER // max(1, len(solid.faces), len(solid.normals)))
-        for first in range(0, len(left), many):
-            some = left[first : first + many]
-            near = (start - position) @ matrix
-            blocked[some] = _meets(solid, near, ways[some] @ matrix, lengths[some])
+        open_rays = np.flatnonzero(~blocked)
+        open_rays = open_rays[
+            _may_hit(solid, matrix, position - start, rays[open_rays], lengths[open_rays])
+        ]
+        count = max(1, PAIRS_AT_ONCE // max(1, len(solid.faces), len(solid.normals)))
+        for first in range(0, len(open_rays), count):
+            indices = open_rays[first : first + count]
+            local_start = (start - position) @ matrix
+            blocked[indices] = _hits(solid, local_start, rays[indices] @ matrix, lengths[indices])
     return blocked
 
 
-def _may_meet(solid: Solid, matrix: Array, off: Array, ways: Array, lengths: Array) -> Flags:
-    """Whether rays meet the sphere around a solid whose frame is at `off` from where they begin."""
+def _may_hit(solid: Solid, matrix: Array, offset: Array, rays: Array, lengths: Array) -> Flags:
+    """Whether rays hit the sphere around a solid whose frame has an offset from their start."""
     if solid.type == "plane":
-        return np.ones(len(ways), dtype=bool)
-    centre = matrix @ np.array(solid.centre) + off
-    along = ways @ centre / lengths
+        return np.ones(len(rays), dtype=bool)
+    centre = matrix @ np.array(solid.centre) + offset
+    along = rays @ centre / lengths
     square, reach = float(centre @ centre), solid.bounding_radius + HIT_TOLERANCE
-    near: Flags = (square - along**2 <= reach**2) & (along >= -reach) & (along - reach <= lengths)
-    return near
+    local_start: Flags = (
+        (square - along**2 <= reach**2) & (along >= -reach) & (along - reach <= lengths)
+    )
+    return local_start
 
 
-def _meets(solid: Solid, start: Array, ways: Array, lengths: Array) -> Flags:
-    """Whether rays meet a solid before they end; all in its frame."""
-    far = first_hits(solid, start, ways) * lengths
-    met: Flags = (far > HIT_TOLERANCE) & (far < lengths - HIT_TOLERANCE)
-    return met
+def _hits(solid: Solid, start: Array, rays: Array, lengths: Array) -> Flags:
+    """Whether rays hit a solid before they end; all in the solid's frame."""
+    distances = first_hits(solid, start, rays) * lengths
+    is_hit: Flags = (distances > HIT_TOLERANCE) & (distances < lengths - HIT_TOLERANCE)
+    return is_hit

@@ -1,16 +1,16 @@
-"""How far a mesh that is not convex is from another solid, or how deep they are in each other.
+"""The signed distance of two solids of which one is a mesh that is not convex.
 
-A closed mesh is the solid that it encloses, an open one a surface. FCL gives the distance of
-surfaces, and which of their triangles cross; it has no depth. The depth here is the greatest of
+A closed mesh is the solid that it encloses, an open one a surface. FCL yields the distance of
+surfaces and the triangles that cross, but no depth. The depth here is the greatest of
 
-* the depths of corners of one in the other, if that is convex or closed: how far the corner is
-  from its surface;
-* the depths of triangles that cross: the least translation that takes one off the other.
+* the depths of corners of one solid in the other, if that is convex or closed: the distance of the
+  corner from its surface;
+* the depths of crossing triangles: the least translation that separates the two triangles.
 
-Each bounds from below how far one must be moved to leave the other; so the depth is a lower bound
-of that, and exact where a corner is deepest, or an edge crosses an edge. A cylinder is a prism of
-64 sides in it here, which is off by up to 0.0013 of its radius; the corners of a sphere and a
-capsule are the ends of their cores.
+Each of them is a lower bound of the translation that separates the solids. So is the depth, which
+is exact where a corner is deepest, or an edge crosses an edge. Here a cylinder is a prism of 64
+sides, which is off by up to 0.0013 of its radius. The corners of a sphere and a capsule are the
+ends of their cores.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.poses import cross
 from ssduck.geometry.surfaces import Surface
 
-MOST_CONTACTS = 100_000
-# As many triangles that cross tell nearly always that some are deep in each other.
-SOME_CONTACTS = 16
-# From the depths of so many corners those of the others are bounded.
-TELLING = 200
+MAX_CONTACTS = 100_000
+# This number of crossing triangles nearly always includes a pair that is deep.
+FEW_CONTACTS = 16
+# The number of corners whose depths bound the depths of the others.
+BOUNDING_CORNERS = 200
 
 
 def mesh_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance | None:
-    """The gap of two solids, one or both a mesh; None if their cores meet."""
+    """The signed distance of two solids, at least one a mesh; None if their cores overlap."""
     if _pierced(a, b) or _pierced(b, a):
         return None
     distance, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
@@ -53,7 +53,7 @@ def mesh_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedD
 
 
 def mesh_penetration(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
-    """The same for cores that meet."""
+    """The signed distance of two solids, at least one a mesh, whose cores overlap."""
     found: list[Core] = [*_corners(a, b, calls), *_crossings(a, b, calls)]
     found += [(gap, p, q, -normal) for gap, q, p, normal in _corners(b, a, calls)]
     if not found:
@@ -65,11 +65,18 @@ def mesh_penetration(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Sign
 
 
 def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallCounter) -> bool:
-    """Whether a mesh and another solid are deeper in each other, by some triangles that cross.
+    """Whether crossing triangles show that a mesh and another solid are deeper in each other.
 
-    Each bounds the depth from below. If these are not deeper, others may be.
+    Each pair of crossing triangles bounds the depth from below. If the result is False, other pairs
+    may be deeper.
+
+    Args:
+        a: a solid.
+        b: another one.
+        deeper: the depth to exceed, m.
+        calls: counts the calls of FCL.
     """
-    numbers = _touched(a, b, SOME_CONTACTS, calls)
+    numbers = _crossing_triangles(a, b, FEW_CONTACTS, calls)
     if not numbers:
         return False
     i, j = zip(*numbers, strict=True)
@@ -78,7 +85,7 @@ def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallC
 
 
 def _pierced(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
-    """Which triangles a core that is a segment goes through: FCL overlooks some of them."""
+    """The triangles that a segment core passes through; FCL misses some of them."""
     ends = segment.solid.fine_surface.vertices
     if len(ends) != 2:
         return []
@@ -98,14 +105,14 @@ def _pierced(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
 
 
 def _encloses(outer: PlacedSolid, inner: PlacedSolid) -> bool:
-    """Whether a part of one is inside the other, if their surfaces do not cross."""
-    if not _is_full(outer):
+    """Whether one solid contains a part of the other, if their surfaces do not cross."""
+    if not _has_inside(outer):
         return False
     points = _local(outer, _world(inner, inner.solid.fine_surface.component_vertices))
     return bool(outer.solid.fine_surface.encloses(points).any())
 
 
-def _is_full(placed: PlacedSolid) -> bool:
+def _has_inside(placed: PlacedSolid) -> bool:
     """Whether the core has an inside."""
     solid = placed.solid
     return solid.is_closed and solid.volume > 0.0 and not solid.radius
@@ -123,7 +130,7 @@ def _local(placed: PlacedSolid, points: Array) -> Array:
 
 def _corners(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
     """The corner of a that is deepest in b."""
-    if not _is_full(b):
+    if not _has_inside(b):
         return []
     points = _world(a, a.solid.fine_surface.vertices)
     points = points[b.solid.fine_surface.encloses(_local(b, points))]
@@ -151,9 +158,9 @@ def _planes(surface: Surface) -> tuple[Array, Array]:
 
 
 def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Core:
-    """Of points inside a mesh the one that is farthest from its surface.
+    """The point inside a mesh that is farthest from its surface.
 
-    The depths of two points differ by no more than they are apart: most are never asked for.
+    The depths of two points differ by at most their distance, so that most are never computed.
     """
     most = np.full(len(points), math.inf)
     depth, p, q = -1.0, points[0], points[0]
@@ -165,16 +172,16 @@ def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Co
         if found[0] > depth:
             depth, p, q = found
         most[number] = found[0]
-        if asked < TELLING:  # where many are as deep, more would tell nothing
+        if asked < BOUNDING_CORNERS:  # if many points are equally deep, more bounds do not help
             off = points - points[number]
             most = np.minimum(most, found[0] + np.sqrt(np.einsum("ij,ij->i", off, off)))
     if depth <= CONTACT_TOLERANCE:
-        return 0.0, p, p, _facing(mesh, p)[0]
+        return 0.0, p, p, _normals_at(mesh, p)[0]
     return -depth, p, q, (q - p) / depth
 
 
 def _at(point: Array) -> Any:
-    """A point for FCL."""
+    """A point as an FCL object."""
     import fcl
 
     return fcl.CollisionObject(_point().bvh, fcl.Transform(point))
@@ -185,8 +192,8 @@ def _point() -> Surface:
     return Surface(np.zeros((1, 3)), np.zeros((1, 3), np.int32))
 
 
-def _facing(placed: PlacedSolid, point: Array) -> Array:
-    """The normals (n, 3) of the faces that have a point of the surface."""
+def _normals_at(placed: PlacedSolid, point: Array) -> Array:
+    """The normals (n, 3) of the faces that contain a point of the surface."""
     surface = placed.solid.fine_surface
     local = _local(placed, point[None])[0]
     corners = surface.triangles
@@ -203,8 +210,8 @@ def _facing(placed: PlacedSolid, point: Array) -> Array:
 
 
 def _crossings(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
-    """The deepest two triangles that cross."""
-    both = _touched(a, b, MOST_CONTACTS, calls)
+    """The deepest pair of crossing triangles."""
+    both = _crossing_triangles(a, b, MAX_CONTACTS, calls)
     both |= {(0, face) for face in _pierced(a, b)} | {(face, 0) for face in _pierced(b, a)}
     if not both:
         return []
@@ -212,15 +219,18 @@ def _crossings(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]
     first, second = _world_triangles(a, numbers[:, 0]), _world_triangles(b, numbers[:, 1])
     depths, normals = triangle_depths(first, second)
     deepest = int(depths.argmax())
-    if depths[deepest] < -CONTACT_TOLERANCE:  # FCL counts some that lie in one plane side by side
+    # FCL reports some coplanar triangles that lie side by side.
+    if depths[deepest] < -CONTACT_TOLERANCE:
         return []
     depth, normal = max(0.0, float(depths[deepest])), normals[deepest]
     middle = _crossing_point(first[deepest], second[deepest])
     return [(-depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal)]
 
 
-def _touched(a: PlacedSolid, b: PlacedSolid, most: int, calls: CallCounter) -> set[tuple[int, int]]:
-    """Which triangles of the one cross which of the other, as FCL has it."""
+def _crossing_triangles(
+    a: PlacedSolid, b: PlacedSolid, most: int, calls: CallCounter
+) -> set[tuple[int, int]]:
+    """The pairs of triangles that cross, according to FCL."""
     import fcl
 
     calls.calls += 1
@@ -231,7 +241,7 @@ def _touched(a: PlacedSolid, b: PlacedSolid, most: int, calls: CallCounter) -> s
 
 
 def _crossing_point(first: Array, second: Array) -> Array:
-    """The middle of where the edges of two triangles go through the other; else of their boxes."""
+    """The centre of the points where edges of one triangle cross the other; else of their boxes."""
     found = []
     for edges, other in ((first, second), (second, first)):
         normal = np.cross(other[1] - other[0], other[2] - other[0])
@@ -260,16 +270,16 @@ def _world_triangles(placed: PlacedSolid, numbers: list[int] | Array) -> Array:
 
 
 def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
-    """Of pairs of triangles (k, 3, 3) the least overlap in any direction, and the direction.
+    """The least overlap of pairs of triangles (k, 3, 3) in any direction, and the direction.
 
-    It is negative if the direction separates them.
-    The directions are their normals and those across an edge of each: the faces of the
-    difference of two triangles. A triangle may be a segment.
+    The overlap is negative if the direction separates the triangles. The directions are the
+    triangles' normals and the cross products of their edges: the face normals of their difference.
+    A triangle may be a segment.
     """
     edges_a, edges_b = np.roll(first, -1, 1) - first, np.roll(second, -1, 1) - second
     pairs = np.repeat(edges_a, 3, axis=1), np.tile(edges_b, (1, 3, 1))
     own = (edges_a[:, 0], edges_a[:, 1]), (edges_b[:, 0], edges_b[:, 1])
-    ways = np.concatenate(
+    directions = np.concatenate(
         (
             cross(own[0][0], own[0][1])[:, None],
             cross(own[1][0], own[1][1])[:, None],
@@ -277,27 +287,30 @@ def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
         ),
         axis=1,
     )
-    length = np.linalg.norm(ways, axis=2)
+    length = np.linalg.norm(directions, axis=2)
     longest = np.linalg.norm(edges_a, axis=2).max(1) * np.linalg.norm(edges_b, axis=2).max(1)
     longest = np.maximum(longest[:, None], 1e-300)
-    ways = ways / np.maximum(length, 1e-300)[:, :, None]
-    of_a, of_b = np.einsum("kwi,kci->kwc", ways, first), np.einsum("kwi,kci->kwc", ways, second)
-    up = of_b.max(2) - of_a.min(2)  # a moves along the direction
-    down = of_a.max(2) - of_b.min(2)  # or against it
+    directions = directions / np.maximum(length, 1e-300)[:, :, None]
+    of_a, of_b = (
+        np.einsum("kwi,kci->kwc", directions, first),
+        np.einsum("kwi,kci->kwc", directions, second),
+    )
+    up = of_b.max(2) - of_a.min(2)  # a moves along the direction,
+    down = of_a.max(2) - of_b.min(2)  # or in the opposite direction
     overlap = np.where(length > 1e-9 * longest, np.minimum(up, down), math.inf)
     best = overlap.argmin(axis=1)
     rows = np.arange(len(first))
     sign = np.where(up[rows, best] <= down[rows, best], 1.0, -1.0)
     depths = overlap[rows, best]
-    # Triangles that lie in one line have no such direction; they only touch.
+    # Triangles on one line have no such direction; they only touch.
     depths[~np.isfinite(depths)] = 0.0
-    return depths, ways[rows, best] * sign[:, None]
+    return depths, directions[rows, best] * sign[:, None]
 
 
 def _touching(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
-    """Cores that share a point of their surfaces, and no more that is known.
+    """Cores that share a point of their surfaces and nothing else.
 
-    Of the normals of the faces there it is that along which the shapes overlap least.
+    The direction is the normal of a face there along which the shapes overlap least.
     """
     _, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
     middle = (p + q) / 2
@@ -305,10 +318,10 @@ def _touching(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
 
 
 def _normal_at(a: PlacedSolid, b: PlacedSolid, point: Array) -> Array:
-    faces = np.concatenate((_facing(a, point), _facing(b, point)))
+    faces = np.concatenate((_normals_at(a, point), _normals_at(b, point)))
     if not len(faces):
         return np.array([0.0, 0.0, 1.0])
-    ways = np.concatenate((faces, -faces))
-    overlaps = a.support_heights(-ways) + b.support_heights(ways)
-    best: Array = ways[int(overlaps.argmin())]
+    directions = np.concatenate((faces, -faces))
+    overlaps = a.support_heights(-directions) + b.support_heights(directions)
+    best: Array = directions[int(overlaps.argmin())]
     return best

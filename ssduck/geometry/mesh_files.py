@@ -1,4 +1,4 @@
-"""Geometries from mesh files."""
+"""Geometries that are read from mesh files."""
 
 from __future__ import annotations
 
@@ -12,13 +12,17 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Triangles
 from ssduck.geometry.shapes import Geometry
 
-# A scene has a few dozen mesh files at most, each in one or two sizes. What is not used any
-# more goes, so that big meshes do not add up.
+# A scene has a few dozen mesh files at most, each in one or two sizes. Files that are no longer
+# used are dropped, so that big meshes do not add up.
 CACHED_FILES = 64
 
 
 def load_mesh(path: Path, scale: tuple[float, ...]) -> Geometry:
-    """All triangles of a mesh file (OBJ, STL, …), scaled along its axes.
+    """Reads all triangles of a mesh file (OBJ, STL, …).
+
+    Args:
+        path: the file.
+        scale: a factor for each axis.
 
     Raises:
         ValueError: the file cannot be read, or holds no triangles.
@@ -27,7 +31,11 @@ def load_mesh(path: Path, scale: tuple[float, ...]) -> Geometry:
 
 
 def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
-    """The convex hull of each object in a mesh file (OBJ, STL, …), scaled along its axes.
+    """Reads the convex hull of each object in a mesh file (OBJ, STL, …).
+
+    Args:
+        path: the file.
+        scale: a factor for each axis.
 
     Raises:
         ValueError: the file cannot be read, or holds no triangles.
@@ -36,7 +44,7 @@ def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
 
 
 def _stamp(path: Path) -> tuple[int, int]:
-    """Tells a file from what it was before it was written anew."""
+    """The time and size of a file, which change when the file is written again."""
     try:
         status = path.stat()
     except OSError as error:
@@ -76,7 +84,7 @@ def _read_triangles(path: Path) -> tuple[Array, list[Triangles]]:
 
 
 def _read_obj(text: str) -> tuple[Array, list[Triangles]]:
-    """An OBJ file; `o` and `g` begin an object, as they do for PyBullet."""
+    """Parses an OBJ file. `o` and `g` begin an object, as they do for PyBullet."""
     vertices: list[list[float]] = []
     objects: list[list[list[int]]] = [[]]
     for line in text.splitlines():
@@ -97,7 +105,7 @@ def _read_obj(text: str) -> tuple[Array, list[Triangles]]:
 
 
 def _read_other(path: Path) -> tuple[Array, list[Triangles]]:
-    """A file that trimesh reads, as one object."""
+    """Reads a file with trimesh, as one object."""
     import trimesh
 
     loaded: Any = trimesh.load_mesh(path, process=False)

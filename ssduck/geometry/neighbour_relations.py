@@ -1,6 +1,6 @@
-"""What is around an entity: whether another one encloses it, and whether one is beside it.
+"""Relations of an entity to its neighbours: enclosing, beside, supporting, resting on.
 
-Both are told by rays against the shapes, with the poses of one tick.
+Rays against the shapes of a tick decide the first two, contact normals the others.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ from ssduck.geometry.ray_casting import (
 # The numbers w, x, y, z of a unit quaternion.
 Orientation: TypeAlias = tuple[float, float, float, float]
 
-# The boxes of what rests on something, grown by margins, are no farther apart than that, m.
-RESTING = 0.01
-# What reaches past something at both ends by more, metres, is not enclosed along that axis.
-PAST = 1e-3
-# Of three axes, at least so many have walls on both sides.
-WALLED = 2
-# Where lines run between two entities: shares of the breadth and of the height they have in common.
-SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)
-# A direction whose horizontal part is shorter is vertical.
-VERTICAL = 1e-6
+# The greatest distance of the boxes, grown by margins, of entities that rest on each other, m.
+RESTING_DISTANCE = 0.01
+# An entity that extends beyond another at both ends by more is not enclosed along that axis, m.
+MAX_PROTRUSION = 1e-3
+# The least number of axes, of three, with walls on both sides.
+MIN_WALLED_AXES = 2
+# The places of lines between two entities: fractions of their common breadth and height.
+LINE_FRACTIONS = (0.5, 0.1, 0.9, 0.3, 0.7)
+# A direction with a smaller horizontal part counts as vertical.
+MIN_HORIZONTAL = 1e-6
 
 
 class NeighbourRelations:
-    """What is around the entities of one tick, by their shapes.
+    """Relations of the entities of one tick to their neighbours, by their shapes.
 
-    All methods take entities by number. Their answer is None, for unknown, as the narrow phase's
-    is; an entity has nothing to do with itself, and one without shapes with no other.
+    Entities are numbered from 0. A result is None, for unknown, as in the narrow phase. An entity
+    has no relation to itself, and one without shapes to none.
 
     Args:
-        narrow: the shapes.
-        pairs: gives the pairs of entities whose boxes, grown by the margins of their shapes, are no
-            farther apart along any axis, m.
+        narrow: the narrow phase of the tick.
+        pairs: yields the pairs of entities whose boxes, grown by the margins of their shapes, are
+            at most a distance apart along every axis, m.
     """
 
     def __init__(
@@ -64,12 +64,12 @@ class NeighbourRelations:
         self._resting: dict[int, frozenset[int]] = {}
 
     def encloses(self, a: int, b: int, turn: Orientation) -> bool | None:
-        """Whether b is within walls of a: see `encloses`, of the middle of b's box.
+        """Whether b is within walls of a; see `encloses`, for the centre of b's box.
 
         Args:
-            a: what may enclose.
-            b: what may be enclosed.
-            turn: the orientation of a's link frame, whose axes count.
+            a: the entity that may enclose.
+            b: the entity that may be enclosed.
+            turn: the orientation of a's link frame, whose axes are tested.
         """
         if not self._are_known(a, b):
             return None
@@ -82,9 +82,9 @@ class NeighbourRelations:
         return encloses(narrow.shapes_of(a), axes, narrow.shapes_of(b), centre)
 
     def are_beside(self, a: int, b: int, turn_a: Orientation, turn_b: Orientation) -> bool | None:
-        """Whether neither is on or in the other, and one is in sight of the other: `is_in_sight`.
+        """Whether neither is on or in the other, and one can see the other; see `is_in_sight`.
 
-        That their heights overlap, and that they are near enough, is to be known.
+        The caller has tested that their heights overlap and that they are near enough.
         """
         if not self._are_known(a, b):
             return None
@@ -128,7 +128,7 @@ class NeighbourRelations:
     def _neighbours(self) -> dict[int, list[int]]:
         """The known entities that may touch each entity."""
         found: dict[int, list[int]] = {}
-        for a, b in self._pairs(RESTING):
+        for a, b in self._pairs(RESTING_DISTANCE):
             if self._are_known(a, b):
                 found.setdefault(a, []).append(b)
                 found.setdefault(b, []).append(a)
@@ -147,7 +147,7 @@ class NeighbourRelations:
         return [(a, b) for a in self._on for b in self._resting_on(a) if a != b]
 
     def _resting_on(self, a: int) -> frozenset[int]:
-        """All that rest on an entity, through others or not."""
+        """The entities that rest on an entity, directly or through others."""
         if a not in self._resting:
             found: set[int] = set()
             todo = [a]
@@ -160,7 +160,7 @@ class NeighbourRelations:
 
     @cached_property
     def _on(self) -> dict[int, frozenset[int]]:
-        """What is on each entity, of all pairs of the tick."""
+        """The entities that are directly on each entity."""
         found: dict[int, set[int]] = {}
         for b, others in self._neighbours.items():
             self._narrow.note(pair_number(a, b) for a in others)
@@ -185,45 +185,48 @@ class NeighbourRelations:
 def encloses(
     a: Sequence[PlacedSolid], axes: Array, b: Sequence[PlacedSolid], centre: Array
 ) -> bool:
-    """Whether rays from a centre meet a on both sides along two axes at least.
+    """Whether rays from a point hit some shapes on both sides along at least two axes.
 
-    A convex shape that holds the centre is not met. An axis along which b reaches past a at both
-    ends does not count.
+    A convex shape that contains the point is not hit. An axis along which b extends beyond a at
+    both ends does not count.
 
     Args:
-        a: the shapes of what may enclose.
+        a: the shapes of the entity that may enclose.
         axes: (3, 3), unit vectors as rows.
-        b: the shapes of what may be enclosed.
-        centre: (3,), of b.
+        b: the shapes of the entity that may be enclosed.
+        centre: (3,), the point, the centre of b.
     """
-    ways = np.concatenate((axes, -axes))
-    met = np.zeros(len(ways), dtype=bool)
+    directions = np.concatenate((axes, -axes))
+    met = np.zeros(len(directions), dtype=bool)
     for one in a:
-        if not _may_be_met(one, axes, centre):
+        if not _may_be_hit(one, axes, centre):
             continue
         start = (centre - one.position) @ one.matrix
-        shares = first_hits(one.solid, start, ways @ one.matrix)
+        shares = first_hits(one.solid, start, directions @ one.matrix)
         met |= np.isfinite(shares) & (shares > HIT_TOLERANCE)
     walled = met[:3] & met[3:]
-    if walled.sum() < WALLED:
+    if walled.sum() < MIN_WALLED_AXES:
         return False
-    walled &= ~((_extents(b, ways) - _extents(a, ways)).reshape(2, 3) > PAST).all(axis=0)
-    return bool(walled.sum() >= WALLED)
+    walled &= ~(
+        (_support_heights(b, directions) - _support_heights(a, directions)).reshape(2, 3)
+        > MAX_PROTRUSION
+    ).all(axis=0)
+    return bool(walled.sum() >= MIN_WALLED_AXES)
 
 
-def _may_be_met(one: PlacedSolid, axes: Array, centre: Array) -> bool:
-    """Whether a line along an axis through a point meets the sphere around a shape."""
+def _may_be_hit(one: PlacedSolid, axes: Array, centre: Array) -> bool:
+    """Whether a line along an axis through a point hits the bounding sphere of a shape."""
     off = axes @ (np.array(one.to_world(*one.solid.centre)) - centre)
     beside = off @ off - off * off
     return bool((beside <= (one.solid.bounding_radius + HIT_TOLERANCE) ** 2).any())
 
 
-def _extents(shapes: Sequence[PlacedSolid], ways: Array) -> Array:
-    """How far shapes reach in unit directions (n, 3), m from the origin, (n,)."""
+def _support_heights(shapes: Sequence[PlacedSolid], directions: Array) -> Array:
+    """The support heights of shapes in unit directions (n, 3), m from the origin, (n,)."""
     reaches = [
-        np.full(len(ways), math.inf)
+        np.full(len(directions), math.inf)
         if one.solid.type == "plane"
-        else one.support_heights(ways) + one.solid.radius
+        else one.support_heights(directions) + one.solid.radius
         for one in shapes
     ]
     farthest: Array = np.max(reaches, axis=0)
@@ -235,13 +238,13 @@ def _extents(shapes: Sequence[PlacedSolid], ways: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Parallel horizontal lines: where they begin (n, 3), and their unit direction (3,)."""
+    """Parallel horizontal lines: their starts (n, 3) and their unit direction (3,)."""
 
     starts: Array
     way: Array
 
     @property
-    def ways(self) -> Array:
+    def directions(self) -> Array:
         return np.repeat(self.way[None], len(self.starts), axis=0)
 
 
@@ -251,31 +254,31 @@ def is_in_sight(
     others: Sequence[PlacedSolid],
     nearest: SignedDistance,
 ) -> bool:
-    """Whether a horizontal ray from a or b meets the other before anything else.
+    """Whether a horizontal ray from a or b hits the other before anything else.
 
-    The rays run along the horizontal parts of the nearest points' connection and of that of the
-    centres, through the nearest points and through a grid over the breadth and the height that a
-    and b have in common.
+    The rays run along the horizontal parts of the lines through the nearest points and through the
+    centres. They start at the nearest points and at a grid over the common breadth and height of a
+    and b.
 
     Args:
         a: the shapes of an entity; none is a plane.
-        b: those of another one.
+        b: the shapes of another one.
         others: the shapes of all other entities that may be between them.
-        nearest: the nearest points of a and b.
+        nearest: the signed distance of a and b.
     """
     return any(
         _is_clear(lines, a, b, others)
-        for way in _ways(a, b, nearest)
-        for lines in (_lines(a, b, way, nearest),)
+        for way in _horizontal_directions(a, b, nearest)
+        for lines in (_lines_between(a, b, way, nearest),)
     )
 
 
-def _ways(
+def _horizontal_directions(
     a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], nearest: SignedDistance
 ) -> list[Array]:
     """Horizontal unit directions from a to b."""
     up = np.concatenate((np.eye(3), -np.eye(3)))
-    of_a, of_b = _extents(a, up), _extents(b, up)
+    of_a, of_b = _support_heights(a, up), _support_heights(b, up)
     middles = (of_b[:3] - of_b[3:] - of_a[:3] + of_a[3:]) / 2
     apart = np.subtract(nearest.point_b, nearest.point_a)
     if nearest.normal is not None and nearest.distance <= HIT_TOLERANCE:
@@ -283,24 +286,24 @@ def _ways(
     found = []
     for direction in (apart, middles):
         length = math.hypot(direction[0], direction[1])
-        if length > VERTICAL * float(np.linalg.norm(direction)):
+        if length > MIN_HORIZONTAL * float(np.linalg.norm(direction)):
             found.append(np.array([direction[0] / length, direction[1] / length, 0.0]))
     return found
 
 
-def _lines(
+def _lines_between(
     a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], way: Array, nearest: SignedDistance
 ) -> _Lines:
-    """Lines in a direction, over what a and b have in common across it."""
+    """Lines in a direction, over the common breadth and height of a and b."""
     across = np.array([-way[1], way[0], 0.0])
     axes = np.stack((way, across, [0.0, 0.0, 1.0]))
-    reach = np.stack([_extents(one, np.concatenate((axes, -axes))) for one in (a, b)])
+    reach = np.stack([_support_heights(one, np.concatenate((axes, -axes))) for one in (a, b)])
     high, low = reach[:, :3].min(axis=0), (-reach[:, 3:]).max(axis=0)
     begin = float((-reach[:, 3]).min()) - 1.0
     places = [
         (low[1] + s * (high[1] - low[1]), low[2] + t * (high[2] - low[2]))
-        for s in SHARES
-        for t in SHARES
+        for s in LINE_FRACTIONS
+        for t in LINE_FRACTIONS
         if high[1] >= low[1]
     ]
     middle = (np.array(nearest.point_a) + nearest.point_b) / 2
@@ -314,7 +317,7 @@ def _lines(
 def _is_clear(
     lines: _Lines, a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], others: Sequence[PlacedSolid]
 ) -> bool:
-    """Whether on one of the lines nothing is between a and b."""
+    """Whether nothing is between a and b on one of the lines."""
     of_a, of_b = _stretches(lines, a), _stretches(lines, b)
     if not any(p and q for p, q in zip(of_a, of_b, strict=True)):
         return False
@@ -328,7 +331,7 @@ def _is_clear(
 
 
 def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> bool:
-    """Whether nothing is between the end of one stretch and the beginning of the next one."""
+    """Whether nothing is between the end of one stretch and the start of the next one."""
     return not any(
         leave > near + HIT_TOLERANCE and enter < far - HIT_TOLERANCE and far > near + HIT_TOLERANCE
         for enter, leave in blocks
@@ -336,11 +339,11 @@ def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> 
 
 
 def _stretches(lines: _Lines, shapes: Sequence[PlacedSolid]) -> list[list[tuple[float, float]]]:
-    """Of each line where it enters shapes and leaves them, m; it crosses triangles in a point."""
+    """The intervals of each line in shapes, m; a crossing of a triangle is a point."""
     found: list[list[tuple[float, float]]] = [[] for _ in lines.starts]
-    ways = lines.ways
+    directions = lines.directions
     for one in shapes:
-        starts, own = (lines.starts - one.position) @ one.matrix, ways @ one.matrix
+        starts, own = (lines.starts - one.position) @ one.matrix, directions @ one.matrix
         if is_triangle_surface(one.solid):
             shares = crossings(one.solid, starts, own)
             for line, share in np.argwhere(np.isfinite(shares)).tolist():

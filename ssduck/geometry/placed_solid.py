@@ -1,4 +1,4 @@
-"""A solid at a pose: where its points are in the world, and how far it reaches."""
+"""A solid at a pose: its points, its extents and its FCL objects in the world."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Point4: TypeAlias = tuple[float, float, float, float]
 
 
 class PlacedSolid:
-    """A solid at a pose in the world; the pose is finite, its quaternion w, x, y, z of length 1."""
+    """A solid at a finite pose in the world; the quaternion is w, x, y, z, of length 1."""
 
     def __init__(self, solid: Solid, position: Point, orientation: Point4) -> None:
         self.solid = solid
@@ -29,42 +29,42 @@ class PlacedSolid:
         )
 
     def to_world(self, x: float, y: float, z: float) -> Point:
-        """A point of the solid's frame in the world."""
+        """Transforms a point from the solid's frame to the world."""
         (a, b, c), (d, e, f), (g, h, i) = self.matrix_rows
         u, v, w = self.position
         return u + a * x + b * y + c * z, v + d * x + e * y + f * z, w + g * x + h * y + i * z
 
     def to_local(self, point: Point) -> Point:
-        """A point of the world in the solid's frame."""
+        """Transforms a point from the world to the solid's frame."""
         (a, b, c), (d, e, f), (g, h, i) = self.matrix_rows
         x, y, z = (point[k] - self.position[k] for k in range(3))
         return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
 
     def direction_to_world(self, x: float, y: float, z: float) -> Point:
-        """A direction of the solid's frame in the world."""
+        """Rotates a direction from the solid's frame to the world."""
         (a, b, c), (d, e, f), (g, h, i) = self.matrix_rows
         return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
     @cached_property
     def matrix(self) -> Array:
-        """The rotation, (3, 3)."""
+        """The rotation matrix, (3, 3)."""
         return np.array(self.matrix_rows)
 
     @cached_property
     def points(self) -> Array:
-        """The core's points in the world."""
+        """The points of the core in the world, (n, 3)."""
         placed: Array = self.solid.core @ self.matrix.T + self.position
         return placed
 
     @cached_property
     def normals(self) -> Array:
-        """The faces' normals in the world."""
+        """The normals of the faces in the world, (m, 3)."""
         direction_to_world: Array = self.solid.normals @ self.matrix.T
         return direction_to_world
 
     @cached_property
     def offsets(self) -> Array | None:
-        """The faces' offsets in the world."""
+        """The offsets of the faces in the world, (m,)."""
         if self.solid.offsets is None:
             return None
         moved: Array = self.solid.offsets + self.normals @ np.array(self.position)
@@ -72,12 +72,12 @@ class PlacedSolid:
 
     @cached_property
     def fcl_object(self) -> Any:
-        """The core's surface for FCL, a prism for a cylinder."""
+        """The surface of the core for FCL; a prism for a cylinder."""
         return self._object(self.solid.surface.bvh)
 
     @cached_property
     def fine_fcl_object(self) -> Any:
-        """The same with a finer prism."""
+        """The surface of the core for FCL; a cylinder has a finer prism."""
         return self._object(self.solid.fine_surface.bvh)
 
     def _object(self, tree: Any) -> Any:
@@ -86,37 +86,42 @@ class PlacedSolid:
         return fcl.CollisionObject(tree, fcl.Transform(self.orientation, self.position))
 
     def support_points(self, directions: Array) -> Array:
-        """The core's farthest points (k, 3) in unit directions (k, 3)."""
+        """The farthest points (k, 3) of the core in unit directions (k, 3)."""
         points = self.points
         farthest: Array = points[np.argmax(directions @ points.T, axis=1)]
         if self.solid.disc_radius:
-            # Turned after it is made long, so that it is across the axis up to rounding.
-            across = directions @ self.matrix[:, :2]
-            length = np.sqrt((across * across).sum(axis=1))
-            across /= np.maximum(length, 1e-300)[:, None]
-            farthest = farthest + self.solid.disc_radius * across @ self.matrix[:, :2].T
+            # Scaled before it is rotated, so that it is normal to the axis up to rounding.
+            radial = directions @ self.matrix[:, :2]
+            length = np.sqrt((radial * radial).sum(axis=1))
+            radial /= np.maximum(length, 1e-300)[:, None]
+            farthest = farthest + self.solid.disc_radius * radial @ self.matrix[:, :2].T
         return farthest
 
-    def extreme_points(self, direction: Array, flush: float) -> Array:
-        """The core's points (n, 3) that are farthest in a unit direction, up to `flush` metres."""
+    def extreme_points(self, direction: Array, tolerance: float) -> Array:
+        """The points (n, 3) of the core that are farthest in a unit direction.
+
+        Args:
+            direction: (3,), of length 1.
+            tolerance: points that are nearer by less count as farthest, m.
+        """
         points = self.points
         heights = points @ direction
-        far: Array = points[heights >= heights.max() - flush]
+        farthest_points: Array = points[heights >= heights.max() - tolerance]
         if not self.solid.disc_radius:
-            return far
-        across = direction @ self.matrix[:, :2]
-        length = float(np.linalg.norm(across))
-        if self.solid.disc_radius * length > flush:
-            far += self.solid.disc_radius / length * across @ self.matrix[:, :2].T
-            return far
+            return farthest_points
+        radial = direction @ self.matrix[:, :2]
+        length = float(np.linalg.norm(radial))
+        if self.solid.disc_radius * length > tolerance:
+            farthest_points += self.solid.disc_radius / length * radial @ self.matrix[:, :2].T
+            return farthest_points
         rim = self.solid.fine_surface.vertices @ self.matrix.T + self.position
-        far = rim[rim @ direction >= (rim @ direction).max() - 2 * flush]
-        return np.ascontiguousarray(far)
+        farthest_points = rim[rim @ direction >= (rim @ direction).max() - 2 * tolerance]
+        return np.ascontiguousarray(farthest_points)
 
     def support_heights(self, directions: Array) -> Array:
-        """How far the core reaches in unit directions (k, 3)."""
+        """The extents (k,) of the core from the origin in unit directions (k, 3), m."""
         farthest: Array = (directions @ self.points.T).max(axis=1)
         if self.solid.disc_radius:
-            across = directions @ self.matrix[:, :2]
-            farthest = farthest + self.solid.disc_radius * np.sqrt((across * across).sum(axis=1))
+            radial = directions @ self.matrix[:, :2]
+            farthest = farthest + self.solid.disc_radius * np.sqrt((radial * radial).sum(axis=1))
         return farthest

@@ -1,8 +1,12 @@
-"""Poses and rotations; pure functions of numpy arrays.
+"""Poses and rotations, as functions of numpy arrays.
 
-Metres and radians. Quaternions are w, x, y, z and of unit length. A pose is that of a frame B
-in a frame A: `point_A = position + R(orientation) @ point_B`. Arrays of n frames have shapes
-(n, 3) and (n, 4).
+Lengths are metres, angles radians, and quaternions w, x, y, z of unit length. A pose is that of a
+frame B in a frame A: `point_A = position + R(orientation) @ point_B`. The poses of n frames are
+arrays (n, 3) and (n, 4).
+
+The bits of a row's result do not depend on the other rows, so that a query over one tick and one
+over many ticks agree. Therefore the functions add terms in a fixed order. The order of a matrix
+product or of `einsum` would depend on the number of rows.
 """
 
 from __future__ import annotations
@@ -13,20 +17,20 @@ from ssduck.geometry.arrays import Array
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
-# A row's result has the same bits in whatever company it is worked out: a tick's rows, a few of
-# them, those of many ticks. So these are sums of a fixed order, term by term over all rows: of a
-# matrix product, or of `einsum`, the order depends on the number of rows.
-
 
 def rotation_matrices(orientations: Array) -> Array:
-    """(n, 4) unit quaternions to (n, 3, 3) rotation matrices."""
+    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4).
+
+    >>> rotation_matrices(np.array([[1.0, 0.0, 0.0, 0.0]]))[0].tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     return np.ascontiguousarray(flat_rotation_matrices(orientations).T).reshape(-1, 3, 3)
 
 
 def flat_rotation_matrices(orientations: Array) -> Array:
-    """As `rotation_matrices`, one row an entry: (n, 4) to (9, n)."""
-    # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed). In few
-    # operations, each on several rows: in a tick of a small world these cost more than the sums.
+    """Rotation matrices (9, n) of unit quaternions (n, 4), one row for each entry of the matrix."""
+    # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed). Few
+    # operations on several rows each: in a small world, calls cost more than sums.
     columns = np.ascontiguousarray(orientations.T)
     products = columns.take(_FIRST, axis=0)
     products *= columns.take(_SECOND, axis=0)
@@ -39,21 +43,21 @@ def flat_rotation_matrices(orientations: Array) -> Array:
     np.subtract(mixed, with_w, out=entries[3:6])
     np.add(mixed, with_w, out=entries[6:])
     entries[3:] *= 2.0
-    turns: Array = entries.take(_ROW_BY_ROW, axis=0)
-    return turns
+    flat: Array = entries.take(_ROW_BY_ROW, axis=0)
+    return flat
 
 
 # The products wz, wx, wy; xy, yz, zx; ww, xx, yy, zz.
 _FIRST = np.array([0, 0, 0, 1, 2, 3, 0, 1, 2, 3])
 _SECOND = np.array([3, 1, 2, 2, 3, 1, 0, 1, 2, 3])
-# Of xx, yy and zz in each entry of the diagonal.
+# The signs of xx, yy and zz in each entry of the diagonal.
 _SIGNS = np.array([[1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])[:, :, None]
-# The diagonal, then xy - wz, yz - wx, zx - wy, then the same sums, as the rows of a matrix.
+# Places of the diagonal, of xy - wz, yz - wx, zx - wy and of the sums, as rows of a matrix.
 _ROW_BY_ROW = np.array([0, 3, 8, 6, 1, 4, 5, 7, 2])
 
 
 def rotate(matrices: Array, vectors: Array) -> Array:
-    """Each (3, 3) of (n, 3, 3) times each (3,) of (n, 3)."""
+    """The product of each matrix of (n, 3, 3) with its vector of (n, 3)."""
     products = matrices * vectors[:, None, :]
     rotated: Array = products[:, :, 0] + products[:, :, 1]
     rotated += products[:, :, 2]
@@ -61,11 +65,11 @@ def rotate(matrices: Array, vectors: Array) -> Array:
 
 
 def cross(first: Array, second: Array) -> Array:
-    """Cross products of the rows of (n, 3)."""
+    """Cross products of the rows of two arrays (n, 3)."""
     products = first.take(_CROSSED, axis=1)
     products *= second.take(_CROSSED_WITH, axis=1)
-    crossed: Array = products[:, :3] - products[:, 3:]
-    return crossed
+    product: Array = products[:, :3] - products[:, 3:]
+    return product
 
 
 _CROSSED = np.array([1, 2, 0, 2, 0, 1])
@@ -73,7 +77,7 @@ _CROSSED_WITH = np.array([2, 0, 1, 1, 2, 0])
 
 
 def multiply(first: Array, second: Array) -> Array:
-    """Hamilton products of (n, 4) quaternions: the rotation `second`, then `first`."""
+    """Hamilton products of quaternions (n, 4): the rotation `second`, then `first`."""
     # (s, u)(t, v) = (s t - u.v, s v + t u + u x v)
     w, x, y, z = np.ascontiguousarray(first.T)
     s, i, j, k = np.ascontiguousarray(second.T)
@@ -89,7 +93,7 @@ def multiply(first: Array, second: Array) -> Array:
 
 
 def unit_quaternions(orientations: Array) -> Array:
-    """Quaternions (n, 4) of length 1; NaN where they have none."""
+    """Quaternions (n, 4) scaled to length 1; NaN for a quaternion of length 0."""
     squares = orientations * orientations
     length = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -100,7 +104,12 @@ def unit_quaternions(orientations: Array) -> Array:
 def compose(
     positions: Array, orientations: Array, inner_positions: Array, inner_orientations: Array
 ) -> tuple[Array, Array]:
-    """Poses of C in A from those of B in A and of C in B; all of n rows."""
+    """Poses of C in A, from poses of B in A and of C in B, all of n rows.
+
+    >>> position, _ = compose(np.ones((1, 3)), IDENTITY[None], np.ones((1, 3)), IDENTITY[None])
+    >>> position.tolist()
+    [[2.0, 2.0, 2.0]]
+    """
     matrices = rotation_matrices(orientations)
     return (
         positions + rotate(matrices, inner_positions),
@@ -109,13 +118,13 @@ def compose(
 
 
 def invert(positions: Array, orientations: Array) -> tuple[Array, Array]:
-    """Poses of A in B from those of B in A."""
+    """Poses of A in B, from poses of B in A."""
     inverse = orientations * np.array([1.0, -1.0, -1.0, -1.0])
     return -rotate(rotation_matrices(inverse), positions), inverse
 
 
 def quaternion_from_matrix(matrix: Array) -> Array:
-    """A rotation matrix (3, 3) as a unit quaternion."""
+    """The unit quaternion of a rotation matrix (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     turn: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)

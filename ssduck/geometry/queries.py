@@ -16,7 +16,7 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
-from ssduck.geometry.narrow_phase import COLLIDES, NarrowPhase
+from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.schema import MOST_IDS
@@ -173,7 +173,7 @@ class ShapeQueries:
             return True
         return False if self._narrow.is_known(i) and self._narrow.is_known(j) else None
 
-    def collides(self, a: int, b: int, deeper: float = COLLIDES) -> bool | None:
+    def collides(self, a: int, b: int, deeper: float = MIN_DEPTH) -> bool | None:
         """Whether they are deeper in each other, m.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Square cells over a plane, and intervals of strips of them."""
+"""Square cells over the ground, and intervals of strips of cells."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
 
-# What is as near to a boundary is on it, m.
+# Points that are nearer to the boundary of a cell are on it, m.
 CELL_TOLERANCE = 1e-9
 
 
@@ -20,7 +20,7 @@ class Raster:
     Attributes:
         origin: x and y of the lower corner, m.
         size: the side of a cell, m.
-        shape: how many cells there are along x and along y.
+        shape: the number of cells along x and along y.
     """
 
     origin: tuple[float, float]
@@ -28,21 +28,26 @@ class Raster:
     shape: tuple[int, int]
 
     def centres(self, axis: int) -> Array:
-        """The coordinates of the cells' centres along x (0) or y (1)."""
+        """The coordinates of the cells' centres along x (0) or y (1).
+
+        >>> Raster((0.0, 0.0), 0.5, (3, 2)).centres(0).tolist()
+        [0.25, 0.75, 1.25]
+        """
         steps: Array = np.arange(self.shape[axis], dtype=np.float64) + 0.5
         return self.origin[axis] + steps * self.size
 
     def reached(self, low: Array, high: Array, within: float, axis: int) -> tuple[Indices, Indices]:
-        """The first and the last cell along an axis that intervals reach into.
+        """The first and the last cell along an axis that intervals overlap.
 
         Args:
-            low: where they begin,
-            high: and end.
-            within: by how much they have to reach into a cell; negative for how far they may be.
+            low: the starts of the intervals.
+            high: their ends.
+            within: by how much an interval has to reach into a cell; negative if it may stay that
+                far away.
             axis: x (0) or y (1).
 
         Returns:
-            Numbers from 0 on; the last is below the first where there is none.
+            Indices from 0; if an interval overlaps no cell, the last is below the first.
         """
         start, count = self.origin[axis], self.shape[axis]
         first = np.floor((low + within - start) / self.size)
@@ -55,13 +60,13 @@ class Raster:
 
 @dataclass(frozen=True, eq=False)
 class StripIntervals:
-    """Intervals along y of strips of cells.
+    """Intervals along y in strips of cells.
 
     Attributes:
-        strips: (n,)
-        low: (n,) where they begin,
-        high: and end.
-        within: by how much they have to reach into a cell.
+        strips: (n,), the indices of the strips.
+        low: (n,), the starts of the intervals.
+        high: (n,), their ends.
+        within: the length by which an interval has to reach into a cell.
     """
 
     strips: Indices
@@ -70,7 +75,7 @@ class StripIntervals:
     within: float
 
     def count(self, raster: Raster, changes: npt.NDArray[np.int32]) -> None:
-        """Add 1 at the first cell of each, and -1 behind its last."""
+        """Adds 1 at the first cell of each interval, and -1 behind its last cell."""
         first, last = raster.reached(self.low, self.high, self.within, 1)
         some = first <= last
         strips = self.strips[some]

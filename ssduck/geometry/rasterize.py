@@ -1,16 +1,16 @@
-"""Which cells of a raster shapes occupy between two heights.
+"""Finds the cells of a raster that shapes occupy between two heights.
 
-Of a convex solid S and a strip of cells a <= x <= b, the part of S in the strip and between the
-heights is convex, so that its shadow on the y axis is one interval: the cells of the strip that
-meet it are those that S occupies, exactly. The ends of the interval are on the surface of S, for
-the strip and the heights do not bound y. So a polyhedron is worked out by the edges of its faces,
-cut at the two heights; of a sphere there is a formula; of a cylinder the ends are among a few
-points where so many of its bounds meet; a capsule is a cylinder and two spheres. A surface is its
-triangles one by one. A closed mesh is its surface, and the cells between that it winds around.
+Let S be a convex solid and a <= x <= b a strip of cells. The part of S in the strip and between the
+heights is convex, so that its projection on the y axis is one interval: S occupies exactly the
+cells that overlap it. The ends of the interval are on the surface of S, because the strip and the
+heights do not bound y. So a polyhedron is computed from the edges of its faces, cut at the two
+heights. A sphere has a formula. For a cylinder the ends are among a few points where enough of its
+bounds intersect. A capsule is a cylinder and two spheres. A surface is computed triangle by
+triangle. A closed mesh is its surface, and the cells that it winds around.
 
-A solid occupies a cell if it reaches into it by more than `CELL_TOLERANCE`. One that only touches
-a cell leaves it free. A shape without an inside (an open mesh, a flat hull) occupies every cell
-that it touches.
+A solid occupies a cell if it reaches into it by more than `CELL_TOLERANCE`. One that only touches a
+cell leaves it free. A shape without an inside (an open mesh, a flat hull) occupies every cell that
+it touches.
 """
 
 from __future__ import annotations
@@ -27,15 +27,25 @@ from ssduck.geometry.raster import CELL_TOLERANCE, Raster, StripIntervals
 from ssduck.geometry.rasterize_round import RoundShape, round_parts
 from ssduck.geometry.solids import PlacedSolids, Solid
 
-# Pairs of an edge and a strip that are looked at together.
-TOGETHER = 2_000_000
+# The number of pairs of an edge and a strip that are processed at a time.
+PAIRS_AT_ONCE = 2_000_000
 
 
 class Rasterizer:
-    """Shapes that are cut at heights, as often as one likes.
+    """Shapes that are rasterized at any number of heights.
+
+    >>> from ssduck.geometry.shapes import Geometry
+    >>> from ssduck.geometry.solids import solid_of
+    >>> cube = solid_of(Geometry.primitive("box", (1, 1, 1)))
+    >>> placed = PlacedSolids(
+    ...     [cube], np.zeros((1, 3)), np.eye(3)[None], np.zeros((1, 6)), np.zeros(1, np.intp)
+    ... )
+    >>> cells = Rasterizer(placed).cells(Raster((-1.0, -1.0), 0.5, (4, 4)), 0.0, 0.1)
+    >>> int(cells.sum())
+    4
 
     Args:
-        placed: the shapes; all known.
+        placed: the shapes; all of them known.
     """
 
     def __init__(self, placed: PlacedSolids) -> None:
@@ -76,11 +86,11 @@ class Rasterizer:
         Args:
             raster: the cells.
             low: m.
-            high: m; the same for a slice.
-            reach: how far a solid has to reach in between the heights, m.
+            high: m; equal to `low` for a slice.
+            reach: how far a solid has to reach between the heights, m.
 
         Returns:
-            (along x, along y)
+            Booleans, (along x, along y).
         """
         changes = np.zeros((raster.shape[0], raster.shape[1] + 1), dtype=np.int32)
         for spans in self._spans(raster, low, high, reach):
@@ -127,7 +137,7 @@ def _is_full_hull(solid: Solid) -> bool:
 def _of_polygons(
     raster: Raster, polygons: Array, groups: Indices, within: float
 ) -> Iterator[StripIntervals]:
-    """The intervals of sets of convex polygons (n, k, 3), each set a number in `groups`."""
+    """The intervals of sets of convex polygons (n, k, 3); `groups` are the polygons' sets."""
     if not len(polygons):
         return
     order = np.argsort(groups, kind="stable")
@@ -140,7 +150,7 @@ def _of_polygons(
     left, right = np.minimum(start[:, 0], end[:, 0]), np.maximum(start[:, 0], end[:, 0])
     first, last = raster.reached(left, right, within, 0)
     counts = np.maximum(last - first + 1, 0)
-    for part in _bunches(owners, counts):
+    for part in _batches(owners, counts):
         strips = _runs(first[part], counts[part])
         edges = np.repeat(np.arange(part.start, part.stop), counts[part])
         if not len(strips):
@@ -157,18 +167,18 @@ def _of_polygons(
         )
 
 
-def _bunches(owners: Indices, counts: Indices) -> Iterator[slice]:
-    """Runs of edges with some `TOGETHER` strips, no set of edges in two of them."""
+def _batches(owners: Indices, counts: Indices) -> Iterator[slice]:
+    """Ranges of edges with about `PAIRS_AT_ONCE` strips, each set of edges in one range."""
     begins = np.flatnonzero(np.diff(owners, prepend=-1))
     total = np.cumsum(counts)
-    bunch = total[begins] // TOGETHER
+    bunch = total[begins] // PAIRS_AT_ONCE
     cuts = begins[np.flatnonzero(np.diff(bunch, prepend=-1))].tolist()
     for first, stop in itertools.pairwise([*cuts, len(owners)]):
         yield slice(first, stop)
 
 
 def _runs(first: Indices, counts: Indices) -> Indices:
-    """first, first + 1, … (count of them), of each."""
+    """The concatenated ranges first, first + 1, …, each with its count."""
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
     found: Indices = np.arange(total) + np.repeat(first - (ends - counts), counts)
@@ -192,10 +202,10 @@ def _heights(
 
 
 def _fill(raster: Raster, corners: Array, height: float, occupied: Flags) -> None:
-    """Occupy the cells whose centres a closed surface winds around at a height.
+    """Occupies the cells whose centres a closed surface winds around at a height.
 
-    Those that the surface reaches are occupied already; all others are inside or outside as their
-    centres are. An edge and its end are the same numbers in both triangles that share them.
+    Cells that the surface reaches are occupied already. All others are inside or outside, as their
+    centres are. Both triangles that share an edge compute the same numbers for it.
     """
     above = corners[:, :, 2] > height
     corners = corners[above.any(axis=1) & ~above.all(axis=1)]
@@ -236,7 +246,7 @@ def _fill(raster: Raster, corners: Array, height: float, occupied: Flags) -> Non
 def _add_half_space(
     raster: Raster, normal: Array, offset: float, heights: tuple[float, float], occupied: Flags
 ) -> None:
-    """Occupy the cells that a half-space `normal @ x <= offset` reaches into."""
+    """Occupies the cells that a half-space `normal @ x <= offset` reaches into."""
     least = min(normal[2] * height for height in heights)
     sums = [np.zeros(0), np.zeros(0)]
     for axis in (0, 1):

@@ -1,4 +1,4 @@
-"""Where spheres and cylinders are in strips of cells between two heights, by formulas."""
+"""The intervals of spheres and cylinders in strips of cells between two heights, by formulas."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.raster import CELL_TOLERANCE, Raster, StripIntervals
 from ssduck.geometry.solids import Solid
 
-# How far a point that is worked out may be outside of what bounds it, m.
-_SLACK = 1e-10
+# The greatest error of computed points, m.
+_POINT_ERROR = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,9 +21,9 @@ class RoundShape:
 
     Attributes:
         radius: m.
-        half: half of a cylinder's length; negative for a sphere.
-        position: (3,)
-        matrix: (3, 3)
+        half: half the length of a cylinder; negative for a sphere.
+        position: (3,).
+        matrix: (3, 3).
     """
 
     radius: float
@@ -32,7 +32,7 @@ class RoundShape:
     matrix: Array
 
     def spans(self, raster: Raster, low: float, high: float) -> StripIntervals | None:
-        """Its interval in each strip that it reaches between two heights; None if in none."""
+        """The interval in each strip that it reaches between two heights; None if there is none."""
         across = np.hypot(self.matrix[:, 0], self.matrix[:, 1])
         reach = self.radius * across + abs(self.matrix[:, 2]) * self.half
         if self.half < 0.0:
@@ -62,9 +62,9 @@ class RoundShape:
     ) -> tuple[Array, Array]:
         """The least and the greatest y of points of the cylinder, in strips (n,).
 
-        It is linear over the cylinder between pairs of planes: its ends, the sides of the strip,
-        the heights. So it is least where three planes meet, where two meet the round side, or on
-        the ellipse of one with the round side, where the gradients of all three are in a plane.
+        Three pairs of planes bound the points: the caps, the sides of the strip, the heights. y is
+        least where three planes intersect, where two planes intersect the round side, or on the
+        ellipse of one plane with the round side, where the gradients of all three are coplanar.
         """
         (x, y, z), count = self.position, len(left)
         axis = np.array([0.0, 0.0, 1.0])
@@ -79,10 +79,12 @@ class RoundShape:
         points += [self._on_lines(*two) for two in itertools.combinations(pairs, 2)]
         points += [self._on_ellipses(*one) for one in pairs]
         found = np.concatenate(points, axis=1)
-        fits = np.hypot(found[:, :, 0], found[:, :, 1]) <= self.radius + _SLACK
+        fits = np.hypot(found[:, :, 0], found[:, :, 1]) <= self.radius + _POINT_ERROR
         for normal, (least, most) in pairs:
             value = found @ normal
-            fits &= (value >= least[:, None] - _SLACK) & (value <= most[:, None] + _SLACK)
+            fits &= (value >= least[:, None] - _POINT_ERROR) & (
+                value <= most[:, None] + _POINT_ERROR
+            )
         value = found @ self.matrix[1] + y
         return (
             np.where(fits, value, np.inf).min(axis=1, initial=np.inf),
@@ -90,7 +92,7 @@ class RoundShape:
         )
 
     def _on_lines(self, one: tuple[Array, list[Array]], two: tuple[Array, list[Array]]) -> Array:
-        """Where the lines of pairs of planes meet the round side: (n, 8, 3) at most."""
+        """The points where lines of two planes intersect the round side: (n, 8, 3) at most."""
         way = np.cross(one[0], two[0])
         square, flat = float(way @ way), float(way[:2] @ way[:2])
         first, second = np.cross(two[0], way), np.cross(way, one[0])
@@ -106,7 +108,7 @@ class RoundShape:
         return np.stack(found, axis=1) if found else np.zeros((len(one[1][0]), 0, 3))
 
     def _on_ellipses(self, normal: Array, offsets: list[Array]) -> Array:
-        """Where y is least and greatest of where planes cut the round side: (n, 4, 3) at most."""
+        """The points of extreme y where planes cut the round side: (n, 4, 3) at most."""
         if abs(normal[2]) < 1e-12:
             return np.zeros((len(offsets[0]), 0, 3))
         steep = self.matrix[1] - self.matrix[1, 2] / normal[2] * normal
@@ -120,7 +122,7 @@ class RoundShape:
 
 
 def _corners(pairs: tuple[tuple[Array, list[Array]], ...]) -> Array:
-    """Where three planes meet, one of each pair: (n, 8, 3), none if they meet in no point."""
+    """The intersections of three planes, one of each pair: (n, 8, 3); none if there are none."""
     normals = np.array([normal for normal, _ in pairs])
     if abs(np.linalg.det(normals)) < 1e-12:
         return np.zeros((len(pairs[0][1][0]), 0, 3))
@@ -131,7 +133,7 @@ def _corners(pairs: tuple[tuple[Array, list[Array]], ...]) -> Array:
 
 
 def round_parts(solid: Solid, position: Array, matrix: Array) -> list[RoundShape]:
-    """The spheres and cylinders that a sphere, a cylinder or a capsule is made of."""
+    """The spheres and cylinders that make up a sphere, a cylinder or a capsule."""
     if solid.type == "cylinder":
         return [RoundShape(solid.disc_radius, solid.half_length, position, matrix)]
     parts = [

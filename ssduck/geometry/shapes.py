@@ -1,4 +1,4 @@
-"""Shapes in frames of their own, and shapes that are fixed to frames."""
+"""Geometries, and geometries that are fixed to a frame."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ GeometryType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """One collision shape in its own frame.
+    """The form of a collision shape, in the shape's own frame.
 
     Attributes:
-        type: what it is. A hull is the convex hull of its vertices, a mesh the surface of its
-            faces, a plane the solid half-space below the origin against the normal.
+        type: the kind. A hull is the convex hull of its vertices, a mesh the surface of its faces,
+            a plane the solid half-space below the origin, opposite to its normal.
         size: metres. box: full x, y, z; sphere: radius, 0, 0; cylinder and capsule: radius,
             length along z (of a capsule without its caps), 0; plane: its unit normal; else 0s.
         vertices: (n, 3), scaled; empty for primitives.
@@ -36,19 +36,27 @@ class Geometry:
 
     @classmethod
     def primitive(cls, type: GeometryType, size: Sequence[float]) -> Geometry:
-        """A box, sphere, cylinder, capsule or plane of that size."""
+        """A box, sphere, cylinder, capsule or plane of a size.
+
+        >>> Geometry.primitive("box", (0.1, 0.2, 0.3)).size
+        (0.1, 0.2, 0.3)
+        """
         x, y, z = (float(value) for value in size)
         return cls(type, (x, y, z), np.zeros((0, 3)), np.zeros((0, 3), np.int32))
 
     @classmethod
     def hull(cls, vertices: npt.ArrayLike) -> Geometry:
-        """The convex hull of points, (n, 3)."""
+        """The convex hull of points, (n, 3).
+
+        >>> Geometry.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]).vertices.shape
+        (4, 3)
+        """
         points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
         return cls("hull", (0.0, 0.0, 0.0), points, np.zeros((0, 3), np.int32))
 
     @cached_property
     def key(self) -> str:
-        """Equal for equal shapes: geometries are stored and built once by content."""
+        """A digest of the content: equal geometries have equal keys and are stored once."""
         digest = hashlib.blake2b(digest_size=12)
         digest.update(f"{self.type}{self.size}{self.vertices.shape}".encode())
         digest.update(self.vertices.tobytes())
@@ -58,16 +66,16 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class PlacedGeometry:
-    """A geometry that is fixed to a frame: which one, and where in it.
+    """A geometry at a pose in a frame.
 
     Attributes:
-        frame: the frame's number.
-        geometry: the shape.
+        frame: the number of the frame.
+        geometry: the form.
         position: (3,), in the frame, metres.
         orientation: (4,), in the frame, w, x, y, z.
-        margin: how far around the shape the simulator takes others to touch it, metres.
-        exact: whether it is what the simulator has; else it is a box that stands in for that.
-            None if nobody knows.
+        margin: the collision margin of the simulator, metres.
+        exact: whether the simulator uses this shape. If False, the shape is a bounding box that
+            stands in for an unknown one. None if that is not known.
     """
 
     frame: int

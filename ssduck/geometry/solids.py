@@ -1,8 +1,8 @@
-"""What the narrow phase needs of a shape, worked out once for each content.
+"""Solids: the shapes as the narrow phase uses them, computed once for each geometry.
 
-A solid is a core with a radius: a sphere is a point and a radius, a capsule a segment and a
-radius, a box, a hull and a mesh are their corners and no radius, a cylinder is a segment and a
-disc across it, a plane a half-space.
+A solid is a core and a radius: a sphere is a point and a radius, a capsule a segment and a radius.
+The core of a box, a hull or a mesh is its corners, without a radius. The core of a cylinder is a
+segment with a disc across it. A plane is a half-space.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from ssduck.geometry.surfaces import Surface, enclosed_volume, unique_points
 
 SolidType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
 
-# An inscribed prism stands in for a cylinder where FCL is asked: exact in the end against what
-# is convex. That of more sides against meshes is nowhere out of the cylinder's box or sphere, so
-# that what these tell of a distance is never contradicted.
+# FCL gets an inscribed prism for a cylinder. Against convex shapes the result is corrected to be
+# exact. Against meshes the prism has more sides. It never leaves the cylinder's bounding box and
+# sphere, so that the bounds that these give hold.
 PRISM_SIDES = 24
 FINE_SIDES = 64
-# Sets of points thinner than this share of their length are flat, straight, or one point.
+# Sets of points that are thinner than this fraction of their length are flat.
 FLAT = 1e-9
 CACHED_SOLIDS = 1024
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -37,24 +37,26 @@ _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z i
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A shape in its own frame; all lengths in metres.
+    """A shape in its own frame; lengths are metres.
 
     Attributes:
-        type: as of the geometry, but that a closed convex mesh is a hull, and a hull with a
-            single corner a sphere of radius 0.
-        core: (n, 3) the points whose convex hull, or surface, the core is.
+        type: the type of the geometry, except that a closed convex mesh is a hull, and a hull with
+            a single corner a sphere of radius 0.
+        core: (n, 3), the points whose convex hull, or surface, is the core.
         radius: of the ball that is swept along the core.
-        disc_radius: radius of the disc that is swept along a cylinder's core, else 0.
-        normals: (m, 3) outward unit normals of the faces of a box, a hull, a cylinder's caps.
-        offsets: (m,) of the faces: x is inside if `normals @ x <= offsets`. None of hulls
-            without an inside, and of what has round sides.
-        faces: (k, 3) triangles of core points, for boxes, hulls and meshes.
-        is_known: whether the numbers make a shape; relations with others are unknown.
-        is_shell: whether a hull was given as a closed mesh, so that rays meet it from within.
-        volume: m³; 0 of open meshes and flat hulls, infinite of planes.
-        centre, reach: of a sphere around the shape.
-        inner_centre, inner_radius: of a sphere in it; radius 0 where none is known.
-        hull_corners: (k, 3) of a mesh, the core points that are corners of its convex hull.
+        disc_radius: of the disc that is swept along a cylinder's core, else 0.
+        normals: (m, 3), the outward unit normals of the faces of a box or a hull, or of a
+            cylinder's caps.
+        offsets: (m,), of the faces: x is inside if `normals @ x <= offsets`. None for hulls
+            without an inside, and for round shapes.
+        faces: (k, 3), triangles of core points, for boxes, hulls and meshes.
+        is_known: whether the numbers make a shape; relations with other solids are unknown.
+        is_shell: whether a hull was given as a closed mesh, so that rays hit it from within.
+        is_closed: whether the surface of a mesh is closed.
+        volume: m³; 0 for open meshes and flat hulls, infinite for planes.
+        centre, bounding_radius: a sphere around the shape.
+        inscribed_centre, inscribed_radius: a sphere in the shape; of radius 0 if none is known.
+        hull_corners: (k, 3), of a mesh, the core points that are corners of its convex hull.
         key: equal for solids of equal geometries.
     """
 
@@ -83,17 +85,17 @@ class Solid:
 
     @property
     def is_empty(self) -> bool:
-        """A hull or mesh without points."""
+        """Whether it is a hull or a mesh without points."""
         return self.is_known and self.type != "plane" and not len(self.core)
 
     @cached_property
     def half_length(self) -> float:
-        """Half the length of a cylinder's or a capsule's core."""
+        """Half the length of the core of a cylinder or a capsule."""
         return float(self.core[1, 2])
 
     @cached_property
     def surface(self) -> Surface:
-        """The triangles of the core; of a cylinder those of an inscribed prism."""
+        """The triangles of the core; those of an inscribed prism for a cylinder."""
         if self.type == "cylinder":
             return prism(self.disc_radius, self.half_length, PRISM_SIDES)
         if self.type in ("sphere", "capsule"):
@@ -102,14 +104,14 @@ class Solid:
 
     @cached_property
     def fine_surface(self) -> Surface:
-        """The same, but that a cylinder's prism has more sides."""
+        """The triangles of the core; those of a prism with more sides for a cylinder."""
         if self.type == "cylinder":
             return prism(self.disc_radius, self.half_length, FINE_SIDES)
         return self.surface
 
     @cached_property
-    def _as_large(self) -> Surface:
-        """The same, but that a cylinder's prism has its volume, and sticks out of it."""
+    def _equal_volume_surface(self) -> Surface:
+        """The triangles of the core; those of a prism of equal volume for a cylinder."""
         if self.type == "cylinder":
             turn = 2.0 * math.pi / FINE_SIDES
             return prism(
@@ -119,12 +121,12 @@ class Solid:
 
     @cached_property
     def points(self) -> Array:
-        """Points whose convex hull is the shape's, up to 0.002 of a round one's radius."""
+        """Points whose convex hull is the shape's; within 0.002 of the radius for round shapes."""
         if self.type == "cylinder":
-            return self._as_large.vertices
+            return self._equal_volume_surface.vertices
         if not self.radius:
             return self.core
-        ball = _ball() * self.radius
+        ball = _unit_ball() * self.radius
         if self.type == "sphere":
             placed: Array = ball + self.core[0]
             return placed
@@ -135,12 +137,12 @@ class Solid:
 
     @cached_property
     def closed_surface(self) -> Surface:
-        """A closed surface around it: of what is round, that of a hull."""
+        """A closed surface of the shape; a polyhedron for a round shape."""
         if self.radius:
-            size = self.bounding_radius or 1.0  # qhull takes what is very large or small for flat
+            size = self.bounding_radius or 1.0  # qhull takes very large or very small sets for flat
             hull = hull_solid(self.points / size)
             return Surface(hull.core * size, hull.faces)
-        return self._as_large
+        return self._equal_volume_surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +150,11 @@ class PlacedSolids:
     """Solids in the world.
 
     Attributes:
-        solids: (n,)
-        positions: (n, 3)
-        matrices: (n, 3, 3)
+        solids: (n,), the solids.
+        positions: (n, 3).
+        matrices: (n, 3, 3).
         boxes: (n, 6), lower corners, upper corners.
-        owners: (n,), the ids of the entities that they are of.
+        owners: (n,), the ids of their entities.
     """
 
     solids: Sequence[Solid]
@@ -165,11 +167,11 @@ class PlacedSolids:
         return len(self.solids)
 
     def __iter__(self) -> Iterator[tuple[Solid, Array, Array]]:
-        """Each with its position and its matrix."""
+        """Each solid with its position and its rotation matrix."""
         return zip(self.solids, self.positions, self.matrices, strict=True)
 
     def of(self, some: Flags) -> PlacedSolids:
-        """Some of them."""
+        """The solids that are flagged."""
         solids = [solid for solid, is_one in zip(self.solids, some, strict=True) if is_one]
         return PlacedSolids(
             solids,
@@ -187,7 +189,11 @@ class PlacedSolids:
 
 
 def solid_of(geometry: Geometry) -> Solid:
-    """The solid of a geometry; equal geometries share one."""
+    """The solid of a geometry; equal geometries share one.
+
+    >>> solid_of(Geometry.primitive("box", (1, 2, 3))).volume
+    6.0
+    """
     key = geometry.key
     with _LOCK:
         found = _CACHE.get(key)
@@ -234,7 +240,7 @@ def _build(geometry: Geometry) -> Solid:
 
 
 def _is_sound(geometry: Geometry) -> bool:
-    """Whether the numbers make a shape: FCL takes any, and answers or crashes."""
+    """Whether the numbers make a shape. FCL accepts any numbers and may crash."""
     size, faces = geometry.size, geometry.faces
     if not (np.isfinite(size).all() and np.isfinite(geometry.vertices).all()):
         return False
@@ -287,12 +293,12 @@ def _box(a: float, b: float, c: float) -> Solid:
 
 
 def hull_solid(points: Array) -> Solid:
-    """The convex hull of points (n, 3); they may be flat, straight, or one."""
+    """The convex hull of points (n, 3), which may be flat, straight or a single point."""
     points = unique_points(points)
     if len(points) == 0:
         return Solid("hull", points)
     middle = points.mean(axis=0)
-    # Thin sets are found by their spread along their principal axes.
+    # The spread along the principal axes tells flat and straight sets.
     _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
     rank = int((spread > FLAT * max(spread[0], 1e-300)).sum()) if spread[0] > 0 else 0
     if rank < 3:
@@ -309,10 +315,10 @@ def hull_solid(points: Array) -> Solid:
     corners = points[used]
     inside = corners.mean(axis=0)
     planes = np.unique(found.equations.round(12), axis=0)
-    faces = _outward(number[faces], corners, inside)
+    faces = _facing_outward(number[faces], corners, inside)
     low, high = corners.min(axis=0), corners.max(axis=0)
     centre = (low + high) / 2
-    # qhull's planes, but not merged ones: exact to rounding
+    # qhull's planes before it merges them, which are exact up to rounding
     normals, offsets = found.equations[:, :3], -found.equations[:, 3]
     if len(planes) < len(normals):
         _, first = np.unique(found.equations.round(12), axis=0, return_index=True)
@@ -352,7 +358,7 @@ def _flat_hull(points: Array, middle: Array, axes: Array, rank: int) -> Solid:
         edges = np.roll(corners, -1, axis=0) - corners
         up = np.cross(axes[0], axes[1])
         sides = cross(edges, np.repeat(up[None], len(edges), axis=0))
-        normals = np.concatenate(([up, -up], _unit(sides)))
+        normals = np.concatenate(([up, -up], _unit_vectors(sides)))
     bounding_radius = float(np.linalg.norm(corners - middle, axis=1).max())
     return Solid(
         "hull",
@@ -386,7 +392,7 @@ def _mesh(geometry: Geometry) -> Solid:
 
 
 def _merged(vertices: Array, faces: Triangles) -> tuple[Array, Triangles]:
-    """Without copies of vertices, vertices of no face, and faces without an area."""
+    """Removes duplicate vertices, vertices of no face, and faces without an area."""
     if not len(faces):
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
     used, number = np.unique(vertices[faces.reshape(-1)] + 0.0, axis=0, return_inverse=True)
@@ -396,7 +402,7 @@ def _merged(vertices: Array, faces: Triangles) -> tuple[Array, Triangles]:
 
 
 def prism(radius: float, half_length: float, sides: int) -> Surface:
-    """A regular prism along z, with corners at that radius."""
+    """A regular prism along z whose corners are at a radius."""
     angles = np.arange(sides) * (2.0 * math.pi / sides)
     ring = np.stack((np.cos(angles), np.sin(angles)), axis=1) * radius
     heights = np.repeat([-half_length, half_length], sides)
@@ -411,23 +417,24 @@ def prism(radius: float, half_length: float, sides: int) -> Surface:
     return Surface(vertices, np.concatenate((walls, bottom, top)).astype(np.int32))
 
 
-_BALL: list[Array] = []
+_UNIT_BALL: list[Array] = []
 
 
-def _ball(count: int = 1000) -> Array:
-    """Points evenly around, whose hull has the volume of a ball of radius 1."""
-    if not _BALL:
+def _unit_ball(count: int = 1000) -> Array:
+    """Evenly distributed points whose hull has the volume of the unit ball."""
+    if not _UNIT_BALL:
         from scipy.spatial import ConvexHull
 
         index = np.arange(count) + 0.5
         z, angle = 1.0 - 2.0 * index / count, math.pi * (1.0 + math.sqrt(5.0)) * index
         ring = np.sqrt(1.0 - z * z)
         points = np.stack((ring * np.cos(angle), ring * np.sin(angle), z), axis=1)
-        _BALL.append(points * (4.0 / 3.0 * math.pi / ConvexHull(points).volume) ** (1.0 / 3.0))
-    return _BALL[0]
+        _UNIT_BALL.append(points * (4.0 / 3.0 * math.pi / ConvexHull(points).volume) ** (1.0 / 3.0))
+    return _UNIT_BALL[0]
 
 
-def _outward(faces: Triangles, corners: Array, inside: Array) -> Triangles:
+def _facing_outward(faces: Triangles, corners: Array, inside: Array) -> Triangles:
+    """Faces whose normals point away from a point inside."""
     a, b, c = (corners[faces[:, k]] for k in range(3))
     inward = np.einsum("ij,ij->i", cross(b - a, c - a), a - inside) < 0
     turned = faces.astype(np.int32)
@@ -435,7 +442,7 @@ def _outward(faces: Triangles, corners: Array, inside: Array) -> Triangles:
     return turned
 
 
-def _unit(vectors: Array) -> Array:
+def _unit_vectors(vectors: Array) -> Array:
     unit: Array = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     return unit
 

@@ -1,4 +1,4 @@
-"""Triangle surfaces: whether they are closed, what they enclose, and FCL's tree over them."""
+"""Triangle surfaces: whether they are closed, which points they enclose, and FCL's trees."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices, Triangles
-from ssduck.geometry.broad_phase import meeting_across
+from ssduck.geometry.broad_phase import overlapping_pairs_across
 from ssduck.geometry.poses import cross
 
-# How far rays lean, along x and y per z.
-LEAN = np.array([0.2719, 0.1373])
+# The slant of rays, along x and y per z.
+SLANT = np.array([0.2719, 0.1373])
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles over vertices (n, 3), no two of which are equal."""
+    """Triangles over distinct vertices (n, 3)."""
 
     vertices: Array
     faces: Triangles
 
     @cached_property
     def triangles(self) -> Array:
-        """(m, 3, 3) the corners."""
+        """The corners of the triangles, (m, 3, 3)."""
         return self.vertices[self.faces]
 
     @cached_property
@@ -43,14 +43,14 @@ class Surface:
 
     @cached_property
     def is_closed(self) -> bool:
-        """Whether every edge is run through as often one way as the other."""
+        """Whether every edge is traversed equally often in both directions."""
         edges = self._edges.tolist()
         ways = Multiset((a, b) for a, b in edges)
         return bool(edges) and all(ways[b, a] == count for (a, b), count in ways.items())
 
     @cached_property
     def volume(self) -> float:
-        """What it encloses, m³, if it is closed; negative if it faces inward."""
+        """The enclosed volume of a closed surface, m³; negative if it faces inward."""
         return enclosed_volume(self.triangles)
 
     @property
@@ -59,18 +59,18 @@ class Surface:
         return edges
 
     def oriented(self) -> Surface:
-        """The same with its faces outward, if it can be closed that way."""
+        """The surface with its faces outward, if it can be closed in that way."""
         if not len(self.faces):
             return self
-        surface = self if self.is_closed else Surface(self.vertices, self._turned())
+        surface = self if self.is_closed else Surface(self.vertices, self._consistent_faces())
         if not surface.is_closed:
             return self
         if enclosed_volume(surface.triangles) < 0:
             return Surface(surface.vertices, np.ascontiguousarray(surface.faces[:, ::-1]))
         return surface
 
-    def _turned(self) -> Triangles:
-        """Faces turned so that neighbours agree, where each edge has two of them."""
+    def _consistent_faces(self) -> Triangles:
+        """Faces that agree with their neighbours, if each edge has two faces."""
         owners: dict[tuple[int, int], list[int]] = {}
         faces: list[list[int]] = self.faces.tolist()
         for number, (a, b, c) in enumerate(faces):
@@ -80,9 +80,9 @@ class Surface:
             return self.faces
         seen: set[int] = set()
         for first in range(len(faces)):
-            todo = [] if first in seen else [first]
-            while todo:
-                number = todo.pop()
+            pending = [] if first in seen else [first]
+            while pending:
+                number = pending.pop()
                 seen.add(number)
                 a, b, c = faces[number]
                 for u, v in ((a, b), (b, c), (c, a)):
@@ -92,12 +92,12 @@ class Surface:
                             if (u, v) in ((x, y), (y, z), (z, x)):
                                 faces[other] = [z, y, x]
                             seen.add(other)
-                            todo.append(other)
+                            pending.append(other)
         return np.array(faces, np.int32)
 
     @cached_property
     def component_vertices(self) -> Array:
-        """A vertex of each connected part."""
+        """A vertex of each connected component."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -111,58 +111,58 @@ class Surface:
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
-        """The lower and the upper corner."""
+        """The lower and the upper corner of its bounding box."""
         return self.vertices.min(axis=0), self.vertices.max(axis=0)
 
     def encloses(self, points: Array) -> Any:
-        """Of points (n, 3), which the closed surface winds around, (n,)."""
+        """Which of some points (n, 3) the closed surface winds around, (n,)."""
         low, high = self.box
         near = ((points > low) & (points < high)).all(axis=1)
         found = np.zeros(len(points), bool)
-        found[near] = _windings(points[near], self.triangles) > 0
+        found[near] = _winding_numbers(points[near], self.triangles) > 0
         return found
 
 
-def _windings(points: Array, triangles: Array) -> Indices:
-    """How often a closed surface winds around points: the triangles on a ray from each, signed.
+def _winding_numbers(points: Array, triangles: Array) -> Indices:
+    """The winding numbers of a closed surface around points: signed crossings of a ray from each.
 
-    Which side of an edge a ray passes is the same for both triangles that share the edge, whatever
-    is rounded; so a ray that meets an edge or a corner is counted right.
+    The side on which a ray passes an edge is the same for both triangles that share the edge,
+    however it is rounded. So a ray that hits an edge or a corner is counted correctly.
     """
-    points, triangles = _leaning(points), _leaning(triangles)
+    points, triangles = _sheared(points), _sheared(triangles)
     found = np.zeros(len(points), np.intp)
     start, end = points.T.copy(), points.T.copy()
     end[2] = math.inf
     boxes = triangles.min(axis=1).T.copy(), triangles.max(axis=1).T.copy()
-    for j, i in meeting_across(boxes, (start, end), rims=True):
+    for j, i in overlapping_pairs_across(boxes, (start, end), touching=True):
         to = triangles[j] - points[i][:, None]
-        turns = _turns(to)
+        signs = _winding_signs(to)
         volumes = np.einsum("ni,ni->n", to[:, 0], cross(to[:, 1], to[:, 2]))
-        above = turns * volumes > 0.0
-        np.add.at(found, i[above], turns[above])
+        above = signs * volumes > 0.0
+        np.add.at(found, i[above], signs[above])
     return found
 
 
-def _leaning(points: Array) -> Array:
-    """Sheared, so that no side of a box that is straight in its frame is along the rays, +z."""
-    leaning = points.copy()
-    leaning[..., :2] -= LEAN * points[..., 2:]
-    return leaning
+def _sheared(points: Array) -> Array:
+    """Sheared points, so that no axis-aligned face is parallel to the rays along +z."""
+    sheared = points.copy()
+    sheared[..., :2] -= SLANT * points[..., 2:]
+    return sheared
 
 
-def _turns(triangles: Array) -> Indices:
-    """How often the shadows of triangles (n, 3, 3) run around the origin: 1, 0 or -1."""
+def _winding_signs(triangles: Array) -> Indices:
+    """The winding numbers of triangles' projections (n, 3, 3) around the origin: 1, 0 or -1."""
     x, y = triangles[:, :, 0], triangles[:, :, 1]
     next_x, next_y = np.roll(x, -1, axis=1), np.roll(y, -1, axis=1)
     side = x * next_y - y * next_x
     up = (y <= 0.0) & (next_y > 0.0) & (side > 0.0)
     down = (next_y <= 0.0) & (y > 0.0) & (side < 0.0)
-    turns: Indices = up.sum(axis=1) - down.sum(axis=1)
-    return turns
+    signs: Indices = up.sum(axis=1) - down.sum(axis=1)
+    return signs
 
 
 def enclosed_volume(triangles: Array) -> float:
-    """Signed: the sum of the tetrahedra over the triangles; positive if they face outward."""
+    """The signed volume of the tetrahedra over triangles; positive if these face outward."""
     if not len(triangles):
         return 0.0
     a, b, c = (triangles[:, k] - triangles[0, 0] for k in range(3))
@@ -170,5 +170,5 @@ def enclosed_volume(triangles: Array) -> float:
 
 
 def unique_points(points: Array) -> Array:
-    """Points (n, 3) without equal ones; -0 is 0."""
+    """The distinct points of (n, 3); -0 is 0."""
     return np.unique(points + 0.0, axis=0) if len(points) else points

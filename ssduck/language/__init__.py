@@ -1,4 +1,4 @@
-"""SelectScript: from text to a tree, and what a tree means in Python.
+"""SelectScript: the parser, the tree, and its reference evaluation in Python.
 
 `parser` turns a text into a `tree`. `analysis` finds out what a part of a tree depends on.
 `evaluator`, with `operators` and `builtins`, is the reference for what an expression means;

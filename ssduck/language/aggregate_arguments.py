@@ -1,4 +1,4 @@
-"""What aggregates of lists are given, and how to write one of all rows of a query."""
+"""Checks the arguments of list aggregates, and suggests an aggregate over all rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ssduck.language.tree import Call, Query
 
 
 def argument_check(call: Call, query: Query | None) -> Callable[[Sequence[Any]], None]:
-    """What complains of arguments that a call would misunderstand.
+    """Returns a check that rejects arguments that a call would misunderstand.
 
     An aggregate takes a list; of what a row gives, a text is none.
 
@@ -46,7 +46,7 @@ def _anything(_: Sequence[Any]) -> None:
 
 
 def _over_rows(call: Call, query: Query) -> Callable[[str], str]:
-    """How to write an aggregate of all rows, given the program's text."""
+    """Returns the text of an aggregate over all rows, given the program's text."""
 
     def spelling(text: str) -> str:
         argument = call.arguments[0].span

@@ -1,4 +1,4 @@
-"""What the parts of a program depend on: rows, names that change, things that happen."""
+"""Finds the dependencies of the parts of a program: rows, changing names, side effects."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def variables_of(node: Node) -> frozenset[str]:
 
 
 def aliases_of(query: Query) -> list[str]:
-    """What the sources of a query are called.
+    """The aliases of a query's sources.
 
     Raises:
         ArgumentError: two have the same name.

@@ -1,4 +1,4 @@
-"""Functions of plain values: those that come with the language, and those that users add."""
+"""Functions of plain values: the built-in ones, and those that users add."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Function:
             raise self._failed(error, error_text(error)) from error
 
     def _refused(self, arguments: Sequence[Any]) -> str:
-        """What the language's own function did not take, and what it takes."""
+        """The message for arguments that a built-in function does not take."""
         taken = ", ".join(map(argument_in_words, arguments)) or "no arguments"
         usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
         return f"{self.name} does not take {taken}: it is {usage}"
@@ -101,7 +101,7 @@ def _copied(value: Any) -> Any:
 
 
 def _given(value: Any) -> Any:
-    """What a function gave: copies of lists and dicts, Python's numbers for numpy's."""
+    """The result of a function: lists and dicts copied, NumPy's numbers converted to Python's."""
     if type(value) is list:
         return [part if type(part) in ATOMS else _given(part) for part in value]
     if type(value) is tuple:

@@ -1,4 +1,4 @@
-"""What Python makes of rows: conditions, order, groups, paths, selected values.
+"""Evaluates clauses on rows in Python: conditions, order, groups, paths, selected values.
 
 A row is a `Frame`. `Clauses` are a query's clauses as functions of frames; they take the rows
 that SQL has left, or all combinations of the sources where a query runs row by row.
@@ -38,14 +38,14 @@ class Rows:
 
 @dataclass(frozen=True)
 class Paths:
-    """What a hierarchical query found: the rows of each path, or of each step of each path."""
+    """The result of a hierarchical query: the rows of each path, or of each of its steps."""
 
     paths: Sequence[Selected]
 
 
 @dataclass(frozen=True)
 class Groups:
-    """What a query with GROUP BY found: the rows, or the paths, of each group."""
+    """The result of a query with GROUP BY: the rows, or the paths, of each group."""
 
     groups: dict[str, Selected]
 
@@ -54,7 +54,7 @@ Selected: TypeAlias = Rows | Paths | Groups
 
 
 def formed(selected: Selected, make: Callable[[Rows], Any]) -> Any:
-    """What an adapter makes of what was selected: of rows, of each path, of each group."""
+    """Applies an adapter to what was selected: to the rows, or to each path or group."""
     match selected:
         case Groups(groups=groups):
             return {key: formed(part, make) for key, part in groups.items()}
@@ -131,7 +131,7 @@ class Clauses:
         return all(condition(frame) for condition in self._conditions)
 
     def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
-        """What is selected of rows."""
+        """The selected values of rows."""
         limit = self.count(outer)
         kept: Iterable[Frame] = filter(self.holds, rows) if self._conditions else rows
         rest = self._rest
@@ -188,7 +188,7 @@ class Clauses:
         limit: int | None,
         outer: Frame,
     ) -> Selected:
-        """What is selected of all rows or paths, where there are no groups, or one."""
+        """The selected values of all rows or paths, if there are no groups, or one."""
         if self._rest.is_one_group:
             frames = [row(entry) for entry in found]
             is_wanted = self._is_wanted(frames, outer)
@@ -219,7 +219,7 @@ class Clauses:
         return self.items.gathered([names for names, _ in kept], [values for _, values in kept])
 
     def count(self, outer: Frame) -> int | None:
-        """How many rows, paths or groups are wanted; None for all."""
+        """The limit of rows, paths or groups; None for all."""
         node = self._rest.limit
         if node is None or self._limit is None:
             return None
@@ -242,7 +242,7 @@ class SelectedItems:
         return tuple([item(frame) for item in self._items])
 
     def names(self, frame: Frame) -> tuple[Any, ...]:
-        """What a row calls its columns."""
+        """The column names of a row."""
         if len(self._fixed) == len(self._names):
             return self._fixed
         return tuple([name if isinstance(name, str) else name(frame) for name in self._names])

@@ -1,4 +1,4 @@
-"""Where texts and comments are in a program."""
+"""Finds string literals and comments in a program."""
 
 from __future__ import annotations
 
@@ -56,5 +56,5 @@ def without_dashes(text: str) -> str:
 
 
 def last_opening(text: str) -> int:
-    """Where the text or the comment begins that is never closed."""
+    """The start of the string literal or comment that is never closed."""
     return next((part.start for part in delimited(text) if not part.is_closed), 0)

@@ -1,4 +1,4 @@
-"""Lists that wait for the query that uses them."""
+"""Lists that are evaluated by the query that uses them."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ class LazyList:
 
     @property
     def source(self) -> str:
-        """How it was written."""
+        """The text of the list as it was written."""
         return self.text[self.node.span.start : self.node.span.end]

@@ -1,4 +1,4 @@
-"""Values of expressions in Python: of what stands outside a query, and of what SQL cannot do.
+"""Evaluates expressions in Python: those outside queries, and those that SQL cannot express.
 
 A part of a tree is compiled once to a function of a `Frame`: of what the part sees where it is
 evaluated. Variables, functions and nested queries are looked up through the frame's
@@ -57,7 +57,7 @@ MOST_COMPILED = 5000
 
 
 class EvaluationScope(Protocol):
-    """What an evaluator needs of the interpreter."""
+    """The part of the interpreter that an evaluator needs."""
 
     def variable(self, name: str) -> Any:
         """A variable's value, or an UnknownNameError."""
@@ -72,13 +72,13 @@ class EvaluationScope(Protocol):
         """Set a variable that keeps its values of so many seconds."""
 
     def past_value(self, name: str, *age: Any) -> Any:
-        """What a variable was; all that it keeps if no age is given."""
+        """The past value of a variable; all kept values if no age is given."""
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
 
     def resolved_name(self, name: str) -> str:
-        """What calls the function of that name: the user's, where it replaces another."""
+        """The name under which the function is called: marked if a user's function replaces it."""
 
     def is_users(self, name: str) -> bool:
         """Whether that is a user's function."""
@@ -106,11 +106,11 @@ class EvaluationScope(Protocol):
 
     @property
     def meter(self) -> UsageMeter:
-        """How much of its limits the running program has used."""
+        """The usage of the running program's limits."""
 
 
 class Frame:
-    """What an expression sees where it is evaluated.
+    """The values that an expression is evaluated over.
 
     Args:
         scope: variables, functions, queries.
@@ -509,7 +509,7 @@ class ExpressionCompiler:
         return assign if horizon is None else _placed(node, assign)
 
     def _horizon(self, node: Node) -> Thunk:
-        """How long an assignment keeps values, in seconds."""
+        """The time for which an assignment keeps values, in seconds."""
         if isinstance(node, UnboundedHorizon):
             return lambda _: math.inf
         value = self.thunk(node)

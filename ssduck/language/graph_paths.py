@@ -1,4 +1,4 @@
-"""The graph of MEMORIZE: its vertices are distinct selected rows, its results simple paths."""
+"""Finds simple paths in the graph of MEMORIZE, whose vertices are distinct selected rows."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def simple_paths(
 
 
 def _shortest(roots: Sequence[Vertex[T]]) -> int:
-    """How many vertices the shortest path has; 0 if there is none."""
+    """The number of vertices of the shortest path; 0 if there is none."""
     return min((1 + root.distance for root in roots if root.distance is not None), default=0)
 
 

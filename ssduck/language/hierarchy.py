@@ -1,4 +1,4 @@
-"""Hierarchical queries, row by row: START WITH … CONNECT BY … STOP WITH.
+"""Runs hierarchical queries row by row: START WITH … CONNECT BY … STOP WITH.
 
 A state is the values of the state variables. In a state, each combination of the sources is a
 row; SELECT, WHERE and STOP WITH see the state before the row's step, and CONNECT BY makes of
@@ -34,7 +34,7 @@ _SELECT = "SELECT"
 
 
 class RowSelection:
-    """What is selected of a row.
+    """The selected values of a row.
 
     Attributes:
         values: what is selected.
@@ -132,7 +132,7 @@ class _States:
         return tee(self._made(state, self._calls_of(state, key)), 1)[0]
 
     def _calls_of(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Iterator[Calls]:
-        """What users' functions gave, for each row of a state."""
+        """The results of users' functions for each row of a state."""
         if key is None or self._called_with is None:
             return iter(dict, None)
         pick = self._picks.get(len(state))  # CONNECT BY may set more variables than START WITH
@@ -143,7 +143,7 @@ class _States:
 
 
 def _nothing(_: object) -> None:
-    """What calls see of a state if they mention none of its variables."""
+    """The key of a state for calls that mention none of its variables."""
 
 
 def _again(steps: Steps) -> Iterator[PathStep]:
@@ -240,7 +240,7 @@ class Hierarchy:
     def _steps_of(
         self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]
     ) -> Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]]:
-        """What makes the rows of a state, but those at which a path ends in vain."""
+        """Returns a function that yields the rows of a state, without dead ends."""
         stop_at, (stop, where) = self._recursion.stop, (self._stop, self._where)
         found_at = stop_at if self._query.where is None else self._query.where
         # Under UNIQUE it matters of a row that is found whether it counts.
@@ -275,7 +275,7 @@ class Hierarchy:
         return steps
 
     def _selection(self, step: PathStep) -> RowSelection:
-        """What is selected of a row, worked out when it is first asked for."""
+        """The selected values of a row, evaluated on first use."""
         if step.selection is None:
             step.selection = self._selected_of(step.frame)
         return step.selection
@@ -291,7 +291,7 @@ class Hierarchy:
         return selection
 
     def _key(self, step: PathStep, keys: ValueKeys) -> int:
-        """What rows are told apart by."""
+        """The key by which rows are distinguished."""
         selection = step.selection or self._selection(step)
         if selection.key is None:
             selection.key = keys.of(selection.values, selection.names)

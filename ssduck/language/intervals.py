@@ -1,4 +1,4 @@
-"""Intervals of simulated time during which something holds, and how two lie to each other.
+"""Intervals of simulated time during which something holds, and their relations.
 
 Between two recorded ticks nothing is known: what held at a tick is taken to hold until the next
 one. So an interval [start, end] begins at the first tick at which something held and ends at the

@@ -1,4 +1,4 @@
-"""What users' functions gave within a query: they are pure, and asked once for the same values."""
+"""Remembers results of users' functions within a query; the functions are pure."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Memo:
         self._is_worth_it = True
 
     def __call__(self, arguments: list[Any]) -> Any:
-        """What the function gives for these values."""
+        """The result of the function for these values."""
         if not self._is_worth_it:
             return self._call(arguments)
         self._asked += 1

@@ -1,4 +1,4 @@
-"""Errors for what a query does not have: sources, keys."""
+"""Errors for names of sources and keys that a query does not have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Operators of one level in a row, and how they become nodes.
+"""Chains of operators of one precedence level, and the nodes that they become.
 
 A few are nested as they are evaluated, from the left. Many are kept flat, so that neither parsing
 nor evaluating them is nested deeply.
@@ -47,7 +47,7 @@ class OperandRow:
         self._ends.append(end)
 
     def node(self) -> Node:
-        """What they are together."""
+        """The node of the whole chain."""
         if len(self._operands) > MOST_NESTED:
             span = SourceSpan(self._start, self._ends[-1])
             return OperatorChain(

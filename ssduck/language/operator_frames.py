@@ -1,4 +1,4 @@
-"""Operators of a tree as functions of frames."""
+"""Compiles the operators of a tree to functions of frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Thunk: TypeAlias = Callable[[Frame], Any]
 
 
 class OperandCompiler(Protocol):
-    """What makes functions of frames from operands."""
+    """Compiles operands to functions of frames."""
 
     def thunk(self, node: Node) -> Thunk:
         """A part as a function of a frame."""

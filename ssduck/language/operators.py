@@ -1,4 +1,4 @@
-"""What the operators mean: of values, in Python."""
+"""The operators on Python values."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def check_size(value: Any, span: SourceSpan) -> None:
 
 
 def _leaves(values: list[Any], counted: dict[int, int]) -> int:
-    """How many elements a list has, all the way down; each list is counted once."""
+    """The number of elements of a list and of the lists in it; each list is counted once."""
     count = len(values)
     for value in values:
         if type(value) is not list:

@@ -1,4 +1,4 @@
-"""Users' functions in the place of relations, functions and operators of the language.
+"""Lets users' functions replace relations, functions and operators of the language.
 
 Such a function is called by a name that no text has. The parts of a program that mean it are
 changed before the program runs, so that everything else sees plain calls of a user's function.
@@ -41,7 +41,7 @@ _MARK = " of the user"
 
 
 def marked_name(name: str) -> str:
-    """What calls a user's function that has the name of one of the language."""
+    """The marked name under which a user's function is called that replaces a built-in one."""
     return name + _MARK
 
 

@@ -1,4 +1,4 @@
-"""SelectScript text to a tree.
+"""Parses SelectScript text into a tree.
 
 The tokenizer is sqlglot's with SelectScript's quotes and comments; the parser is a recursive
 descent over its tokens, one method a precedence level. docs/reference/language.md has the grammar.
@@ -74,7 +74,20 @@ def is_reserved(name: str) -> bool:
 
 @lru_cache(maxsize=512)
 def parse(text: str) -> Program:
-    """Parse a program.
+    """Parses a program.
+
+    >>> parse("1 + 2 * 3;").statements[0].outline()
+    "Binary('+', Literal(1), Binary('*', Literal(2), Literal(3)))"
+    >>> parse("v{5.0} = z(cup);").statements[0].outline()
+    "Assignment('v', Literal(5.0), Call('z', [Name('cup')]))"
+    >>> (query,) = parse("SELECT id FROM kitchen WHERE above(table, this) AS list;").statements
+    >>> print(query.outline())
+    Query([Name('id')], [Source('kitchen', Name('kitchen'))],
+          Call('above', [Name('table'), This(None)]), AdapterClause('list'))
+    >>> parse("SELECT id FORM kitchen;")
+    Traceback (most recent call last):
+        ...
+    ssduck.errors.ParseError: ...
 
     Args:
         text: statements, each ended by `;` (the last may go without).
@@ -223,11 +236,11 @@ class _Parser(SqlForms):
         return node
 
     def selected(self) -> Node:
-        """What stands in SELECT: a value, perhaps with a name, or an assignment to a variable."""
+        """An item of SELECT: a value, perhaps with a name, or an assignment to a variable."""
         return self.assigned() if self.at_assignment() else self.item()
 
     def filtered(self) -> Node:
-        """What stands in WHERE: a condition, or an assignment to a variable."""
+        """A part of WHERE: a condition, or an assignment to a variable."""
         return self.assigned() if self.at_assignment() else self.condition()
 
     def source(self) -> Source:
@@ -488,7 +501,7 @@ class _Parser(SqlForms):
 
     @cached_property
     def closings(self) -> dict[int, int]:
-        """Where the token is that closes a parenthesis, by where that is."""
+        """The place of each closing parenthesis, by the place of the opening one."""
         result: dict[int, int] = {}
         open_ones: list[int] = []
         for index, token in enumerate(self.tokens):

@@ -1,4 +1,4 @@
-"""Texts in quotes, as programs write them."""
+"""Reads quoted texts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 
 def unquoted(written: str) -> str:
-    r"""What a text in quotes says.
+    r"""The value of a quoted text.
 
     Two quotes of its own kind are one. Backslashes before such a quote, and at its end, count by
     twos: two are a backslash, and one that is left makes the quote a part of the text. All other

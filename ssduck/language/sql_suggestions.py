@@ -1,4 +1,4 @@
-"""What users of SQL write that the language has no word for, and what to write instead."""
+"""Suggests SelectScript for SQL that the language does not have."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ _NAMES = frozenset(
 
 
 def instead_of_name(name: str) -> str:
-    """What to write instead of a name that nothing has; empty if it is no word of SQL."""
+    """The suggestion for an unknown name; empty if it is no word of SQL."""
     return HABITS[name.upper()] if name.upper() in _NAMES else ""
 
 
 def instead_of(word: str) -> str:
-    """What to write instead of a word or a sign of SQL; empty if it is none.
+    """The suggestion for a word or a sign of SQL; empty if there is none.
 
     Args:
         word: as it is written; case does not matter.

@@ -1,4 +1,4 @@
-"""What the language has from SQL: CASE, IN (…), LIKE, BETWEEN, IS NULL, count(*).
+"""Parses forms that come from SQL: CASE, IN (…), LIKE, BETWEEN, IS NULL, count(*).
 
 Each becomes what the language has for it, but LIKE and IS NULL, which are operators of their own.
 """
@@ -91,7 +91,7 @@ class SqlForms(Cursor):
         return LEVEL_OF["IN"] if is_next else -1
 
     def conditioned(self, start: SourceSpan, left: Node) -> Node:
-        """What `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
+        """The condition that `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
         is_not = self.take_words("NOT")
         if self.take_words("IS"):
             is_not = self.take_words("NOT")
@@ -212,7 +212,7 @@ class SqlForms(Cursor):
     # -- calls ----------------------------------------------------------------------------
 
     def of_all(self, name: str) -> Node | None:
-        """What stands in the brackets of `count(*)` and `count(DISTINCT x)`; None if neither."""
+        """The argument of `count(*)` or `count(DISTINCT x)`; None if it is neither."""
         if self.at(TokenType.STAR) and is_kind(self.ahead(), TokenType.R_PAREN):
             if name.lower() != "count":
                 self.fail("expected an expression (only count takes *)")

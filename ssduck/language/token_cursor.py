@@ -1,4 +1,4 @@
-"""A cursor over the tokens of a text: taking words and signs, and telling what is wrong."""
+"""A cursor over the tokens of a text: it takes words and signs, and reports errors."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ class Cursor:
         return SourceSpan(start.start, self.end())
 
     def end(self) -> int:
-        """Where the text of the token before the current one ends."""
+        """The end of the previous token in the text."""
         return span_of(self.tokens[self.index - 1]).end
 
     def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
@@ -190,7 +190,7 @@ class Cursor:
         raise ParseError(told, text=self.text, span=self.here(), suggestions=names)
 
     def _instead(self, token: Token) -> str:
-        """What to write instead of a word of SQL that led to the current token."""
+        """The suggestion for a word of SQL that led to the current token."""
         before = self.tokens[self.index - 1] if self.index else None
         if before is not None and before.text.upper() in STATEMENTS:
             return instead_of(before.text)
@@ -202,7 +202,7 @@ class Cursor:
         return next(filter(None, map(instead_of, words)), "")
 
     def _called(self) -> Token | None:
-        """What stands before the bracket that is open at the current token."""
+        """The name before the bracket that is open at the current token."""
         depth = 0
         for place in range(self.index - 1, 0, -1):
             kind = self.tokens[place].token_type
@@ -223,7 +223,7 @@ def is_word(token: Token | None, *words: str) -> bool:
 
 
 def slice_of(token: Token) -> slice:
-    """Where a token is in the text."""
+    """The place of a token in the text."""
     return slice(token.start, token.end + 1)
 
 

@@ -13,6 +13,9 @@ from typing import Any
 
 from ssduck.errors import SourceSpan
 
+# The fields that are places in the text.
+_PLACES = frozenset(("span", "name_span"))
+
 
 @dataclass(frozen=True, eq=False)
 class Node:
@@ -36,6 +39,26 @@ class Node:
         yield self
         for child in self.children():
             yield from child.walk()
+
+    def outline(self) -> str:
+        """The node and all below it as text, without their places.
+
+        >>> from ssduck.language.parser import parse
+        >>> parse("IF(x > 1; 'far'; 'near');").statements[0].outline()
+        "If(Binary('>', Name('x'), Literal(1)), [Literal('far')], [Literal('near')])"
+        """
+
+        def text(value: Any) -> str:
+            if isinstance(value, tuple):
+                return f"[{', '.join(map(text, value))}]"
+            return value.outline() if isinstance(value, Node) else repr(value)
+
+        values = (
+            getattr(self, field.name)
+            for field in fields(self)
+            if field.name not in _PLACES and getattr(self, field.name) != field.default
+        )
+        return f"{type(self).__name__}({', '.join(map(text, values))})"
 
     def replaced(self, change: Callable[[Node], Node | None]) -> Node:
         """The node with parts of it changed, from the outside in.
@@ -311,7 +334,7 @@ class Query(Node):
 
 @dataclass(frozen=True)
 class Suspicion:
-    """What is probably a mistake, though it has a meaning.
+    """A probable mistake: a construct that is valid, but rarely intended.
 
     Attributes:
         span: where it is.

@@ -1,4 +1,4 @@
-"""Variables with a history: what `name{5.0} = …` keeps, and what `name{…}` gives of it.
+"""Variables with a history: `name{5.0} = …` keeps values, `name{…}` reads them.
 
 A history is the values of a variable with the simulated times at which they were assigned,
 oldest first. It is never changed: a program that fails leaves the one that was there before.
@@ -39,7 +39,7 @@ class ValueLog:
 
 @dataclass(frozen=True, eq=False)
 class ValueHistory:
-    """What a variable with a history holds.
+    """The value of a variable with a history.
 
     Times and ages are simulated seconds; `now` is the present simulated time. What is later
     than that (the first world was replaced by a younger one) is not there.
@@ -141,7 +141,7 @@ class ValueHistory:
 
 
 def with_assignment(before: Any, value: Any, horizon: float, now: float) -> ValueHistory:
-    """What a variable holds after `name{horizon} = value`.
+    """Returns the value of a variable after `name{horizon} = value`.
 
     Args:
         before: what it held; None if there was no such variable.
@@ -164,7 +164,7 @@ def with_assignment(before: Any, value: Any, horizon: float, now: float) -> Valu
 def past_value(
     name: str, variable_value: Any, age: tuple[Any, ...], now: Callable[[], float]
 ) -> Any:
-    """What `name{…}` is.
+    """Returns the value of `name{…}`.
 
     Args:
         name: of the variable.
@@ -203,7 +203,7 @@ def history_of(name: str, variable_value: Any) -> ValueHistory:
 
 
 def horizon_of(value: Any) -> float:
-    """How long `name{value} = …` keeps values, in seconds.
+    """Returns the time for which `name{value} = …` keeps values, in seconds.
 
     Raises:
         ArgumentError: it is no finite number, or less than 0.

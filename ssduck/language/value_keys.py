@@ -1,4 +1,4 @@
-"""What stands for values in sets and as keys, and for parts of a tree."""
+"""Hashable keys for values and for parts of a tree."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def written(node: Node) -> str:
 
 
 def _written(value: Any) -> str:
-    """What is in a part: another one, some of them, or a name, a number, a text."""
+    """The key of a part's field: a part, several parts, or a name, a number, a text."""
     if isinstance(value, tuple):
         return f"({', '.join(map(_written, value))})"
     return written(value) if isinstance(value, Node) else repr(value)
@@ -54,7 +54,7 @@ def plain(value: Any) -> Any:
 
 
 def hashable(value: Any) -> Any:
-    """What stands for a value in sets: alike for equal values, lists and dicts included.
+    """A hashable key of a value: equal for equal values, lists and dicts included.
 
     Raises:
         ArgumentError: values of its type cannot be told apart.
@@ -79,7 +79,7 @@ _EXACT_ATOMS = frozenset((int, str, bool, type(None)))
 
 
 def exactly(value: Any) -> Any:
-    """What stands for a value in sets: alike only for values that no function tells apart.
+    """A hashable key of a value: equal only for values that no function can distinguish.
 
     1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart. So it may be
     with equal values of any other type.
@@ -111,7 +111,7 @@ def _distinguished(value: Any) -> str:
 
 
 class ValueKeys:
-    """What stands for values, so that it is quick to look up; for one search.
+    """Short keys of values, quick to look up, for one search.
 
     Lists that were seen before are known by what they are, without being looked into; they
     must not change meanwhile.
@@ -124,7 +124,7 @@ class ValueKeys:
         self._numbers: dict[Any, int] = {}
 
     def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
-        """What stands for each of some values, alike only for what no function tells apart."""
+        """A key of each value, equal only for values that no function can distinguish."""
         seen = self._seen
         return tuple(
             [seen[id(value)][1] if id(value) in seen else self._exactly(value) for value in values]

@@ -1,8 +1,9 @@
-"""What ssduck needs of a simulator, and one folder for each simulator.
+"""The interface to simulators, and one folder for each simulator.
 
-`interface` defines a simulator: what it answers, tick after tick, and what its bodies are made of.
-`backends` lists the simulators by name; a backend makes simulations. `scenes` reads scene files.
-`static` stands for a simulator in which nothing moves, for a tick of the past, for example.
+`interface` defines the protocol `Simulator` and the bodies, joints and poses that it exchanges.
+`backends` lists the simulators by name, with the functions that make simulations. `scenes` reads
+scene files. `static` is a simulator in which nothing moves; it runs recorded ticks and what-if
+worlds.
 """
 
 from typing import TYPE_CHECKING

@@ -1,6 +1,8 @@
-"""The simulators that worlds run in: one entry each, and what each of them does (`Backend`).
+"""The backends: which simulators ssduck knows by name, and how it makes simulations with each.
 
-A backend is a module. It is imported when the first world needs it.
+A backend is a module with the functions of the protocol `Backend`. `BACKENDS` lists the modules. A
+module is imported when a world first needs it. To add a simulator, write its `Simulator`
+(`ssduck.simulators.interface`), write its backend, and add a line to `BACKENDS`.
 """
 
 from __future__ import annotations
@@ -11,38 +13,39 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
 
+from ssduck.errors import UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
-from ssduck.simulators.interface import Body, Kind, LinkPoses, Simulator
+from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, LinkPoses, Simulator
 from ssduck.simulators.scenes import Scene
 
-BACKENDS = {"pybullet": "ssduck.simulators.pybullet.backend"}
+BACKENDS = {DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend"}
 
-# A trimesh.Trimesh, (vertices, faces), or the path of a mesh file; faces of None make the hull.
+# A trimesh.Trimesh, (vertices, faces), or the path of a mesh file. Faces of None make the hull.
 Mesh: TypeAlias = Any
-# By a body, (body, link), or (body, link, number), in the simulator's numbers.
+# Meshes by body, (body, link) or (body, link, number), in the numbers of the simulator.
 ShapesByBody: TypeAlias = Mapping[int | tuple[int, int] | tuple[int, int, int], Mesh]
 
 
 @dataclass(frozen=True, eq=False)
 class BodyToCopy:
-    """A body that is to be copied, as a tick tells of it.
+    """A body at a tick, to be copied into another simulation or into a scene.
 
     Attributes:
-        name: in its world.
-        body: what it is made of.
-        frames: where its links are.
-        joints: their positions and velocities, (joints, 2); NaN for what nobody knows.
+        name: the name of its entity.
+        body: its links, joints and shapes.
+        link_poses: the poses and velocities of its links.
+        joints: the positions and velocities of its joints, (joints, 2); NaN where unknown.
     """
 
     name: str
     body: Body
-    frames: LinkPoses
+    link_poses: LinkPoses
     joints: Array
 
 
 @dataclass(frozen=True, eq=False)
 class TickToCopy:
-    """What else a tick tells.
+    """The state of a tick that belongs to no single body.
 
     Attributes:
         time: simulated seconds.
@@ -56,10 +59,13 @@ class TickToCopy:
 
 
 class Backend(Protocol):
-    """What a simulator does for worlds."""
+    """The functions of a backend.
+
+    A function that the simulator cannot support raises `UnsupportedError`.
+    """
 
     def load(self, scene: Scene) -> Simulator:
-        """A new simulation of a scene.
+        """Starts a simulation of a scene.
 
         Raises:
             SceneError: the scene cannot be loaded: key and reason.
@@ -72,34 +78,43 @@ class Backend(Protocol):
         kinds: Mapping[int, Kind] | None,
         shapes: ShapesByBody | None,
     ) -> Simulator:
-        """A user's own simulation; see `World.attach`."""
+        """Wraps a simulation that the user made and goes on using; see `World.attach`."""
 
     def excerpt(
         self, source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
     ) -> Simulator:
-        """A new simulation of some bodies as they are at a tick.
+        """Starts a simulation of some bodies as they are at a tick.
 
         Args:
-            source: what runs them, or the world that the tick is of, now; None if nobody does
-                any more.
+            source: the simulator of the world that the tick belongs to, as it is now; None if
+                nothing runs that world any more.
             originals: the bodies, in load order.
-            tick: when that is.
+            tick: the time of the tick and its flags.
 
         Raises:
-            SimulatorError: the source does not answer, or there is no room for another one.
+            SimulatorError: the source does not answer, or there is no room for another simulation.
             UnsupportedError: a body is soft.
-            SceneError: a model's file cannot be loaded any more.
+            SceneError: a model file can no longer be loaded.
         """
 
     def scene_of(
         self, simulator: Simulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
     ) -> Scene:
-        """The scene that a simulation of this backend is, without its sensors.
+        """Describes a simulation of this backend as a scene, without its sensors.
 
-        Writes its models into a folder.
+        Writes the models of the scene into a folder.
         """
 
 
-def backend(name: str = "pybullet") -> Backend:
-    """The backend of that name."""
+def backend(name: str = DEFAULT_BACKEND) -> Backend:
+    """The backend of a name in `BACKENDS`.
+
+    Raises:
+        UnknownNameError: there is no such backend; with the nearest names.
+    """
+    if name not in BACKENDS:
+        raise UnknownNameError(
+            f"there is no simulator {name!r}; the simulators are {', '.join(BACKENDS)}",
+            suggestions=nearest(name, BACKENDS),
+        )
     return cast("Backend", import_module(BACKENDS[name]))

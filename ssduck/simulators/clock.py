@@ -1,4 +1,4 @@
-"""How simulated time is counted: `Clock`."""
+"""The count of simulated time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Clock:
-    """Simulated time: steps of one length since some moment.
+    """Simulated time: a number of steps of one length since a start.
 
-    Times are products, so that the rounding of many steps does not add up.
+    The time is a product, so that the rounding errors of many steps do not add up.
+
+    >>> Clock(0.1).after(3, 0.1).time == 3 * 0.1
+    True
 
     Attributes:
         timestep: the length of a step, s.
         since: the simulated time from which the steps are counted, s.
-        steps: how many steps have passed since then.
+        steps: the number of steps since then.
     """
 
     timestep: float
@@ -27,11 +30,11 @@ class Clock:
         return self.since + self.steps * self.timestep
 
     def after(self, steps: int, timestep: float) -> Clock:
-        """The clock after that many more steps of a length, s, which may be another one."""
+        """The clock after more steps of a length, s; the length may be a new one."""
         if timestep != self.timestep:
             return Clock(timestep, self.time, steps)
         return Clock(timestep, self.since, self.steps + steps)
 
     def at(self, time: float, timestep: float) -> Clock:
-        """The clock at a simulated time, s, from which steps of a length, s, are counted."""
+        """A clock that counts steps of a length, s, from a simulated time, s."""
         return Clock(timestep, time)

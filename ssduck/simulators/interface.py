@@ -1,9 +1,9 @@
-"""What ssduck needs of a simulator; one module a simulator implements it.
+"""The interface between ssduck and a simulator.
 
-A simulator describes its bodies once (what they are made of) and then answers, tick after
-tick, where their frames are. Frame 0 of a body is its base link, frame i + 1 its link i.
-Positions and orientations are those of the link frames (not of the centres of mass), in the
-world; orientations are w, x, y, z.
+A simulator describes its bodies once and then answers, tick after tick, where their links are.
+Link 0 of a body is its base, link i + 1 is the link of joint i. Poses are those of the link frames
+(not of the centres of mass), in the world frame. Lengths are metres, angles radians, and
+quaternions w, x, y, z.
 """
 
 from __future__ import annotations
@@ -24,11 +24,19 @@ from ssduck.simulators.scenes import Camera
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
 # The types of joints whose position is one number.
 SCALAR_JOINTS = ("revolute", "prismatic")
+# The simulator of worlds that name no other.
+DEFAULT_BACKEND = "pybullet"
 
 
 @dataclass(frozen=True)
 class Link:
-    """A link of a body: its name, its parent's index among the links (none: -1), its mass."""
+    """A rigid part of a body.
+
+    Attributes:
+        name: the name of the link.
+        parent: the index of its parent among the links of the body; -1 for the base.
+        mass: kg.
+    """
 
     name: str
     parent: int
@@ -37,14 +45,21 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint between a link and its parent.
+    """The connection of a link to its parent.
 
-    Limits are radians or metres; `effort` newton metres or newtons; none is None.
+    Limits are radians or metres, efforts newton metres or newtons. None means no limit.
 
     Attributes:
-        axis: in the frame of `link`, which has its origin on it. A revolute joint turns the
-            link about it, and it is of length 1; a prismatic one shifts it by position times
-            axis; of other types it is 0.
+        name: the name of the joint.
+        type: the type of its motion.
+        link: the index of the link that it moves.
+        lower: the lower limit of its position.
+        upper: the upper limit of its position.
+        max_effort: the greatest effort of its motor.
+        max_velocity: its greatest velocity.
+        axis: in the frame of `link`, through its origin. A revolute joint turns the link about a
+            unit axis. A prismatic joint shifts it by position times axis. For other types it
+            is 0.
     """
 
     name: str
@@ -59,16 +74,17 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What a body is made of.
+    """The links, joints and shapes of a body.
 
     Attributes:
-        handle: the simulator's own number; simulators may use it again for another body.
-        name: as the scene, the caller or the model's file says; not yet unique.
+        handle: the simulator's number of the body. Simulators may reuse the number of a removed
+            body.
+        name: as given by the scene, the caller or the model file; not yet unique.
         kind: robot or kinbody.
-        movable: whether the simulation can move any of its frames.
+        movable: whether the simulation can move any of its links.
         links: link 0 is the base; parents come before their children.
         joints: one for each link but the base, in the order of the links.
-        shapes: collision shapes; `PlacedGeometry.frame` is the index of the link.
+        shapes: the collision shapes; `PlacedGeometry.frame` is the index of the link.
     """
 
     handle: int
@@ -81,37 +97,45 @@ class Body:
 
     @property
     def masses(self) -> list[float]:
-        """Those of the links, kg, as they were read with the body."""
+        """The masses of the links when the body was described, kg."""
         return [link.mass for link in self.links]
 
     @property
     def margins(self) -> list[float]:
-        """Those of the shapes, m, as they were read with the body."""
+        """The collision margins of the shapes when the body was described, m."""
         return [shape.margin for shape in self.shapes]
 
     @property
     def has_stand_ins(self) -> bool:
-        """Whether a box is known to stand in for some of its shapes."""
+        """Whether a bounding box is known to stand in for one of its shapes."""
         return any(shape.exact is False for shape in self.shapes)
 
 
 @dataclass(frozen=True, eq=False)
 class LinkPoses:
-    """Where n link frames are and how their links move, in the world.
+    """The poses and velocities of n links in the world.
 
     Attributes:
-        positions: (n, 3), of the frames' origins.
-        matrices: (n, 3, 3), their orientations.
+        positions: (n, 3), the origins of the link frames.
+        matrices: (n, 3, 3), the orientations of the link frames.
         states: (n, 13): a point of the link (its centre of mass) x y z, the orientation of the
-            frame w x y z, the velocity of that point x y z, the angular velocity x y z.
+            link frame w x y z, the velocity of the point x y z, the angular velocity x y z.
     """
 
     positions: Array
     matrices: Array
     states: Array
 
-    def at(self, points: Array, links: Indices) -> Array:
-        """The states (n, 13) of these links, told of points (n, 3) of theirs."""
+    def states_at(self, points: Array, links: Indices) -> Array:
+        """The states of some links, stated at other points of them.
+
+        Args:
+            points: (m, 3), points of the links, in the world.
+            links: (m,), the rows of the links.
+
+        Returns:
+            (m, 13), as `states`.
+        """
         states = self.states.take(links, axis=0)
         states[:, 7:10] += cross(states[:, 10:], points - states[:, :3])
         states[:, :3] = points
@@ -120,11 +144,19 @@ class LinkPoses:
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact point of the solver, in the world frame; the normal points from b to a.
+    """A contact point of the physics solver, in the world; the normal points from b to a.
 
     Attributes:
+        body_a: the handle of body a.
+        link_a: the link of body a.
+        body_b: the handle of body b.
+        link_b: the link of body b.
+        point_a: on a.
+        point_b: on b.
+        normal: of length 1.
+        depth: how deep the shapes are in each other, m.
         force: along the normal, N.
-        friction: across it, on a, N.
+        friction: the friction force on a, N.
     """
 
     body_a: int
@@ -141,13 +173,13 @@ class Contact:
 
 @dataclass(frozen=True)
 class MotorTarget:
-    """What the motor of a joint is to do from the next step on.
+    """The target of a joint's motor from the next step on.
 
     Attributes:
-        position: where it takes the joint and holds it, rad or m; None for one that turns.
-        velocity: how fast it turns the joint, rad/s or m/s, if it has no position to take it to.
-        effort: the most that it gives, N m or N.
-        speed: how fast it goes to its position at most, rad/s or m/s; None for no bound.
+        position: the position to reach and to hold, rad or m; None for velocity control.
+        velocity: the velocity to hold if there is no position, rad/s or m/s.
+        effort: the greatest effort, N m or N.
+        speed: the greatest speed on the way to the position, rad/s or m/s; None for no limit.
     """
 
     position: float | None
@@ -158,11 +190,11 @@ class MotorTarget:
 
 @dataclass(frozen=True, eq=False)
 class RayHits:
-    """What n rays end on.
+    """The bodies that n rays hit first.
 
     Attributes:
-        bodies: (n,), the bodies' handles; -1 for none.
-        fractions: (n,), how far along its way each ray ends; 1 for none.
+        bodies: (n,), the handles of the bodies; -1 for no hit.
+        fractions: (n,), the fraction of its length at which each ray hits; 1 for no hit.
     """
 
     bodies: Indices
@@ -171,14 +203,14 @@ class RayHits:
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """What a camera on a body looks at: along its own +x, +z up.
+    """The view of a camera on a body. The camera looks along its +x axis; +z is up.
 
     Attributes:
         position: (3,), in the world.
         matrix: (3, 3), its orientation in the world.
-        fov: the vertical angle, degrees.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
+        fov: the vertical field of view, degrees.
+        width: of the image, pixels.
+        height: of the image, pixels.
     """
 
     position: Array
@@ -189,7 +221,16 @@ class CameraView:
 
 
 class Simulator(Protocol):
-    """One running simulation."""
+    """One running simulation.
+
+    Ticks need `describe`, the properties and the methods `read_…`. Each of the other methods is
+    needed by one function of worlds. A simulator that cannot do what a method says raises
+    `UnsupportedError` there.
+    """
+
+    @property
+    def backend(self) -> str:
+        """The name of its backend, which copies and saves it; see `BACKENDS`."""
 
     @property
     def time(self) -> float:
@@ -197,18 +238,18 @@ class Simulator(Protocol):
 
     @property
     def timestep(self) -> float:
-        """Simulated seconds that the next step takes; 0 where there are no steps."""
+        """The length of the next step, simulated seconds; 0 if there are no steps."""
 
     @property
     def clock(self) -> Clock:
-        """What counts the simulated time; another one with each step."""
+        """The clock that counts simulated time; a new object after each step."""
 
     def set_clock(self, clock: Clock) -> None:
-        """Go by another clock: of a simulation that others step, the ticks tell the time."""
+        """Replaces the clock: in an external simulation the ticks tell the time."""
 
     @property
-    def watched(self) -> bool:
-        """Whether others may add, remove and move bodies between two ticks, and step it."""
+    def is_external(self) -> bool:
+        """Whether the user runs it: bodies may come, go and move between two ticks."""
 
     @property
     def disabled(self) -> frozenset[Body]:
@@ -219,78 +260,83 @@ class Simulator(Protocol):
         """The bodies that are not drawn; the same object until they change."""
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """Bodies that came and bodies that went since the last call; None if none did."""
+        """The bodies that came and those that went since the last call; None if none did.
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:
-        """All frames of these bodies, body after body, as they are now.
+        A `Body` stays the same object until it goes. A body that comes back is a new object.
+        """
+
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
+        """The poses of all links of some bodies, body after body, as they are now.
+
+        The arrays are not written to afterwards.
 
         Args:
-            bodies: the same object as long as they are the same.
-            links_move: whether velocities of links other than bases are asked for; else they
-                may be NaN.
+            bodies: the same object for as long as the bodies are the same.
+            with_velocities: whether the velocities of all links are needed; else those of links
+                other than bases may be NaN.
         """
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Position, velocity and effort of these bodies' joints, (joints, 3)."""
+        """The position, velocity and effort of the joints of some bodies, (joints, 3)."""
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The masses of these bodies' links as they are now, kg; of what is gone, as they were."""
+        """The masses of the links of some bodies, kg; of a body that is gone, the last ones."""
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The collision margins of these bodies' shapes, m; of what is gone, as they were."""
+        """The collision margins of the shapes of some bodies, m; of one that is gone, the last."""
 
     def read_contacts(self) -> Iterable[Contact]:
         """The contacts of the last step."""
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """The nearest body that each ray meets, as everything is now; none that it begins in.
+        """The first body that each ray hits now. A ray does not hit a body that it begins in.
 
         Args:
-            starts: (n, 3), where they begin.
-            ends: (n, 3), where they end at the latest.
-            through: (n,), the handle of the body that each passes through.
+            starts: (n, 3), the starts of the rays.
+            ends: (n, 3), their ends.
+            through: (n,), the handle of the body that each ray passes through.
         """
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        """A colour picture without shadows, (height, width, 3)."""
+        """The colour image of a camera on a body, without shadows, (height, width, 3)."""
 
     def step(self, count: int) -> None:
-        """Advance by that many steps."""
+        """Advances by a number of steps."""
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
-        """Put a body's base link frame there, at rest."""
+        """Puts the base link frame of a body at a pose, at rest."""
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
-        """Set joints of a body, at rest: radians or metres by the number of the joint's link."""
+        """Sets joints of a body, at rest: rad or m, by the index of the joint's link."""
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        """Set motors of a body's joints, by the number of the joint's link, for the next steps."""
+        """Sets motors of a body for the next steps, by the index of the joint's link."""
 
-    def are_tied(self, body: Body, other: Body) -> bool:
-        """Whether the base of another body is tied to a link of a body, rigidly."""
+    def has_constraint(self, body: Body, other: Body) -> bool:
+        """Whether a fixed constraint connects a link of a body to the base of another."""
 
-    def tie(self, body: Body, link: int, other: Body) -> None:
-        """Tie the base of another body to a link of a body, rigidly, as they are now."""
+    def add_constraint(self, body: Body, link: int, other: Body) -> None:
+        """Adds a fixed constraint between a link of a body and the base of another, as they are."""
 
-    def untie(self, body: Body, other: Body) -> None:
-        """Remove what ties them so."""
+    def remove_constraint(self, body: Body, other: Body) -> None:
+        """Removes the fixed constraints between links of a body and the base of another."""
 
     def enable(self, body: Body, on: bool) -> None:
-        """Let a body take part in collisions, or not."""
+        """Switches the collisions of a body on or off."""
 
     def show(self, body: Body, on: bool) -> None:
-        """Draw a body, or do not."""
+        """Shows or hides a body in images."""
 
     def remove(self, body: Body) -> None:
-        """Take a body out; `describe` tells that it went."""
+        """Removes a body; `describe` reports that it went."""
 
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        """A colour picture, (height, width, 3), with shadows or without."""
+        """The colour image of a camera, (height, width, 3), with or without shadows."""
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """The handle of the body that each pixel of it shows, (height, width); -1 for none."""
+        """The handle of the body in each pixel of that image, (height, width); -1 for none."""
 
     def close(self) -> None:
-        """Give up what the simulator holds; a client that the user made stays connected."""
+        """Releases the simulation; one that the user made goes on running."""

@@ -1,8 +1,8 @@
-"""Positions of an entity's joints at a tick, and how far open they are.
+"""The positions of an entity's joints at a tick, and how far open they are.
 
-How far a joint is open is told as a share of its range, from its closed end: that of its two limits
-that is nearer to 0, or the lower one where both are as near. It is below 0 or above 1 where the
-simulator lets a joint go beyond its limits.
+The openness of a joint is the fraction of its range from its closed end. The closed end is the
+limit that is nearer to 0, or the lower limit if both are equally near. The openness is below 0 or
+above 1 where the simulator lets a joint leave its range.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from typing import Protocol
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint
 
-# What is open, and what is closed, if no share is given.
+# The least openness of an open joint and the greatest of a closed one, by default.
 OPEN, CLOSED = 0.5, 0.05
-# Shares are rounded by as much.
+# The rounding error of an openness.
 ROUNDED = 1e-9
 
 
 class JointError(UnknownNameError):
-    """An entity has no joint of a name, or not one with what is asked of it."""
+    """An entity has no joint of a name, or not one that can be used so."""
 
 
 class HasLimits(Protocol):
-    """What moves between limits, rad or m: a joint of a model, or one at a tick."""
+    """A joint of a model, or one at a tick. Limits are rad or m."""
 
     @property
     def type(self) -> str:
-        """What kind of joint it is."""
+        """The type of the joint."""
 
     @property
     def lower(self) -> float | None:
@@ -42,19 +42,22 @@ class HasLimits(Protocol):
 
 
 def openness(joint: HasLimits, position: float) -> float | None:
-    """How far a joint is open, as a share of its range; None if it has no two limits.
+    """How far a joint is open, as a fraction of its range; None if it has no two limits.
+
+    >>> openness(Joint("door", "revolute", 1, 0.0, 2.0, None, None), 0.5)
+    0.25
 
     Args:
         joint: the joint.
-        position: where it is, rad or m; of NaN comes NaN.
+        position: its position, rad or m; NaN yields NaN.
     """
     lower, upper = joint.lower, joint.upper
     if joint.type not in SCALAR_JOINTS or lower is None or upper is None:
         return None
     if not (math.isfinite(upper - lower) and lower < upper):
         return None
-    way = upper - position if abs(upper) < abs(lower) else position - lower
-    return way / (upper - lower)
+    distance = upper - position if abs(upper) < abs(lower) else position - lower
+    return distance / (upper - lower)
 
 
 @dataclass(frozen=True)
@@ -62,9 +65,9 @@ class EntityJoints:
     """The joints of an entity at a tick.
 
     Attributes:
-        entity: what the entity is called.
-        joints: as in its model.
-        positions: of each, rad or m; NaN where it is unknown.
+        entity: the name of the entity.
+        joints: the joints of its model.
+        positions: their positions, rad or m; NaN where unknown.
     """
 
     entity: str
@@ -72,7 +75,7 @@ class EntityJoints:
     positions: Sequence[float]
 
     def position(self, name: str) -> float | None:
-        """The position of a joint, rad or m; None where it is unknown.
+        """The position of a joint, rad or m; None if it is unknown.
 
         Raises:
             JointError: there is no such joint, or its position is not one number.
@@ -86,27 +89,27 @@ class EntityJoints:
         return None if math.isnan(position) else position
 
     def openness(self, name: str) -> float | None:
-        """How far a joint is open; None where its position is unknown.
+        """How far a joint is open; None if its position is unknown.
 
         Raises:
             JointError: there is no such joint, or it has no limits.
         """
         joint, position = self._named(name)
-        share = openness(joint, position)
-        if share is None:
+        fraction = openness(joint, position)
+        if fraction is None:
             raise JointError(
                 f"{self.entity}: joint {name!r} is {joint.type} and has no range between two "
                 "limits, so that it is neither open nor closed"
             )
-        return None if math.isnan(share) else share
+        return None if math.isnan(fraction) else fraction
 
     def most_open(self) -> float | None:
-        """How far the joint that is open farthest is; -inf if none has limits.
+        """The openness of the joint that is open farthest; -inf if no joint has limits.
 
-        None where a position is unknown.
+        None if a position is unknown.
         """
-        found = map(openness, self.joints, self.positions)
-        shares = [share for share in found if share is not None]
+        openness_ = map(openness, self.joints, self.positions)
+        shares = [fraction for fraction in openness_ if fraction is not None]
         return None if any(map(math.isnan, shares)) else max(shares, default=-math.inf)
 
     def _named(self, name: str) -> tuple[Joint, float]:
@@ -114,5 +117,5 @@ class EntityJoints:
             if joint.name == name:
                 return joint, position
         names = [joint.name for joint in self.joints]
-        told = f"{self.entity} has no joint {name!r}" if names else f"{self.entity} has no joints"
-        raise JointError(told, suggestions=nearest(name, names))
+        missing = f"no joint {name!r}" if names else "no joints"
+        raise JointError(f"{self.entity} has {missing}", suggestions=nearest(name, names))

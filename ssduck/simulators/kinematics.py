@@ -1,8 +1,8 @@
-"""Where the links of a body are if its base and its joints are elsewhere, and joints by name.
+"""Forward kinematics: the poses of a body's links for other positions of its base and its joints.
 
-What is asked for is told from where the links are now: a joint that turns by as much more takes
-its link, and all that hangs on it, along. So no zero position has to be known, and joints of
-types that have no number for a position stay as they are.
+New poses are computed from the present ones: a joint that turns further takes its link, and all
+links beyond it, along. So no zero position needs to be known, and joints whose position is not one
+number stay as they are.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, LinkPoses, M
 Pose: TypeAlias = tuple[Array, Array]
 JointValues: TypeAlias = Mapping[str, float] | Sequence[float]
 
-# How far beyond its limit a joint may be put, rad or m: solvers leave them there.
+# Positions may exceed limits by this, rad or m: physics solvers leave joints there.
 LIMIT_TOLERANCE = 1e-3
 
 
@@ -31,10 +31,10 @@ LIMIT_TOLERANCE = 1e-3
 
 
 def parse_pose(values: Sequence[float], of: str) -> Pose:
-    """A pose from w, x, y, z, x, y, z; the orientation is made of unit length.
+    """The pose of the numbers w, x, y, z, x, y, z; the orientation is scaled to unit length.
 
     Raises:
-        StateError: these are no seven finite numbers, or the orientation is all 0.
+        StateError: these are not seven finite numbers, or the orientation is all 0.
     """
     numbers = validation.finite_array(values, 7, f"{of}: pose w, x, y, z, x, y, z")
     return numbers[4:], unit(numbers[:4], of)
@@ -55,16 +55,17 @@ def unit(orientation: Array, of: str) -> Array:
 
 
 def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, float]:
-    """Joints' positions, rad or m, by the numbers of the links that they move.
+    """The positions of joints, rad or m, by the indices of the links that they move.
 
     Args:
         values: by the joint's name; or one for each joint whose position is a number, in order.
-        body: whose joints they are.
-        name: what errors call it.
+        body: the body that has the joints.
+        name: its name in errors.
 
     Raises:
-        UnknownNameError: there is no joint of a name, with the nearest names.
-        ArgumentError: too many values or too few, or the joint's position is no one number.
+        UnknownNameError: there is no joint of a name; with the nearest names.
+        ArgumentError: there are too many values or too few, or a joint's position is not one
+            number.
         StateError: a value is not finite, or beyond the joint's limits.
     """
     joints = {joint.name: joint for joint in body.joints}
@@ -90,39 +91,39 @@ def motor_targets(
     body: Body,
     name: str,
 ) -> dict[int, MotorTarget]:
-    """What motors are to do, by the numbers of the links that they move; see `Entity.drive`."""
+    """The targets of motors, by the indices of the links that they move; see `Entity.drive`."""
     for values, what in ((velocities, "velocities"), (efforts, "efforts")):
         validation.mapping(values, f"{name}: {what} are given by the joints' names, in a dict")
     joints = {joint.name: joint for joint in body.joints}
-    places = joint_positions(positions, body, name) if positions is not None else {}
-    speeds = {
+    position_values = joint_positions(positions, body, name) if positions is not None else {}
+    velocity_values = {
         _named(key, joints, name).link: _bounded(value, joints[key], "velocity", name)
         for key, value in (velocities or {}).items()
     }
-    limits = {
+    effort_values = {
         _named(key, joints, name).link: _bounded(value, joints[key], "effort", name)
         for key, value in (efforts or {}).items()
     }
     by_link = {joint.link: joint for joint in body.joints}
-    for link in places.keys() & speeds.keys():
+    for link in position_values.keys() & velocity_values.keys():
         raise ArgumentError(f"{name}: joint {by_link[link].name!r}: a position or a velocity")
-    for link in limits.keys() - places.keys() - speeds.keys():
+    for link in effort_values.keys() - position_values.keys() - velocity_values.keys():
         raise ArgumentError(
             f"{name}: joint {by_link[link].name!r} has an effort, but no position or velocity"
         )
     return {
         link: MotorTarget(
-            position=places.get(link),
-            velocity=speeds.get(link, 0.0),
-            effort=limits.get(link, by_link[link].max_effort or 0.0),
+            position=position_values.get(link),
+            velocity=velocity_values.get(link, 0.0),
+            effort=effort_values.get(link, by_link[link].max_effort or 0.0),
             speed=by_link[link].max_velocity or None,
         )
-        for link in sorted(places.keys() | speeds.keys())
+        for link in sorted(position_values.keys() | velocity_values.keys())
     }
 
 
 def _check_sequence(values: Any, name: str) -> None:
-    """Complain of what are no joint values in order."""
+    """Refuses values that are not in a sequence."""
     if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
         raise ArgumentError(
             f"{name}: joint values are given in a list, or by the joints' names in a dict, not as "
@@ -144,10 +145,10 @@ def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
 
 
 def link_index(body: Body, link: str, name: str) -> int:
-    """The number of a link by its name.
+    """The index of a link by its name.
 
     Raises:
-        UnknownNameError: there is none, with the nearest names.
+        UnknownNameError: there is none; with the nearest names.
     """
     names = [one.name for one in body.links]
     if link not in names:
@@ -156,7 +157,7 @@ def link_index(body: Body, link: str, name: str) -> int:
 
 
 def descendant_links(body: Body, link: int) -> set[int]:
-    """The numbers of a link and of all that hang on it."""
+    """The indices of a link and of all links beyond it."""
     found = {link}
     for number, one in enumerate(body.links):  # parents come first
         if one.parent in found:
@@ -191,19 +192,19 @@ def _position(value: float, joint: Joint, name: str) -> float:
 
 
 def moved_link_poses(
-    body: Body, frames: LinkPoses, base: Pose | None, joints: Mapping[int, float]
+    body: Body, link_poses: LinkPoses, base: Pose | None, joints: Mapping[int, float]
 ) -> LinkPoses:
-    """A body's frames if its base is put elsewhere, and some joints have moved, all at rest.
+    """The poses of a body's links with its base elsewhere and some joints moved, all at rest.
 
-    Joints that are not named keep position and velocity.
+    Joints that are not given keep their positions and velocities.
 
     Args:
         body: the body.
-        frames: where its links are.
-        base: of the base link's frame; None leaves it as it is.
-        joints: how much further these joints are than now, rad or m, by the joint's link.
+        link_poses: the present poses of its links.
+        base: the new pose of the base link frame; None leaves it as it is.
+        joints: the changes of joint positions, rad or m, by the index of the joint's link.
     """
-    old = frames.at(frames.positions, np.arange(len(body.links)))
+    old = link_poses.states_at(link_poses.positions, np.arange(len(body.links)))
     new = np.zeros_like(old)
     if base is None:
         new[0] = old[0]
@@ -211,16 +212,16 @@ def moved_link_poses(
         new[0, :3], new[0, 3:7] = base
     parents = np.array([link.parent for link in body.links], dtype=np.intp)
     if len(parents) > 1:
-        within = _within(old[parents[1:]], old[1:])
-        for link, further in joints.items():
-            _drive(within[link - 1 : link], body.joints[link - 1], further)
+        within = _relative_states(old[parents[1:]], old[1:])
+        for link, change in joints.items():
+            _move_joint(within[link - 1 : link], body.joints[link - 1], change)
         for links in _generations(parents):
-            new[links] = _outside(new[parents[links]], within[links - 1])
+            new[links] = _absolute_states(new[parents[links]], within[links - 1])
     return LinkPoses(new[:, :3].copy(), rotation_matrices(new[:, 3:7]), new)
 
 
-def _within(parents: Array, links: Array) -> Array:
-    """States of links (n, 13), told of their frames' origins, as their parents see them."""
+def _relative_states(parents: Array, links: Array) -> Array:
+    """The states of links (n, 13), at their frames' origins, relative to their parents."""
     arms = links[:, :3] - parents[:, :3]
     away = parents[:, 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
     positions, orientations = compose(
@@ -232,8 +233,8 @@ def _within(parents: Array, links: Array) -> Array:
     return np.hstack((positions, orientations, rotate(back, drift), rotate(back, spin)))
 
 
-def _outside(parents: Array, links: Array) -> Array:
-    """What `_within` is of: states of links (n, 13) from those that their parents see."""
+def _absolute_states(parents: Array, links: Array) -> Array:
+    """The inverse of `_relative_states`: the states of links (n, 13) in the world."""
     turn = rotation_matrices(parents[:, 3:7])
     positions, orientations = compose(parents[:, :3], parents[:, 3:7], links[:, :3], links[:, 3:7])
     swept = cross(parents[:, 10:], positions - parents[:, :3])
@@ -242,19 +243,19 @@ def _outside(parents: Array, links: Array) -> Array:
     return np.hstack((positions, orientations, velocities, spins))
 
 
-def _drive(within: Array, joint: Joint, further: float) -> None:
-    """Move a link (1, 13) that its parent sees by its joint, in place; it rests then."""
+def _move_joint(within: Array, joint: Joint, change: float) -> None:
+    """Moves a link (1, 13), relative to its parent, by its joint, in place; at rest afterwards."""
     within[:, 7:] = 0.0
     if joint.type == "prismatic":
-        shift = further * np.array([joint.axis])
+        shift = change * np.array([joint.axis])
         within[:, :3] += rotate(rotation_matrices(within[:, 3:7]), shift)
     else:
-        turn = np.array([[math.cos(further / 2), *(math.sin(further / 2) * np.array(joint.axis))]])
+        turn = np.array([[math.cos(change / 2), *(math.sin(change / 2) * np.array(joint.axis))]])
         within[:, 3:7] = multiply(within[:, 3:7], turn)
 
 
 def _generations(parents: Indices) -> list[Indices]:
-    """The links but the base: its children, then theirs, and so on."""
+    """The links except the base: its children, their children, and so on."""
     depths = np.zeros(len(parents), dtype=np.intp)
     for link, parent in enumerate(parents[1:].tolist(), 1):
         depths[link] = depths[parent] + 1

@@ -1,7 +1,7 @@
-"""Scene descriptions: a small TOML format that names bodies, models, poses and sensors.
+"""Scenes: a TOML format that names bodies, models, poses and sensors.
 
-The format is documented in docs/reference/scenes.md. Reading one checks all of it, so that what is
-wrong is said with file, key and reason before a simulator is started.
+docs/reference/scenes.md documents the format. A scene file is checked completely before a simulator
+starts; errors name the file, the key and the reason.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MODEL_SUFFIXES = (".urdf", ".sdf", ".mjcf", ".xml")
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole view: where it is, what it looks at (metres), its vertical angle (degrees)."""
+    """A pinhole camera: eye and target (metres), and vertical field of view (degrees)."""
 
     eye: Vector = (3.0, -3.0, 2.5)
     target: Vector = (0.0, 0.0, 0.5)
@@ -35,10 +35,25 @@ class Camera:
 
 @dataclass(frozen=True)
 class BodySpec:
-    """A body of a scene: position (metres) and orientation (w, x, y, z) of its base link frame.
+    """A body of a scene.
 
-    `velocity` is what it begins with, of its centre of mass, m/s, and angular, rad/s, in the
-    world frame.
+    Attributes:
+        name: the name; None for that of the model.
+        kind: robot or kinbody; None to decide by the joints.
+        model: the model file.
+        position: of the base link frame, metres.
+        orientation: of the base link frame, w, x, y, z.
+        fixed: whether the base is fixed to the world.
+        joints: initial positions by the joints' names, rad or m.
+        velocity: initial velocity of the base link frame, m/s, then angular velocity, rad/s, in the
+            world frame.
+        joint_velocities: initial velocities by the joints' names, rad/s or m/s.
+        hold: whether motors hold its joints.
+        held: the positions that motors hold, if they differ from `joints`.
+        enabled: whether it takes part in collisions.
+        visible: whether it is drawn.
+        own_inertia: whether moments of inertia are those of the model; else they follow from the
+            shapes.
     """
 
     name: str | None
@@ -48,15 +63,12 @@ class BodySpec:
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     fixed: bool = False
     joints: dict[str, float] = field(default_factory=dict)
-    # Of its base link's frame, m/s, then rad/s; and of joints.
     velocity: tuple[float, ...] = (0.0,) * 6
     joint_velocities: dict[str, float] = field(default_factory=dict)
-    # Whether motors hold its joints, and where, if not where they are.
     hold: bool = True
     held: dict[str, float] = field(default_factory=dict)
     enabled: bool = True
     visible: bool = True
-    # Whether moments of inertia are the model's; else those of its shapes.
     own_inertia: bool = False
 
 
@@ -65,24 +77,24 @@ CONSTRAINT_TYPES = ("fixed", "point", "prismatic", "gear")
 
 @dataclass(frozen=True)
 class ConstraintSpec:
-    """What ties a link of a body to one of another, or to the world.
+    """A constraint between a link of a body and a link of another, or the world.
 
     Attributes:
         type: one of `CONSTRAINT_TYPES`.
         on: the body.
-        to: the other one; None for the world.
+        to: the other body; None for the world.
         link: of the body; None for its base.
-        to_link: of the other one.
-        axis: of a prismatic one.
+        to_link: of the other body; None for its base.
+        axis: of a prismatic constraint.
         position: in the frame of the link's centre of mass, metres.
         orientation: in that frame, w, x, y, z.
-        to_position: in that of the other link's, or in the world.
-        to_orientation: the same.
+        to_position: in the frame of the other link's centre of mass, or in the world, metres.
+        to_orientation: in that frame, w, x, y, z.
         max_force: newtons.
         gear_ratio: of a gear.
         gear_link: of a gear, the number of a third link.
-        gear_target: of a gear, how far apart they are to be.
-        erp: how much of an error is made up for in a step; 0 for PyBullet's own.
+        gear_target: of a gear, the relative position to reach.
+        erp: the fraction of an error that a step corrects; 0 for PyBullet's default.
     """
 
     type: str
@@ -104,12 +116,12 @@ class ConstraintSpec:
 
 @dataclass(frozen=True)
 class Engine:
-    """How the solver works; None for PyBullet's own.
+    """Settings of the physics solver; None for PyBullet's default.
 
     Attributes:
-        substeps: into so many parts a step is cut; 0 for none.
-        iterations: of the solver, at most, in a step.
-        joint_iterations: of joints and constraints in each of these.
+        substeps: the number of parts of a step; 0 for none.
+        iterations: the greatest number of solver iterations in a step.
+        joint_iterations: the number of iterations for joints and constraints in each of them.
     """
 
     substeps: int | None = None
@@ -119,10 +131,21 @@ class Engine:
 
 @dataclass(frozen=True)
 class SensorSpec:
-    """A sensor and where it sits: its pose in the frame of a body's link.
+    """A sensor at a pose in the frame of a body's link.
 
-    A sensor looks along its own +x with z up. `settings` are those of its type; `max_range` is
-    0 for a type that has none.
+    A sensor looks along its own +x axis; +z is up.
+
+    Attributes:
+        name: the name.
+        on: the body.
+        link: the link; None for the base.
+        type: one of `SENSOR_TYPES`.
+        position: in the link frame, metres.
+        orientation: in the link frame, w, x, y, z.
+        period: seconds between two readings.
+        max_range: metres; 0 for a type without a range.
+        settings: the settings of its type.
+        powered: whether it is switched on.
     """
 
     name: str
@@ -139,9 +162,21 @@ class SensorSpec:
 
 @dataclass(frozen=True)
 class Scene:
-    """A whole scene; bodies and sensors in load order.
+    """A scene; bodies and sensors are in load order.
 
-    In an `elastic` one there is neither friction nor damping, and collisions lose no energy.
+    Attributes:
+        name: the name.
+        path: the scene file or model file.
+        description: free text.
+        gravity: m/s².
+        timestep: the length of a step, s.
+        time: the initial simulated time, s.
+        camera: the default camera.
+        bodies: the bodies.
+        sensors: the sensors.
+        elastic: whether there is neither friction nor damping, and collisions lose no energy.
+        constraints: the constraints.
+        engine: the settings of the physics solver.
     """
 
     name: str
@@ -159,23 +194,26 @@ class Scene:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """The scenes that come with ssduck: name to the scene's file."""
+    """The scenes that come with ssduck: the path of the scene file by name."""
     return {path.parent.name: path for path in sorted(_shipped_folder().glob("*/scene.toml"))}
 
 
 def _shipped_folder() -> Path:
-    """In a wheel the scenes lie inside the package, in a checkout beside it."""
+    """The folder of the scenes: inside the package in a wheel, beside it in a checkout."""
     package = Path(str(files("ssduck")))
     inside = package / "scenes"
     return inside if inside.is_dir() else package.parent / "scenes"
 
 
 def find_scene(name: str | Path) -> Scene:
-    """A scene by the name of a shipped one, or by the path of a scene or a model file.
+    """Finds a scene by the name of a shipped one, or by the path of a scene or a model file.
+
+    >>> find_scene("kitchen").name
+    'kitchen'
 
     Raises:
-        UnknownNameError: there is neither, with the nearest shipped names.
-        SceneError: there is a file, and it cannot be used: file, key and reason.
+        UnknownNameError: there is neither; with the nearest shipped names.
+        SceneError: the file cannot be used: file, key and reason.
     """
     shipped = shipped_scenes()
     if str(name) in shipped:
@@ -204,7 +242,7 @@ def find_scene(name: str | Path) -> Scene:
 
 
 def _is(path: Path, check: Callable[[Path], bool]) -> bool:
-    """What the check says; a name that no file can have is no file's."""
+    """The result of a check; False for a name that no file can have."""
     try:
         return check(path)
     except OSError:
@@ -212,7 +250,7 @@ def _is(path: Path, check: Callable[[Path], bool]) -> bool:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene file.
+    """Reads a scene file.
 
     Raises:
         SceneError: with file, key and reason.
@@ -336,7 +374,7 @@ def _constraint(table: TomlTable, bodies: Collection[str]) -> ConstraintSpec:
 
 
 def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpec:
-    """A sensor from what a `[[sensor]]` of a scene file would say.
+    """Reads a sensor from the values of a `[[sensor]]` table.
 
     Raises:
         SceneError: key and reason.
@@ -369,7 +407,7 @@ def _sensor(table: TomlTable, bodies: Collection[str]) -> SensorSpec:
 
 
 def _settings(table: TomlTable, kind: SensorType) -> dict[str, float]:
-    """What a sensor of that type is set by."""
+    """The settings of a sensor of a type."""
     settings = {setting.name: _setting(table, setting) for setting in kind.settings}
     fault = kind.fault(settings)
     if fault is not None:
@@ -392,7 +430,7 @@ def _setting(table: TomlTable, setting: SensorSetting) -> float:
 
 
 def _unit(table: TomlTable, key: str) -> Quaternion:
-    """A rotation w, x, y, z, made exactly of unit length; far from it is a mistake."""
+    """A quaternion, scaled to exact unit length; one that is far from unit length is an error."""
     w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if abs(length - 1.0) > 1e-3:
@@ -415,7 +453,7 @@ def _check_unique(
 
 
 def _default_name(path: Path) -> str:
-    """What a scene is called by its file: `name.toml`, or `name/scene.toml`."""
+    """The name of a scene by its file: `name.toml`, or `name/scene.toml`."""
     place = path.resolve()
     return variable_name(place.parent.name if place.name == "scene.toml" else place.stem)
 

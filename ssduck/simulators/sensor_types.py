@@ -1,12 +1,11 @@
-"""The types of sensors, in one registry: what each is set by, and where its rays go.
+"""The types of sensors: their settings, their rays and their fields of view.
 
-A sensor looks along its own +x, with +y to its left and +z up. Its rays begin at its origin; the
-pixels of a camera are rays, too, each through its pixel's centre. A ray ends on the nearest
-collision shape. It passes through the body that the sensor sits on, wherever it begins, and does
-not see a convex shape that it begins in; a sensor is no shape, so that none senses another.
+A sensor looks along its own +x axis, with +y to its left and +z up. Its rays begin at its origin.
+The pixels of a camera are rays through the pixels' centres. A ray ends on the nearest collision
+shape. It passes through the body that the sensor sits on, and through a convex shape that it begins
+in. Sensors have no shape, so that no sensor senses another.
 
-A new type is one entry of `SENSOR_TYPES`. What sensors perceive is read in
-`ssduck.world.sensor_readings`.
+To add a type, add an entry to `SENSOR_TYPES`. `ssduck.world.sensor_readings` takes the readings.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from ssduck.geometry.arrays import Array, Flags
 
 Settings: TypeAlias = Mapping[str, float]
 
-# A finer sensor is a mistake, or a matter for a renderer.
+# A sensor with more rays is probably a mistake; it needs a renderer.
 MOST_RAYS = 1_000_000
-# Angles that differ by less are the same, in steps between two rays.
+# Angles that differ by less are equal, relative to the angle between two rays.
 _SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class SensorSetting:
-    """A number that a sensor is set by.
+    """A numeric setting of a sensor.
 
     Attributes:
         name: in scene files and in Python.
         unit: m, degrees or pixels; empty for a count.
-        about: what it means.
-        default: what it is if it is not given; None if it has to be.
-        above: it is more than that,
-        at_least: at least that,
-        below: less than that,
-        at_most: and at most that.
-        whole: whether it is a whole number.
+        about: its meaning.
+        default: the default; None if it is required.
+        above: an exclusive lower bound.
+        at_least: an inclusive lower bound.
+        below: an exclusive upper bound.
+        at_most: an inclusive upper bound.
+        whole: whether it is an integer.
     """
 
     name: str
@@ -57,18 +56,18 @@ class SensorSetting:
 
 @dataclass(frozen=True)
 class SensorType:
-    """A kind of sensor.
+    """A type of sensor.
 
     Attributes:
         name: in scene files and in Python.
-        about: what it measures, in a sentence.
-        settings: what it is set by, its greatest range aside.
-        rays: where its rays end at their longest, (n, 3) in its own frame, by its greatest range
-            and its settings; None for one that has no rays, and so no range.
-        shape: how many rays it has, (n,) or (height, width), worked out before they are made.
-        has_picture: whether it has colours.
-        view: which points (n, 3) in its own frame are in its field of view, by its greatest range,
-            its settings, and how far off what is flat still counts as in it, m.
+        about: a sentence that says what it measures.
+        settings: its settings, except its maximum range.
+        rays: the ends of its rays, (n, 3) in its own frame, from its maximum range and its
+            settings; None for a sensor without rays and range.
+        shape: the number of its rays, (n,) or (height, width), before they are made.
+        has_picture: whether it has a colour image.
+        view: which points (n, 3) in its own frame are in its field of view, from its maximum range,
+            its settings, and the distance from a flat field of view within which points count, m.
     """
 
     name: str
@@ -81,11 +80,11 @@ class SensorType:
 
     @property
     def has_range(self) -> bool:
-        """Whether it sees as far as a `max_range`."""
+        """Whether it has a maximum range."""
         return self.rays is not None
 
     def fault(self, settings: Settings) -> tuple[str, str] | None:
-        """The setting that does not go with the others, and why; None if all is well."""
+        """The setting that contradicts the others, and the reason; None if there is none."""
         for low, high in (("min_angle", "max_angle"), ("min_elevation", "max_elevation")):
             if high not in settings:
                 continue
@@ -103,7 +102,7 @@ class SensorType:
 
 
 def _steps(settings: Settings) -> int:
-    """How many rays a sweep has: both ends, but one of the two that are the same direction."""
+    """The number of rays of a sweep, with both ends unless they are the same direction."""
     span = settings["max_angle"] - settings["min_angle"]
     count = int(min(span / settings["resolution"] + _SAME, 10.0 * MOST_RAYS)) + 1
     turned = (count - 1) * settings["resolution"]
@@ -111,14 +110,14 @@ def _steps(settings: Settings) -> int:
 
 
 def _sweep(settings: Settings) -> Array:
-    """The angles of a sweep to the left, radians."""
+    """The angles of a sweep, to the left, radians."""
     steps = np.arange(_steps(settings))
     angles: Array = np.radians(settings["min_angle"] + settings["resolution"] * steps)
     return angles
 
 
 def _directions(azimuths: Array, elevations: Array) -> Array:
-    """Unit vectors (n, 3) to the left by an azimuth, and up by an elevation."""
+    """Unit vectors (n, 3) from azimuths to the left and elevations."""
     flat = np.cos(elevations)
     return np.stack([flat * np.cos(azimuths), flat * np.sin(azimuths), np.sin(elevations)], axis=-1)
 
@@ -133,7 +132,7 @@ def _plane(reach: float, settings: Settings) -> Array:
 
 
 def _layers(reach: float, settings: Settings) -> Array:
-    """Layer by layer from the lowest, each a sweep."""
+    """Layers from the lowest to the highest, each a sweep."""
     low, high = settings["min_elevation"], settings["max_elevation"]
     layers = np.radians(np.linspace(low, high, int(settings["layers"])))
     elevations, azimuths = np.meshgrid(layers, _sweep(settings), indexing="ij")
@@ -141,7 +140,7 @@ def _layers(reach: float, settings: Settings) -> Array:
 
 
 def _pixels(reach: float, settings: Settings) -> Array:
-    """Row by row from the upper left; all end at a depth of the greatest range."""
+    """Rows from the upper left; all rays end at a depth of the maximum range."""
     height, width = _image(settings)
     half = math.tan(math.radians(settings["fov"]) / 2)
     up = half * (1 - (2 * np.arange(height) + 1) / height)
@@ -159,14 +158,14 @@ def _image(settings: Settings) -> tuple[int, int]:
 
 
 def _on_ray(points: Array, reach: float, _: Settings, off: float) -> Flags:
-    """Of a single ray: what is at most that far off it."""
+    """The field of view of a single ray: points within a distance from it."""
     x, y, z = points.T
     seen: Flags = (x > 0.0) & (x <= reach) & (np.hypot(y, z) <= off)
     return seen
 
 
 def _in_image(points: Array, reach: float, settings: Settings, _: float) -> Flags:
-    """Of a camera: the pyramid of its image, to a depth of the greatest range."""
+    """The field of view of a camera: the pyramid of its image, to a depth of the maximum range."""
     x, y, z = points.T
     height, width = _image(settings)
     half = math.tan(math.radians(settings["fov"]) / 2) * (1 + _SAME)
@@ -176,7 +175,7 @@ def _in_image(points: Array, reach: float, settings: Settings, _: float) -> Flag
 
 
 def _in_sweep(points: Array, reach: float, settings: Settings, off: float) -> Flags:
-    """Of fans: between the outermost rays; of one, which is flat, what is at most that far off."""
+    """The field of view of fans: between the outermost rays, or near the plane of a single fan."""
     x, y, z = points.T
     distance = np.linalg.norm(points, axis=1)
     turn = np.degrees(np.arctan2(y, x)) - settings["min_angle"] + _SAME

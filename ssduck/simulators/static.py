@@ -1,4 +1,4 @@
-"""Bodies at given poses: a `Simulator` in which no time passes and nothing moves."""
+"""A `Simulator` in which no time passes and nothing moves: bodies at given poses."""
 
 from __future__ import annotations
 
@@ -11,30 +11,33 @@ import numpy as np
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import Body, Contact, LinkPoses
+from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Contact, LinkPoses
 
 
 @dataclass(frozen=True, eq=False)
 class StaticSimulator:
-    """What is known of the bodies, behind the interface of a simulator.
+    """The known state of bodies, behind the interface of a simulator.
+
+    It runs what-if worlds and recorded ticks.
 
     Attributes:
         time: simulated seconds.
-        frames: of the bodies that are read together.
+        link_poses: the poses of the links, by the bodies that are read together.
         joints: position, velocity and effort of each body's joints, (joints, 3).
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
-        called: what such a world is called in errors.
-        timestep: seconds of a step; there are none.
+        description: the name of such a world in errors.
+        backend: the backend that makes running simulations of its bodies.
     """
 
     time: float
-    frames: Mapping[tuple[Body, ...], LinkPoses]
+    link_poses: Mapping[tuple[Body, ...], LinkPoses]
     joints: Mapping[Body, Array]
     disabled: frozenset[Body]
     hidden: frozenset[Body]
-    called: str = "a what-if world"
-    watched: bool = False
+    description: str = "a what-if world"
+    is_external: bool = False
+    backend: str = DEFAULT_BACKEND
     timestep: float = 0.0
 
     @property
@@ -43,56 +46,56 @@ class StaticSimulator:
         return Clock(self.timestep, self.time)
 
     def describe(self) -> None:
-        """None comes, none goes."""
+        """No body comes or goes."""
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:  # noqa: ARG002
-        """All frames of these bodies; the velocities of links are known in any case."""
-        return self.frames[bodies]
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
+        """The poses of all links of these bodies; velocities are always known."""
+        return self.link_poses[bodies]
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
         return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """As they are known."""
+        """The masses as described."""
         return [body.masses for body in bodies]
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """As they are known."""
+        """The margins as described."""
         return [body.margins for body in bodies]
 
     def read_contacts(self) -> Iterable[Contact]:
-        """None are known: they are what a solver finds."""
+        """None: contacts come from a physics solver."""
         return ()
 
     def step(self, count: int) -> None:  # noqa: ARG002
-        """Refuse."""
+        """Refuses."""
         raise UnsupportedError(
-            f"{self.called} is not simulated: it cannot be stepped; step the world that it was "
-            "taken of"
+            f"{self.description} is not simulated: it cannot be stepped; step the world that it "
+            "was taken of"
         )
 
-    def _refuse(self, *_: Any) -> NoReturn:
+    def _refuse_change(self, *_: Any) -> NoReturn:
         raise UnsupportedError(
-            f"{self.called} does not change: ask what if, "
+            f"{self.description} does not change: ask what if, "
             "world.what_if({name: pose}, joints={name: {joint: value}})"
         )
 
-    set_clock = place = set_joints = drive = enable = show = remove = _refuse
-    are_tied = tie = untie = _refuse
+    set_clock = place = set_joints = drive = enable = show = remove = _refuse_change
+    has_constraint = add_constraint = remove_constraint = _refuse_change
 
-    def _perceive(self, *_: Any) -> NoReturn:
+    def _refuse_rays(self, *_: Any) -> NoReturn:
         raise UnsupportedError(
-            f"sensors perceive nothing in {self.called}: no simulation casts their rays"
+            f"sensors perceive nothing in {self.description}: no simulation casts their rays"
         )
 
-    cast_rays = photograph = _perceive
+    cast_rays = photograph = _refuse_rays
 
     def render(self, *_: Any, **__: Any) -> NoReturn:
-        """Refuse."""
-        raise UnsupportedError(f"{self.called} has no picture: no simulator draws it")
+        """Refuses."""
+        raise UnsupportedError(f"{self.description} has no picture: no simulator draws it")
 
     segment = render
 
     def close(self) -> None:
-        """It holds nothing."""
+        """Does nothing: it holds no resources."""

@@ -1,4 +1,4 @@
-"""Tables of a TOML file, read key by key, so that what is wrong is told with file and key."""
+"""Reads tables of a TOML file key by key; errors name the file and the key."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ REQUIRED: Any = object()
 
 
 class TomlTable:
-    """A TOML table that is read key by key, so that what is left over is a mistake."""
+    """A TOML table that is read key by key, so that unknown keys are found."""
 
     def __init__(self, path: Path | None, where: str, values: dict[str, Any]) -> None:
         self.path = path
@@ -24,19 +24,19 @@ class TomlTable:
         self.asked: set[str] = set()
 
     def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
-        """Complain of a key."""
+        """Raises an error about a key."""
         place = f"{self.where}.{key}" if self.where else key
         file = f"{self.path}: " if self.path else ""
         raise SceneError(f"{file}{place}: {reason}", suggestions=suggestions)
 
     def end(self) -> None:
-        """Complain of keys that nothing asked for."""
+        """Raises an error if there are keys that were not read."""
         for key in self.values:
             if key not in self.asked:
                 self.fail(key, "there is no such key", nearest(key, self.asked))
 
     def text(self, key: str, default: str = REQUIRED, *, empty: bool = False) -> str:
-        """A text, that is not blank unless it may be."""
+        """A string; not blank unless `empty` allows it."""
 
         def fits(value: object) -> bool:
             return isinstance(value, str) and (empty or value.strip() != "")
@@ -69,7 +69,7 @@ class TomlTable:
         return value
 
     def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
-        """So many finite numbers."""
+        """A number of finite numbers."""
 
         def fits(value: object) -> bool:
             return (
@@ -85,7 +85,7 @@ class TomlTable:
         return {key: self.number(key) for key in list(self.values)}
 
     def whole(self, key: str, at_least: float = -math.inf) -> int | None:
-        """A whole number; None if it is not there."""
+        """An integer; None if the key is missing."""
         if key not in self.values:
             self.asked.add(key)
             return None
@@ -100,7 +100,7 @@ class TomlTable:
         return TomlTable(self.path, f"{self.where}.{key}" if self.where else key, values)
 
     def tables(self, key: str) -> Iterator[TomlTable]:
-        """The tables of a list of such."""
+        """The tables of an array of tables."""
 
         def fits(value: object) -> bool:
             return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)

@@ -1,4 +1,4 @@
-"""Sums, products, quotients, remainders and powers as SQL that means what Python means."""
+"""Translates sums, products, quotients, remainders and powers to SQL with Python's results."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _power(context: StatementContext, node: Binary, left: SqlValue, tag: SqlType
 
 
 def _domain(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
-    """Which reals a sum, a product or a quotient may be: finite ones add up to infinite ones."""
+    """The domain of a sum, a product or a quotient: finite numbers may add up to infinity."""
     extents = (left.domain, right.domain)
     if max(extents) == FloatDomain.NAN or extents == (FloatDomain.INFINITE, FloatDomain.INFINITE):
         return FloatDomain.NAN

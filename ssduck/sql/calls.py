@@ -1,4 +1,4 @@
-"""Function calls of a query as SQL: relations, functions of the language, users' functions."""
+"""Translates calls: of relations, of built-in functions and of users' functions."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _argument(
 def _wrong(
     sql: ExpressionScope, relation: Relation, parameter: Parameter, found: str, node: Node
 ) -> Exception:
-    """What to raise of an argument: in a query it is wrong only if a row comes to it."""
+    """The error for an argument; in a query it is an error only if a row reaches it."""
     if sql.rows or sql.around is not None:
         return NotSqlError()
     message = f"{relation.name}: {parameter.name} is to be {parameter.meaning}, not {found}"
@@ -183,7 +183,7 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
 
 
 def _of_real(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
-    """Where it is infinite, Python has no value and SQL has one that is no number."""
+    """A function of a real number; it fails for infinity, where Python raises and SQL gives NaN."""
     context.note_possible_failure()
     sql: exp.Expr = exp.Anonymous(this=name, expressions=[double_of(value)])
     if value.domain:

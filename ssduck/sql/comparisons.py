@@ -1,4 +1,4 @@
-"""Comparisons of values as SQL, membership in lists, and what holds as a condition."""
+"""Translates comparisons, membership in lists, and the truth of values."""
 
 from __future__ import annotations
 

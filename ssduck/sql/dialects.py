@@ -1,4 +1,4 @@
-"""The SQL of a plan for other engines, the values of variables put in."""
+"""Writes the SQL of a plan for other engines, with the values of variables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""EXPLAIN: the SQL that the queries of a program become, and what is left to Python."""
+"""EXPLAIN: the SQL of the queries of a program, and the parts left to Python."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PlanOf: TypeAlias = Callable[[Query], Plan | None]
 
 
 def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) -> str:
-    """What becomes of the queries in a statement.
+    """Describes the SQL of the queries in a statement.
 
     Args:
         text: the program.
@@ -65,7 +65,7 @@ def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) 
 
 
 def _narrow_phase_lines(query: Query) -> list[str]:
-    """What the shapes themselves are asked for, relation by relation."""
+    """Lists the pairs that the narrow phase compares, by relation."""
     names = dict.fromkeys(node.name for node in query.walk() if isinstance(node, Call))
     queries = {name: RELATIONS[name].geometry for name in names if name in RELATIONS}
     return [

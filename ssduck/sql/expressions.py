@@ -1,4 +1,4 @@
-"""Expressions of a query as SQL, through sqlglot.
+"""Translates the expressions of a query to SQL, through sqlglot.
 
 A part becomes SQL when its types are known and SQL means the same by it; for everything else
 `NotSqlError` is raised, and the part is left to Python. What SQL could fail at (an overflow, a

@@ -1,4 +1,4 @@
-"""The sources of a query as tables: their elements, and the order that these are in."""
+"""The sources of a query as tables: their elements, and the order of these."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lists as SQL: written out, one behind the other, and their elements."""
+"""Translates lists: literals, concatenation, and elements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""What the names in a query mean, once its sources are known."""
+"""Resolves the bare names in a query once its sources are known.
+
+>>> from ssduck.sql.examples import resolved_query
+>>> print(resolved_query("SELECT id FROM kitchen WHERE isRobot ORDER BY z;").outline())
+Query([Name('id')], [Source('kitchen', Name('kitchen'))], Call('isRobot', [This(None)]),
+      [OrderKey(Call('z', [This(None)]), False)])
+"""
 
 from __future__ import annotations
 
@@ -44,7 +50,7 @@ class ResolvedQuery:
 def resolve(
     query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, around: Collection[str] = ()
 ) -> ResolvedQuery:
-    """Look up the bare names in SELECT, GROUP BY, HAVING and ORDER BY, and in WHERE functions.
+    """Resolves the bare names in SELECT, GROUP BY, HAVING and ORDER BY, and in WHERE functions.
 
     Such a name is a key of the current element if that is a dict, else a variable, else the
     function of that name applied to `this`.

@@ -1,4 +1,4 @@
-"""Conditions on two entities that hold of near ones only: SQL that looks at no others.
+"""Joins for conditions on two entities that hold only for near ones.
 
 The narrow phase takes its time with each pair. So the pairs of a tick of which a relation may hold
 are found at once, where two sources are one world; and what is compared with a number is asked
@@ -50,7 +50,15 @@ def sides_of(node: Node) -> tuple[This, This] | None:
 def pair_join(
     sql: Expressions, node: Call, sides: tuple[This, This], schema: str
 ) -> PairJoin | None:
-    """`near(a.this, b.this, 0.1)`: all its pairs at once; None if SQL does not know how near.
+    """The join that finds all pairs of `near(a.this, b.this, 0.1)`; None if SQL cannot.
+
+    >>> from ssduck.sql.examples import sql_of
+    >>> query = "SELECT id(a.this) FROM a = kitchen, b = kitchen WHERE near(a.this, b.this, 0.1);"
+    >>> print(sql_of(query))
+    SELECT a.name FROM kitchen.entities AS a CROSS JOIN kitchen.entities AS b CROSS JOIN
+    (SELECT n // 4294967296 AS a, n % 4294967296 AS b, n
+     FROM (SELECT UNNEST("NARROW ALL_WITHIN"('kitchen', CAST(0.1e0 AS DOUBLE))) AS n) AS numbered)
+    AS pairs WHERE a.id = pairs.a AND b.id = pairs.b ORDER BY pairs.n ASC
 
     Args:
         sql: the expressions of the query.
@@ -80,7 +88,13 @@ def pair_join(
 
 
 def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
-    """What a condition such as `clearance(a, b) < 0.1` says of boxes; None if nothing."""
+    """The condition on boxes that `clearance(a, b) < 0.1` implies; None if there is none.
+
+    >>> from ssduck.sql.examples import sql_of
+    >>> near = "clearance(a.this, b.this) < 1"
+    >>> print(sql_of(f"SELECT id(a.this) FROM a = kitchen, b = kitchen WHERE {near};"))
+    SELECT ... WHERE (a.xmin <= b.xmax + (1) + 1e-9 AND ...) AND CASE WHEN (...) THEN ...
+    """
     match node:
         case Binary(operator=sign, left=Call() as call, right=limit) if sign in _LESS + _MORE:
             is_less = sign in _LESS

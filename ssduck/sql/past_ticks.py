@@ -1,4 +1,4 @@
-"""At which ticks the entities in a query are: rows of the past, and handles beside them."""
+"""The ticks of the entities in a query: rows of the past, and handles beside them."""
 
 from __future__ import annotations
 

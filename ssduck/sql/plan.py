@@ -1,4 +1,4 @@
-"""How a query runs: what a plan depends on, and the plan itself."""
+"""The plan of a query, and the facts that it depends on."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Moments: TypeAlias = Literal["", "instant", "window", "now"]
 
 @dataclass(frozen=True)
 class SourceType:
-    """What a source is, and what it is called.
+    """The type of a source, and its alias.
 
     Attributes:
         alias: what it is called.
@@ -42,11 +42,11 @@ class SourceType:
 
 
 class TypeEnvironment(Protocol):
-    """What the translator needs to know of the interpreter's names."""
+    """The names of the interpreter, as the translator needs them."""
 
     @property
     def deepest(self) -> int:
-        """How many rows a path of a hierarchical query may have."""
+        """The most rows that a path of a hierarchical query may have."""
 
     def has_variable(self, name: str) -> bool:
         """Whether there is a variable of that name."""
@@ -64,13 +64,13 @@ class TypeEnvironment(Protocol):
         """The list that a variable holds for the query that uses it, None if it holds none."""
 
     def resolved_name(self, name: str) -> str:
-        """What calls the function of that name: the user's, where it replaces another."""
+        """The name under which the function is called: marked if a user's function replaces it."""
 
     def check_call(self, node: Call) -> None:
         """Complain of an unknown function, or of a wrong number of arguments."""
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
-        """How SQL calls a user's function with such arguments, None if it cannot."""
+        """The signature of a user's function for such arguments; None if SQL cannot call it."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class OutputColumn:
 
 @dataclass(frozen=True)
 class PathSearch:
-    """What is made of the edges that a statement yields: how long its paths, how many."""
+    """The search for paths over the edges that a statement yields: their length, their number."""
 
     longest: int
     most: int | None
@@ -112,7 +112,7 @@ class PathSearch:
 
 @dataclass(eq=False)
 class Plan:
-    """How a query runs.
+    """The plan of a query.
 
     Attributes:
         query: what it is a plan of, bare names looked up.
@@ -175,7 +175,7 @@ class Plan:
 
     @property
     def left(self) -> list[Node]:
-        """What is left to Python."""
+        """The parts left to Python."""
         if self.paths:
             return []
         rest = self.rest

@@ -1,4 +1,4 @@
-"""Hierarchical queries as WITH RECURSIVE.
+"""Translates hierarchical queries to WITH RECURSIVE.
 
 Each row of the recursive table is a path: its state, the places of its rows in the sources,
 and what was selected at each of them. Paths come in the order of their places, which is the
@@ -109,7 +109,7 @@ class _Search:
         return self.sql.value(value)
 
     def _states(self) -> dict[str, SqlValue]:
-        """What the state variables are after a step, once their types hold still."""
+        """The state variables after a step, once their types no longer change."""
         steps = self.steps
         if not steps.keys() <= self.tags.keys():
             raise NotSqlError
@@ -157,7 +157,7 @@ class _Search:
         return select if most is None else select.limit(most)
 
     def most(self) -> int | None:
-        """How many paths are wanted."""
+        """The limit of paths."""
         limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
         return min(map(_number, limits), default=None)
 
@@ -349,7 +349,7 @@ class _Search:
         return rows.subquery(_PATHS)
 
     def _level(self) -> exp.Expr:
-        """How many rows a place tells of."""
+        """The number of rows that a place has."""
         keys = sum(len(element.position) for element in self.elements)
         length = exp.func("len", _column(_PATHS, "place"))
         return exp.IntDiv(this=length, expression=exp.Literal.number(keys))
@@ -362,7 +362,7 @@ class _Search:
 
 
 def _column_names(states: Iterable[str]) -> dict[str, str]:
-    """What state variables are called in SQL, which does not tell upper from lower case."""
+    """The column names of state variables; SQL does not distinguish upper and lower case."""
     names: dict[str, str] = {}
     for name in states:
         alike = sum(name.casefold() == other.casefold() for other in names)
@@ -371,7 +371,7 @@ def _column_names(states: Iterable[str]) -> dict[str, str]:
 
 
 def _assigned(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
-    """What state variables are assigned."""
+    """The values that state variables are assigned."""
     result: dict[str, tree.Node] = {}
     for part in parts:
         if not isinstance(part, Assignment):

@@ -1,4 +1,4 @@
-"""A relation's formula with its arguments put in."""
+"""Replaces the parameters of a relation's formula by its arguments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from ssduck.sql.sql_values import NotSqlError, SqlValue, wrapped
 def expanded(
     formula: exp.Expr, values: Mapping[str, SqlValue], name: str | None = None
 ) -> exp.Expr:
-    """A relation's formula with its parameters put in.
+    """Returns a relation's formula with its parameters replaced.
+
+    >>> from ssduck.sql.from_clause import entity_value
+    >>> from ssduck.sql.relations import RELATIONS
+    >>> formula = RELATIONS["aabbVolume"].expressions[1]
+    >>> expanded(formula, {"object": entity_value("kitchen", "cup")}).sql("duckdb")
+    '(cup.xmax - cup.xmin) * (cup.ymax - cup.ymin) * (cup.zmax - cup.zmin)'
 
     Args:
         formula: over columns of the parameters.

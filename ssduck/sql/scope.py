@@ -1,4 +1,4 @@
-"""What the expressions of a query see in SQL: elements of sources, variables, ticks."""
+"""The scope of a query's expressions in SQL: elements of sources, variables, ticks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
 
 
 class ExpressionScope(ABC):
-    """What the expressions of one query see, and how parts of them become SQL.
+    """The scope of the expressions of one query, and their translation.
 
     Args:
         context: what all expressions of the statement share.

@@ -1,4 +1,4 @@
-"""What expressions and nested queries are as SQL: values, types, parameters."""
+"""SQL values: expressions with their types, domains and parameters."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class NotSqlError(Exception):
 
 
 class FloatDomain(IntEnum):
-    """Which reals a value may be: finite ones, infinities as well, what is no number as well.
+    """The reals that a value may be: finite ones; infinities as well; NaN as well.
 
     DuckDB takes what is no number (NaN) for equal to itself and for greater than all numbers,
     Python for neither, so that such a value must not come to be compared.
@@ -86,7 +86,7 @@ class SqlValue:
 
     @property
     def identity(self) -> exp.Expr:
-        """What is compared: of an entity its id, at whatever tick it is."""
+        """The expression to compare: of an entity its id, at whatever tick it is."""
         if self.tag.type == "entity" and self.tag.past and self.column is not None:
             return self.column("id")
         return self.sql
@@ -94,7 +94,7 @@ class SqlValue:
 
 @dataclass
 class StatementContext:
-    """What the expressions of one statement share.
+    """The state that the expressions of one statement share.
 
     Attributes:
         names: variables, functions, and the types of what is constant in the query.
@@ -138,7 +138,7 @@ class StatementContext:
         return replace(value, expression=case, domain=FloatDomain.INFINITE)
 
     def alias(self, name: str) -> str:
-        """What a source is called in SQL, which does not tell upper from lower case."""
+        """An alias of a source that is free in SQL, which ignores the case of letters."""
         candidates = (name if n == 1 else f"{name} {n}" for n in range(1, len(self.aliases) + 2))
         alias = next(alias for alias in candidates if alias.casefold() not in self.aliases)
         self.aliases.add(alias.casefold())
@@ -188,7 +188,7 @@ def copied(sql: exp.Expr) -> exp.Expr:
 
 
 def with_values(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
-    """What puts values in for parameters; parameters without a value stay."""
+    """Returns a transformation that replaces parameters by values; those without one stay."""
 
     def put_in(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Parameter) and part.name in values:
@@ -204,7 +204,7 @@ def column_tag(name: str) -> SqlType:
 
 
 def failure(tag: SqlType) -> exp.Expr:
-    """What makes the statement fail where it is evaluated."""
+    """An expression that makes the statement fail where it is evaluated."""
     failing = exp.Anonymous(this="error", expressions=[exp.Literal.string("left to Python")])
     return exp.cast(failing, tag.sql_type, dialect="duckdb")
 

@@ -1,4 +1,4 @@
-"""Nested queries as parts of the statement around them.
+"""Translates nested queries to parts of the statement around them.
 
 A nested query whose sources are lists that are written out is unrolled: its rows are the
 elements. Any other one is a subquery, which sees the rows around it as SQL's do.
@@ -103,7 +103,7 @@ def value(around: ExpressionScope, query: Query) -> SqlValue:
 
 
 def counted(around: ExpressionScope, query: Query) -> SqlValue:
-    """How many elements the list has that a nested query yields."""
+    """The number of elements of the list that a nested query yields."""
     if _form(query) not in (*_LISTS, *_DICTS):
         return _counted_list(value(around, query))
     rows = _rows(around, query)
@@ -293,7 +293,7 @@ def _unrolled_value(rows: UnrolledRows) -> SqlValue:
 
 
 def _domain(items: Sequence[SqlValue]) -> FloatDomain:
-    """Which reals the values of a list may be."""
+    """The domain of the elements of a list."""
     return max((item.domain for item in items), default=FloatDomain.FINITE)
 
 

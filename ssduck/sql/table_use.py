@@ -1,4 +1,4 @@
-"""Which tables of a world a part of a program reads, as its relations look things up in them."""
+"""Finds the tables of a world that the relations in a part of a program read."""
 
 from __future__ import annotations
 

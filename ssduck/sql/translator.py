@@ -1,4 +1,4 @@
-"""A query's tree to DuckDB SQL, through sqlglot.
+"""Translates a query's tree to DuckDB SQL, through sqlglot.
 
 `translate` takes a query and the shapes of its sources, and gives a `Plan`: one SELECT whose
 columns are what SQL can do of the query, and what is left to Python. A part goes to SQL when
@@ -58,7 +58,14 @@ class NotInlineError(Exception):
 def translate(
     query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, *, cautious: bool = False
 ) -> Plan:
-    """Plan a query.
+    """Plans a query.
+
+    >>> from ssduck.sql.examples import sql_of
+    >>> print(sql_of("SELECT id, z FROM kitchen WHERE z > 1;"))
+    SELECT kitchen.name, kitchen.z FROM kitchen.entities AS kitchen WHERE kitchen.z > 1
+    >>> print(sql_of("SELECT distance(this, [0, 0, 0]) FROM kitchen LIMIT 2;"))
+    SELECT SQRT(POWER((kitchen.x - 0), 2) + POWER((kitchen.y - 0), 2) + POWER((kitchen.z - 0), 2))
+    FROM kitchen.entities AS kitchen LIMIT 2
 
     Args:
         query: the query.
@@ -468,7 +475,7 @@ class _Translator:
 
 
 def _parts(node: Node) -> Iterator[Node]:
-    """What is fetched of a part that SQL cannot do; of so many comparisons, what they compare."""
+    """The columns to fetch for a part left to Python; of a long comparison, its operands."""
     for child in node.children():
         if isinstance(node, tree.OperatorChain) and isinstance(child, Binary):
             yield from child.children()

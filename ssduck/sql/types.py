@@ -1,4 +1,4 @@
-"""The types of values, as far as SQL knows them."""
+"""The types of values in SQL."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class SqlType:
 
     @property
     def words(self) -> str:
-        """What it is, for people."""
+        """The type in words, for messages."""
         return _WORDS.get(self.type, "such a value")
 
 

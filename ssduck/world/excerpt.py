@@ -27,7 +27,7 @@ def excerpt(
     everyone = {*chosen, *(members[id].mount[0] for id in chosen if members[id].sensor is not None)}
     sensors = sensors_of(snapshot, everyone)
     originals = list(originals_of(snapshot, everyone))
-    return backend().excerpt(source, originals, tick_of(snapshot)), sensors
+    return backend(source.backend).excerpt(source, originals, tick_of(snapshot)), sensors
 
 
 def tick_of(snapshot: Snapshot) -> TickToCopy:
@@ -54,6 +54,6 @@ def originals_of(snapshot: Snapshot, chosen: Container[int]) -> Iterator[BodyToC
             continue
         part, told = where[body]
         run = part.runs[body]
-        frames = LinkPoses(told.positions[run], told.matrices[run], told.states[run])
+        link_poses = LinkPoses(told.positions[run], told.matrices[run], told.states[run])
         unknown = np.full((len(body.joints), 3), np.nan)
-        yield BodyToCopy(member.name, body, frames, joints.get(body, unknown)[:, :2])
+        yield BodyToCopy(member.name, body, link_poses, joints.get(body, unknown)[:, :2])

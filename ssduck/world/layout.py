@@ -69,7 +69,7 @@ class TableLayout:
 
     Args:
         members: the entities, in load order.
-        watched: whether bodies that cannot move by themselves may be moved by others.
+        is_external: whether bodies that cannot move by themselves may be moved by others.
 
     Attributes:
         members: the entities by row: sensors first, then bodies.
@@ -79,7 +79,7 @@ class TableLayout:
         moving: the others.
     """
 
-    def __init__(self, members: Iterable[EntityInfo], watched: bool) -> None:
+    def __init__(self, members: Iterable[EntityInfo], is_external: bool) -> None:
         self.members = sorted(members, key=lambda member: member.kind != "sensor")
         self.rows = {member.id: row for row, member in enumerate(self.members)}
         self.bodies = [(m.id, m.body) for m in self.members if m.body is not None]
@@ -88,7 +88,7 @@ class TableLayout:
         shapes = [len(body.shapes) for _, body in self.bodies]
         places = zip(accumulate(links, initial=0), accumulate(shapes, initial=0), strict=True)
         first = dict(zip((id for id, _ in self.bodies), places, strict=False))
-        still = {id for id, body in self.bodies if not (watched or body.movable)}
+        still = {id for id, body in self.bodies if not (is_external or body.movable)}
         self.still, self.moving = (
             BodyGroup(
                 [m for m in self.members if m.body and (m.id in still) is stands], self, first
@@ -167,7 +167,7 @@ class BodyGroup:
         if self._mounts:
             # A sensor is a point on its link and moves with it; its box tells where it is.
             positions[first:] = boxes[:3, first:].T
-        states = frames.at(positions, self._told)
+        states = frames.states_at(positions, self._told)
         if self._mounts:
             states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turns)
         block[:, self._rows] = np.concatenate((states.T, boxes))
@@ -185,7 +185,7 @@ class BodyGroup:
 
     def write_links(self, frames: LinkPoses, block: Array) -> None:
         """Write the rows of these bodies' links; `block` is (19, links)."""
-        states = frames.at(frames.positions, np.arange(len(frames.positions)))
+        states = frames.states_at(frames.positions, np.arange(len(frames.positions)))
         boxes = self._link_boxer.boxes(frames.positions, frames.matrices)
         block[:, self._link_rows] = np.concatenate((states.T, boxes))
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
-from ssduck.geometry.narrow_phase import TOUCHES
+from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE
 from ssduck.schema import MARGINS
 from ssduck.simulators.interface import Body
 from ssduck.simulators.kinematics import (
@@ -57,20 +57,22 @@ class ManipulableSimulation(SteppedSimulation):
             touching = validation.integer(touching, "hold: touching", minimum=1)
             body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
             number = 0 if link is None else link_index(body, link, entity.name)
-            if self._simulator.are_tied(body, held):
+            if self._simulator.has_constraint(body, held):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
             with self.held(("shapes", MARGINS)):
-                shapes = self.snapshot.shapes().shapes_touching(entity.id, other.id, TOUCHES)
+                shapes = self.snapshot.shapes().shapes_touching(
+                    entity.id, other.id, TOUCHING_DISTANCE
+                )
             touch = {body.shapes[shape].frame for shape in shapes}
             count = len(touch & descendant_links(body, number))
             if count < touching:
                 raise StateError(
                     f"{entity.name} cannot hold {other.name}: {count} links of "
-                    f"{body.links[number].name!r} and beyond are within {TOUCHES:g} m of it, not "
-                    f"{touching}; move them there first"
+                    f"{body.links[number].name!r} and beyond are within {TOUCHING_DISTANCE:g} m of "
+                    f"it, not {touching}; move them there first"
                 )
-            self._simulator.tie(body, number, held)
+            self._simulator.add_constraint(body, number, held)
 
     def release(self, entity: Entity, other: Entity) -> None:
         """Untie what `hold` tied; see `Entity.release`."""
@@ -79,9 +81,9 @@ class ManipulableSimulation(SteppedSimulation):
             body, held = (
                 self._present(one, "release") for one in self._two(entity, other, "release")
             )
-            if not self._simulator.are_tied(body, held):
+            if not self._simulator.has_constraint(body, held):
                 raise StateError(f"{entity.name} does not hold {other.name}")
-            self._simulator.untie(body, held)
+            self._simulator.remove_constraint(body, held)
 
     def _two(self, entity: Entity, other: Entity, verb: str) -> tuple[Entity, Entity]:
         """Two entities of this world that are not the same."""

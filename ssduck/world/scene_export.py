@@ -47,7 +47,7 @@ def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path) -> Scene:
     """The scene of a simulation at a tick; writes the models that it needs into a folder."""
     everyone = {member.id for member in snapshot.listed}
     originals = list(originals_of(snapshot, everyone))
-    scene = backend().scene_of(simulator, originals, tick_of(snapshot), folder)
+    scene = backend(simulator.backend).scene_of(simulator, originals, tick_of(snapshot), folder)
     return replace(scene, sensors=tuple(sensors_of(snapshot, everyone)))
 
 

@@ -165,27 +165,29 @@ class SensorReader:
 
     # -- a tick ---------------------------------------------------------------------------
 
-    def due(self, scan: TickContext, sensors: Iterable[EntityInfo], *, watched: bool) -> set[int]:
+    def due(
+        self, scan: TickContext, sensors: Iterable[EntityInfo], *, is_external: bool
+    ) -> set[int]:
         """Those of these sensors that are to be read, by their ids.
 
         Args:
             scan: the tick.
             sensors: those that are asked for.
-            watched: whether others may move things while no time passes that is known of.
+            is_external: whether others may move things while no time passes that is known of.
         """
         return {
             member.id
             for member in sensors
             if self.is_on(member.id)
-            and (scan.anew or self._is_over(member, scan.time, watched=watched))
+            and (scan.anew or self._is_over(member, scan.time, is_external=is_external))
         }
 
-    def _is_over(self, member: EntityInfo, time: float, *, watched: bool) -> bool:
+    def _is_over(self, member: EntityInfo, time: float, *, is_external: bool) -> bool:
         reading = self.readings.get(member.id)
         if reading is None or member.sensor is None:
             return True
         elapsed = time - reading.time
-        if watched and elapsed == 0.0:
+        if is_external and elapsed == 0.0:
             return True
         return not 0.0 <= elapsed < member.sensor.period - _ROUNDING
 

@@ -66,7 +66,7 @@ class Snapshot:
         # Whether all ticks to be taken are one: poses that were given, or recorded.
         self._is_final = False
         self._is_past = False
-        self._layout = TableLayout((), watched=False)
+        self._layout = TableLayout((), is_external=False)
         # What cannot move is read once; None if that has to be done (again).
         self._still: LinkPoses | None = None
         # What the tables tell of: the frames of what cannot move, and of the rest.
@@ -404,22 +404,22 @@ class Snapshot:
             members: the entities in load order; the same object as long as they are the same.
         """
         same = members is self.listed
-        layout = self._layout if same else TableLayout(members, simulator.watched)
+        layout = self._layout if same else TableLayout(members, simulator.is_external)
         coming = self.number + (not self._is_final)
         wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
         wanted |= self.recorded
         still = self._still if same else None
         if still is None:
-            still = simulator.read_frames(layout.still.bodies, links_move=True)
-        links_move = "links" in wanted or layout.moving.sensors_on_links
-        moving = simulator.read_frames(layout.moving.bodies, links_move=links_move)
+            still = simulator.read_link_poses(layout.still.bodies, with_velocities=True)
+        with_velocities = "links" in wanted or layout.moving.sensors_on_links
+        moving = simulator.read_link_poses(layout.moving.bodies, with_velocities=with_velocities)
         joints = None
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
             joints = simulator.read_joints(jointed)
         scan = TickContext(coming, simulator.time, layout, anew=still is not self._still)
         perceiving = self._perceiving(layout, coming, together="sensings" in wanted)
-        due = self.sensing.due(scan, perceiving, watched=simulator.watched)
+        due = self.sensing.due(scan, perceiving, is_external=simulator.is_external)
         sensors = posed(layout, still, moving, due)
         contacts: list[Contact] = []
         if "contacts" in wanted or not all(has_rays(sensor.member) for sensor in sensors):

@@ -97,7 +97,7 @@ class SteppedSimulation(Observable):
         with self.lock:
             self._check_not_held()
             before, number = self._simulator.clock, self.snapshot.number
-            if self._simulator.watched:
+            if self._simulator.is_external:
                 self._simulator.set_clock(self._clock_of_tick(steps, time))
             elif steps is not None or time is not None:
                 raise ArgumentError(
@@ -107,7 +107,7 @@ class SteppedSimulation(Observable):
             try:
                 self._take()
             except BaseException:
-                if self._simulator.watched and self.snapshot.number == number:
+                if self._simulator.is_external and self.snapshot.number == number:
                     self._simulator.set_clock(before)
                 raise
         self.tell()
@@ -218,7 +218,7 @@ class SteppedSimulation(Observable):
                 recorder.note_masses(self.snapshot)
 
     def _take_asked(self) -> None:
-        if self._simulator.watched:
+        if self._simulator.is_external:
             self._check_not_held()
         # Under a query nothing has moved in a world that ssduck alone steps.
         self._take()

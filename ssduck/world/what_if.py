@@ -48,7 +48,7 @@ def imagined(
             twin.read_all_anew()
     posed = StaticSimulator(
         time=snapshot.time,
-        frames=frames,
+        link_poses=frames,
         joints={body: _joints(states, joints.get(body, {})) for body, states in told.items()},
         disabled=snapshot.disabled,
         hidden=snapshot.hidden,

@@ -27,7 +27,7 @@ from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.backends import ShapesByBody, backend
-from ssduck.simulators.interface import Body, Kind, Simulator
+from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, Simulator
 from ssduck.simulators.kinematics import (
     JointValues,
     joint_positions,
@@ -85,15 +85,19 @@ class World(ManipulableSimulation, OpenRaveWorld):
         self._origin: World | None = None
 
     @classmethod
-    def load(cls, scene: Scene) -> World:
-        """A world made from a scene in a PyBullet simulation of its own.
+    def load(cls, scene: Scene, *, simulator: str = DEFAULT_BACKEND) -> World:
+        """A world made from a scene in a simulation of its own.
+
+        Args:
+            scene: the scene.
+            simulator: the name of the simulator that runs it; see `BACKENDS`.
 
         Raises:
             SceneError: the scene cannot be loaded: file, key and reason.
         """
-        simulator = backend().load(scene)
+        running = backend(simulator).load(scene)
         try:
-            return cls.owning(simulator, scene.name, scene.sensors, scene.camera)
+            return cls.owning(running, scene.name, scene.sensors, scene.camera)
         except SceneError as error:
             message = f"{scene.path}: {error.message}"
             raise SceneError(message, suggestions=error.suggestions) from error
@@ -121,6 +125,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         *,
         name: str = UNNAMED,
         shapes: ShapesByBody | None = None,
+        simulator: str = DEFAULT_BACKEND,
     ) -> World:
         """A world around a PyBullet client that you made and go on using.
 
@@ -142,13 +147,14 @@ class World(ManipulableSimulation, OpenRaveWorld):
                 is a mesh in the frame of the link, metres, or a list of meshes: a
                 `trimesh.Trimesh`, (vertices (n, 3), faces (m, 3)), or the path of a mesh file;
                 faces of None make the convex hull. See `ssduck.height_field`.
+            simulator: the name of the simulator that the client is of; see `BACKENDS`.
 
         Raises:
             SimulatorError: the client is not connected.
             SelectScriptError: a number is no body's, or a kind is none of these.
             ArgumentError: a key of `shapes` is no shape's, or a value is no mesh.
         """
-        return cls(backend().attach(client, names, kinds, shapes), name=name)
+        return cls(backend(simulator).attach(client, names, kinds, shapes), name=name)
 
     # -- time -----------------------------------------------------------------------------
 
@@ -321,7 +327,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         """
         # Nothing is to move while it is read: neither here nor where the simulation is.
         # The tick of a client that others step cannot be taken anew for its joints.
-        tables = () if self._simulator.watched else ("joints",)
+        tables = () if self._simulator.is_external else ("joints",)
         with self.held(tables), self.origin.lock:
             chosen = {self._id_of(entity) for entity in entities}
             simulator, sensors = excerpt(self.snapshot, chosen, self.origin.simulator)
@@ -518,7 +524,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         if isinstance(chosen, Sensor):
             self.remove_sensor(chosen)
             return
-        if self._simulator.watched:
+        if self._simulator.is_external:
             raise UnsupportedError(
                 f"{chosen.name!r} is in a client of yours: remove it there, and the next tick sees "
                 "it; or take an excerpt, and remove it from that"

@@ -12,7 +12,7 @@ import ssduck
 from ssduck.demos.cleanup import ALLOWED, clean
 from ssduck.demos.motion import cleaner as cleaner_module
 from ssduck.demos.motion.cleaner import ARM, FALLS, GRIP, Cleaner, Failed
-from ssduck.demos.motion.driving import FASTEST, SWIFTEST, legs, timed
+from ssduck.demos.motion.driving import MAX_ACCELERATION, MAX_VELOCITY, legs, timed
 from ssduck.demos.motion.kinematics import KinematicChain
 from ssduck.demos.motion.obstacles import Obstacles, walls_of
 from ssduck.demos.motion.planning import length, plan, shortened
@@ -61,7 +61,7 @@ def postures(chain, count, seed):
 
 
 def test_frames_are_those_of_a_what_if_world(chain, barrett):
-    base, _ = chain.now(barrett)
+    base, _ = chain.state(barrett)
     all_of = postures(chain, 6, 1)
     frames = chain.frames(np.tile(base, (6, 1, 1)), all_of)
     for posture, frame in zip(all_of, frames, strict=True):
@@ -73,13 +73,13 @@ def test_frames_are_those_of_a_what_if_world(chain, barrett):
 
 
 def test_reaching_what_is_in_reach(chain, barrett):
-    base, now = chain.now(barrett)
+    base, now = chain.state(barrett)
     arm, hand = chain.columns(ARM), chain.link("arm7")
     shoulder = base[:3, 3] + [-0.1, 0.0, 0.28]
     goal = [*(shoulder + [0.3, 0.3, 0.0]), 0.0, 0.0, -1.0]
     starts = postures(chain, 32, 2)
     bases = np.tile(base, (32, 1, 1))
-    found, solved = chain.reach(bases, starts, arm, hand, GRIP, np.tile(goal, (32, 1)))
+    found, solved = chain.solve(bases, starts, arm, hand, GRIP, np.tile(goal, (32, 1)))
     assert solved.sum() >= 8
     frames = chain.frames(bases, found)[solved, hand]
     assert frames[:, :3, 3] + frames[:, :3, :3] @ GRIP == pytest.approx(
@@ -93,11 +93,11 @@ def test_reaching_what_is_in_reach(chain, barrett):
 
 
 def test_what_is_out_of_reach_is_not_solved(chain, barrett):
-    base, _ = chain.now(barrett)
+    base, _ = chain.state(barrett)
     goals = np.tile([*(base[:3, 3] + [1.5, 0.0, 0.3]), 0.0, 0.0, -1.0], (16, 1))
     starts = postures(chain, 16, 3)
     arm, hand = chain.columns(ARM), chain.link("arm7")
-    _, solved = chain.reach(np.tile(base, (16, 1, 1)), starts, arm, hand, GRIP, goals)
+    _, solved = chain.solve(np.tile(base, (16, 1, 1)), starts, arm, hand, GRIP, goals)
     assert not solved.any()
 
 
@@ -134,14 +134,17 @@ def test_clear_is_what_clearances_say(few, barrett, chain, apart):
 
 
 def test_an_arm_that_would_be_in_the_base_is_not_clear(barrett, chain):
-    around = Obstacles(chain, barrett, (), hand=chain.beyond("arm7"))
-    base, now = chain.now(barrett)
+    around = Obstacles(chain, barrett, (), hand=chain.descendants("arm7"))
+    base, now = chain.state(barrett)
     inside = now.copy()
     inside[chain.columns(["j1", "j2", "j4"])] = 0.0, 2.0, 1.6
     both = np.array([now, inside])
-    moving = chain.beyond("arm1")
+    moving = chain.descendants("arm1")
     bases = np.tile(base, (2, 1, 1))
-    assert around.clear(bases, both, 0.01, moving=moving, itself=0.01).tolist() == [True, False]
+    assert around.clear(bases, both, 0.01, moving=moving, self_clearance=0.01).tolist() == [
+        True,
+        False,
+    ]
     assert around.clear(bases, both, 0.01, moving=moving).tolist() == [True, True]
 
 
@@ -161,7 +164,7 @@ class Plane:
     def distances(self, here, others):
         return np.linalg.norm(others - here, axis=1)
 
-    def way(self, here, there):
+    def path(self, here, there):
         count = max(2, int(np.linalg.norm(there - here) / 0.02) + 2)
         return here + np.linspace(0.0, 1.0, count)[:, None] * (there - here)
 
@@ -209,12 +212,12 @@ def test_a_path_in_time_is_no_faster_than_allowed():
     assert path[-1] == pytest.approx([1, 2])
     speeds = np.abs(np.diff(path, axis=0)).max(axis=1) / np.diff(clock)
     assert (np.diff(clock) > 0).all()
-    assert speeds.max() <= FASTEST * (1 + 1e-9)
-    assert speeds.max() > 0.9 * FASTEST
+    assert speeds.max() <= MAX_VELOCITY * (1 + 1e-9)
+    assert speeds.max() > 0.9 * MAX_VELOCITY
     middle = (clock[1:] + clock[:-1]) / 2
     changes = np.abs(np.diff(speeds) / np.diff(middle))
-    assert changes.max() < 1.5 * SWIFTEST
-    assert speeds[58:61].min() < 0.4 * FASTEST  # it slows down for the corner
+    assert changes.max() < 1.5 * MAX_ACCELERATION
+    assert speeds[58:61].min() < 0.4 * MAX_VELOCITY  # it slows down for the corner
 
 
 def test_a_path_that_stays_takes_no_time():

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ssduck.geometry import gjk
 from ssduck.geometry.batch import PairPredicate, box_depths
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
-from ssduck.geometry.narrow_phase import COLLIDES
+from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.queries import FEW, ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
@@ -34,8 +34,8 @@ from tests.support.solids import (
 
 CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))
-COLLIDE = PairPredicate("colliding", COLLIDES)
-BOUNDS = (-COLLIDES, 0.0, 1e-3, 0.05, 0.3)
+COLLIDE = PairPredicate("colliding", MIN_DEPTH)
+BOUNDS = (-MIN_DEPTH, 0.0, 1e-3, 0.05, 0.3)
 
 
 def undecided(two, bounds=BOUNDS):
@@ -100,7 +100,7 @@ def test_stacked(depth):
         for a, b in itertools.combinations_with_replacement(STACKED.values(), 2)
         for off, turn, far in itertools.product(OFF, TURNS, FAR)
     ]
-    left = undecided(two, (-COLLIDES, 0.0, 2e-3))
+    left = undecided(two, (-MIN_DEPTH, 0.0, 2e-3))
     assert (np.abs(left) > 1e-6).sum() <= 0.02 * 6 * len(two)
 
 
@@ -108,7 +108,7 @@ def test_deep_pairs_take_no_step(monkeypatch):
     """The ball in their difference reaches the origin, though those in the two do not meet."""
     monkeypatch.setattr(gjk, "_step", None)
     two = [(at(one, (0, 0, 0)), at(one, (0.7, 0.7, 0.3))) for one in (box(), CUBE)]
-    assert all((found == BELOW).all() for found in pairs.verdicts(two, -COLLIDES))
+    assert all((found == BELOW).all() for found in pairs.verdicts(two, -MIN_DEPTH))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -133,7 +133,7 @@ def test_sizes_from_a_millimetre_to_a_kilometre(seed):
         turned = [random.normal(size=4) for _ in range(2)]
         place = far + way / np.linalg.norm(way) * apart
         two.append((at(first, far, turned[0]), at(second, place, turned[1])))
-    left = undecided(two, (-COLLIDES, 0.0, 1e-3, 1.0))
+    left = undecided(two, (-MIN_DEPTH, 0.0, 1e-3, 1.0))
     assert (np.abs(left) > 1e-6).sum() <= 3
 
 
@@ -141,7 +141,7 @@ def test_parts_of_all_pairs_are_as_all(monkeypatch):
     random = np.random.default_rng(3)
     two = [pairs.pair(kinds, int(random.integers(1000))) for kinds in COMBINATIONS * 3]
     together = pairs.verdicts(two, 0.01)
-    monkeypatch.setattr(gjk, "TOGETHER", 7)
+    monkeypatch.setattr(gjk, "PAIRS_AT_ONCE", 7)
     monkeypatch.setattr(gjk, "MOST_POINTS", 20)
     for found, expected in zip(pairs.verdicts(two, 0.01), together, strict=True):
         assert found.tolist() == expected.tolist()
@@ -153,7 +153,7 @@ def test_hulls_of_any_number_of_points(count):
     ball = random.normal(size=(count, 3))
     hull = Geometry.hull(ball / np.linalg.norm(ball, axis=1)[:, None])
     two = [(at(hull, (x, 0.1, 0)), at(box(), (0, 0, 0))) for x in np.linspace(0, 2, 21)]
-    assert not len(undecided(two, (-COLLIDES, 0.0, 0.1)))
+    assert not len(undecided(two, (-MIN_DEPTH, 0.0, 0.1)))
 
 
 def test_no_pairs():
@@ -165,7 +165,7 @@ def test_no_pairs():
 @pytest.mark.parametrize("apart", [0.3, 1e-4, -1e-4, -0.3])
 def test_boxes_by_axes_and_by_cores(apart):
     two = [(at(box(), (0, 0, 0)), at(box(), (x, 0, 1 + apart))) for x in np.linspace(0, 0.6, 7)]
-    found = pairs.verdicts(two, -COLLIDES)[0]
+    found = pairs.verdicts(two, -MIN_DEPTH)[0]
     assert (found == (BELOW if apart < 0 else ABOVE)).all()
 
 
@@ -325,11 +325,11 @@ def test_pairs_count_once_a_tick():
         assert tick.calls.pairs == len(near) > len(meeting)
     shapes = ShapeQueries(tick, {10 * n: n for n in range(60)}, sorts, BOXES, np.zeros(0, np.int64))
     for i, j in sorted(near)[:5]:
-        shapes.collides(10 * i, 10 * j, COLLIDES)
+        shapes.collides(10 * i, 10 * j, MIN_DEPTH)
         shapes.near(10 * j, 10 * i, 0.1)
     assert tick.calls.pairs == len(near)
     i, j = next(pair for pair in every if pair not in near)
-    shapes.collides(10 * i, 10 * j, COLLIDES)
+    shapes.collides(10 * i, 10 * j, MIN_DEPTH)
     assert tick.calls.pairs == len(near) + 1
 
 
@@ -343,7 +343,7 @@ def test_many_questions_are_answered_together():
     unknown = [(149, 150), (151, 150)]
     assert len(meeting) > 2 * FEW
     for i, j in [*meeting, *unknown, *every[:200]]:
-        assert shapes.collides(j, i, COLLIDES) is alone.collides(i, j)
+        assert shapes.collides(j, i, MIN_DEPTH) is alone.collides(i, j)
         near = alone.clearance(i, j)
         assert shapes.near(j, i, 0.05) is (None if near is None else near <= 0.05)
     assert len(tick._placed) < len(alone._placed)
@@ -357,7 +357,7 @@ def test_ids_of_all_that_are_near():
     assert shapes.all_within(0.4) == []
     pairs = [divmod(number, MOST_IDS) for number in shapes.all_within(0.5)]
     assert pairs == [(3, 5), (3, 7), (5, 3), (7, 3)]
-    assert shapes.all_colliding(COLLIDES) == []
+    assert shapes.all_colliding(MIN_DEPTH) == []
 
 
 def test_shapes_of_two_entities_that_collide_are_left_out():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ssduck.geometry.batch import PairPredicate, matching_pairs, pair_number
-from ssduck.geometry.narrow_phase import COLLIDES
+from ssduck.geometry.narrow_phase import MIN_DEPTH
 from tests.support import hollows, pairs
 from tests.support.solids import narrow, sorts_of
 
@@ -49,7 +49,7 @@ def asked_alone(shapes, pair, gap):
     clearance = max(0.0, gap)
     assert tick_of(shapes).clearance(i, j) == clearance
     assert tick_of(shapes).penetration(j, i) == max(0.0, -gap)
-    assert tick_of(shapes).collides(i, j) is (gap < -COLLIDES)
+    assert tick_of(shapes).collides(i, j) is (gap < -MIN_DEPTH)
     p, q = tick_of(shapes).nearest_points(i, j)
     assert math.dist(p, q) == pytest.approx(abs(gap), abs=1e-9)
     for apart in (0.5 * -gap, 2.0 * -gap):
@@ -92,7 +92,7 @@ def questions(gaps):
     for apart in sorted(set().union(*map(limits, gaps))):
         yield PairPredicate("within", apart)
         yield PairPredicate("touching", apart)
-    deep = {COLLIDES, 1e-3, *(-gap * share for gap in gaps if gap < -1e-5 for share in (0.5, 2.0))}
+    deep = {MIN_DEPTH, 1e-3, *(-gap * share for gap in gaps if gap < -1e-5 for share in (0.5, 2.0))}
     yield from (PairPredicate("colliding", depth) for depth in sorted(deep))
 
 

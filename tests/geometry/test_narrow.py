@@ -529,9 +529,11 @@ def test_many_corners_that_are_as_deep():
 
 def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
     looked = []
-    turns = surfaces._turns
+    turns = surfaces._winding_signs
     monkeypatch.setattr(
-        surfaces, "_turns", lambda triangles: (looked.append(len(triangles)), turns(triangles))[1]
+        surfaces,
+        "_winding_signs",
+        lambda triangles: (looked.append(len(triangles)), turns(triangles))[1],
     )
     for count in (16, 64):
         torus = of_trimesh(trimesh.creation.torus(1.0, 0.3, 2 * count, count))
@@ -541,7 +543,7 @@ def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
         assert tick.penetration(0, 1) == pytest.approx(0.29, abs=0.02)
         assert tick.calls.calls < 300
         assert sum(looked) < 30 * corners
-        assert max(looked) <= 2 * broad_phase.TOGETHER
+        assert max(looked) <= 2 * broad_phase.PAIRS_AT_ONCE
 
 
 def test_an_answer_does_not_depend_on_the_one_before():
@@ -1072,9 +1074,9 @@ def test_large_meshes_are_compared_where_they_meet(monkeypatch):
     """Neither all pairs of their triangles, nor many at a time; the shares are of round ones."""
     torus = of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=100, minor_sections=50))
     ball = of_trimesh(trimesh.creation.icosphere(subdivisions=4, radius=0.7))
-    kept, cut = [], volumes._lowered
+    kept, cut = [], volumes._heights_below
     monkeypatch.setattr(
-        volumes, "_lowered", lambda *some: (kept.append(len(some[0])), cut(*some))[1]
+        volumes, "_heights_below", lambda *some: (kept.append(len(some[0])), cut(*some))[1]
     )
     for a, b, expected in (
         (ball, torus, 0.213),
@@ -1089,7 +1091,7 @@ def test_large_meshes_are_compared_where_they_meet(monkeypatch):
         assert two(a, b, (0.9, 0.1, 0.05)).inside(0, 1) == pytest.approx(expected, abs=3e-3)
         count = sum(len(solid_of(one).closed_surface.faces) for one in (a, b))
         assert sum(kept) <= 12 * count
-        assert max(kept) <= 2 * broad_phase.TOGETHER
+        assert max(kept) <= 2 * broad_phase.PAIRS_AT_ONCE
 
 
 def test_hulls_of_half_spaces():

@@ -113,5 +113,5 @@ def test_nothing_is_in_the_way_of_nothing():
 def test_bunches_change_nothing(monkeypatch):
     ends = RNG.uniform(-1, 1, (50, 3))
     whole = are_blocked(placed(SHAPES["hull"]), np.ones(3), ends)
-    monkeypatch.setattr("ssduck.geometry.line_of_sight.TOGETHER", 1)
+    monkeypatch.setattr("ssduck.geometry.line_of_sight.PAIRS_AT_ONCE", 1)
     assert np.array_equal(are_blocked(placed(SHAPES["hull"]), np.ones(3), ends), whole)

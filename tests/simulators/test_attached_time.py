@@ -264,7 +264,7 @@ def test_a_tick_that_fails_takes_no_time(client, bouncing, monkeypatch):
         raise SimulatorError("no answer")
 
     with monkeypatch.context() as patch:
-        patch.setattr(world.simulator, "read_frames", fail)
+        patch.setattr(world.simulator, "read_link_poses", fail)
         with pytest.raises(SimulatorError, match="no answer"):
             world.tick()
     assert world.simulator.time == world.time == 0.0

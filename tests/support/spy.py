@@ -19,13 +19,13 @@ class Spy:
 
     broken = ()
 
-    def read_frames(self, bodies, *, links_move):
+    def read_link_poses(self, bodies, *, with_velocities):
         self._check("frames")
         self.read["frames"] += 1
         self.read["bodies"] += len(bodies)
-        if links_move and any(len(body.links) > 1 for body in bodies):
+        if with_velocities and any(len(body.links) > 1 for body in bodies):
             self.read["links"] += 1
-        return self._simulator.read_frames(bodies, links_move=links_move)
+        return self._simulator.read_link_poses(bodies, with_velocities=with_velocities)
 
     def _check(self, what):
         if what in self.broken:

@@ -243,11 +243,11 @@ def test_motors_hold_where_they_do(kitchen):
     """Not where joints happen to be: the arm sags under its weight."""
     kitchen.step(240)
     copy = kitchen.excerpt(["barrett_4918"])
-    held = {kitchen.simulator.filled.held[handle].__repr__() for handle in (2,)}
-    assert held == {repr(told) for told in copy.simulator.filled.held.values()}
+    held = {kitchen.simulator.loaded.held[handle].__repr__() for handle in (2,)}
+    assert held == {repr(told) for told in copy.simulator.loaded.held.values()}
     copy["barrett_4918"].move(joints={"j1": 0.1})
     again = copy.excerpt(copy)
-    (held,) = again.simulator.filled.held.values()
+    (held,) = again.simulator.loaded.held.values()
     assert 0.1 in held.values()
 
 
@@ -730,7 +730,7 @@ def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     specs = [[e.spec for e in world if e.kind == "sensor"] for world in (kitchen, loaded)]
     assert [s.name for s in specs[0]] == [s.name for s in specs[1]]
     assert not loaded["fridge_webcam"].powered
-    ours, theirs = loaded.simulator.filled.held, kitchen.simulator.filled.held
+    ours, theirs = loaded.simulator.loaded.held, kitchen.simulator.loaded.held
     assert list(ours.values()) == list(theirs.values())
     again = ssduck.load(loaded.save(tmp_path / "again")).worlds[0]
     assert farthest(loaded, again) < 1e-12

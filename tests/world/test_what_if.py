@@ -274,7 +274,7 @@ class Untouchable(Spy):
             "show",
             "close",
             "render",
-            "read_frames",
+            "read_link_poses",
         ):
             self._touched()
         return super().__getattr__(name)

@@ -1,7 +1,7 @@
-"""Whether a robot is clear of what is around it, and of itself, for many postures at once.
+"""Tests many postures of a robot at once for clearance from obstacles and from itself.
 
-The shapes are those of the world's tick, compared by the batched narrow phase of relations
-(`ssduck.geometry.gjk`); what it leaves undecided counts as too near.
+The shapes are those of the current tick, compared by the batched narrow phase of relations
+(`ssduck.geometry.gjk`); undecided pairs count as too near.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.entities import Entity
 
-# Postures that are looked at together.
-TOGETHER = 64
-# Boxes around what is round are of points on it, which are that much too near, m.
-PAD = 1e-3
+# The number of postures tested at a time.
+BATCH = 64
+# A margin of boxes: those of round shapes are computed from points on them, m.
+BOX_MARGIN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class ObstacleShape:
-    """A convex shape: its solid, and its pose (4, 4) in its link's frame, or in the world."""
+    """A convex shape: its solid, and its pose (4, 4) in the frame of its link or in the world."""
 
     solid: Solid
     pose: Array
@@ -36,7 +36,7 @@ class ObstacleShape:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What the hand holds: the link that holds it, and its shapes in that link's frame."""
+    """A held entity: the link that holds it, and its hull in the frame of that link."""
 
     link: int
     entity: Entity
@@ -44,7 +44,7 @@ class Held:
 
 
 def shapes_of(entity: Entity) -> list[ObstacleShape]:
-    """The shapes of an entity in its links' frames, at its world's tick."""
+    """Returns the shapes of an entity in the frames of its links."""
     snapshot = entity.world.snapshot
     body = entity.body_of(snapshot.members[snapshot.rows[entity.id]], "look at")
     return [_shape(placed) for placed in body.shapes]
@@ -57,7 +57,7 @@ def _shape(placed: PlacedGeometry) -> ObstacleShape:
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A shape in the world, and its box."""
+    """A shape in the world and its box."""
 
     shape: ObstacleShape
     low: Array
@@ -65,7 +65,7 @@ class Wall:
 
 
 def walls_of(entity: Entity) -> list[Wall]:
-    """The shapes of an entity where they are at its world's tick."""
+    """Returns the shapes of an entity in the world at the current tick."""
     shapes = shapes_of(entity)
     if all(shape.link == 0 for shape in shapes):
         frames = poses(np.array([entity.position]), np.array([entity.orientation]))
@@ -80,11 +80,11 @@ def walls_of(entity: Entity) -> list[Wall]:
 
 def _wall(shape: ObstacleShape) -> Wall:
     points = _points(shape)
-    return Wall(shape, points.min(axis=0) - PAD, points.max(axis=0) + PAD)
+    return Wall(shape, points.min(axis=0) - BOX_MARGIN, points.max(axis=0) + BOX_MARGIN)
 
 
 def hull_in(frame: Array, entity: Entity) -> ObstacleShape:
-    """The convex hull of an entity's shapes, in the frame of a pose (4, 4)."""
+    """Returns the convex hull of the shapes of an entity in the frame of a pose (4, 4)."""
     points = np.concatenate([_points(wall.shape) for wall in walls_of(entity)])
     local = (points - frame[:3, 3]) @ frame[:3, :3]
     return ObstacleShape(solid_of(Geometry.hull(local)), np.eye(4))
@@ -96,14 +96,14 @@ def _points(shape: ObstacleShape) -> Array:
 
 
 class Obstacles:
-    """What a robot has to keep clear of, at a tick.
+    """The obstacles of a robot at a tick.
 
     Args:
-        chain: the robot.
-        robot: its handle.
-        walls: what is in its way.
-        held: what its hand holds.
-        hand: the links of the hand, which may touch each other and what it holds.
+        chain: the kinematic chain of the robot.
+        robot: the handle of the robot.
+        walls: the shapes of the obstacles.
+        held: the entity in the hand.
+        hand: the links of the hand, which may touch each other and the held entity.
     """
 
     def __init__(
@@ -128,122 +128,126 @@ class Obstacles:
         solids = [shape.solid for shape in (*self.walls, *self.shapes)]
         count, walls = len(self.shapes), len(self.walls)
         numbers = np.concatenate(
-            (np.arange(walls), walls + np.tile(np.arange(count), TOGETHER))
+            (np.arange(walls), walls + np.tile(np.arange(count), BATCH))
         ).astype(np.intp)
         self._cores = ConvexCores(solids, numbers)
         self._links = np.array([shape.link for shape in self.shapes], dtype=np.intp)
         self._local = np.array([shape.pose for shape in self.shapes])
         self._centre = _homogeneous([shape.solid.centre for shape in self.shapes])
         self._inner = _homogeneous([shape.solid.inscribed_centre for shape in self.shapes])
-        self._reach = np.array([shape.solid.bounding_radius for shape in self.shapes])
-        placed = np.array([wall.pose for wall in self.walls]).reshape(-1, 4, 4)
-        self._wall_turns = placed[:, :3, :3].reshape(-1, 9).T
+        self._radii = np.array([shape.solid.bounding_radius for shape in self.shapes])
+        poses_in_world = np.array([wall.pose for wall in self.walls]).reshape(-1, 4, 4)
+        self._wall_rotations = poses_in_world[:, :3, :3].reshape(-1, 9).T
         centres = _homogeneous([wall.solid.centre for wall in self.walls])
         inner = _homogeneous([wall.solid.inscribed_centre for wall in self.walls])
-        self._wall_centres = np.einsum("nab,nb->na", placed, centres)[:, :3].T
-        self._wall_inner = np.einsum("nab,nb->na", placed, inner)[:, :3].T
+        self._wall_centres = np.einsum("nab,nb->na", poses_in_world, centres)[:, :3].T
+        self._wall_inner = np.einsum("nab,nb->na", poses_in_world, inner)[:, :3].T
 
     def clear(
         self,
         bases: Array,
         positions: Array,
-        apart: float,
+        clearance: float,
         *,
         moving: Collection[int] | None = None,
-        itself: float | None = None,
+        self_clearance: float | None = None,
     ) -> Flags:
-        """Whether the robot keeps its distance in each of these postures, (n,).
+        """Whether the robot keeps clear in each of some postures, (n,).
 
         Args:
-            bases: (n, 4, 4), of its base link.
+            bases: (n, 4, 4), poses of the base link.
             positions: (n, joints), rad.
-            apart: metres, from everything else.
-            moving: the links that are looked at; None for all.
-            itself: metres, between links that are not neighbours, one of them `moving`; None
-                not to look.
+            clearance: the clearance from obstacles, metres.
+            moving: the links to test; None for all.
+            self_clearance: the clearance between links that are not neighbours, one of them
+                `moving`, metres; None skips this test.
         """
-        found = np.ones(len(positions), dtype=bool)
-        for start in range(0, len(positions), TOGETHER):
-            some = slice(start, start + TOGETHER)
-            found[some] = self._clear(bases[some], positions[some], apart, moving, itself)
-        return found
+        is_clear = np.ones(len(positions), dtype=bool)
+        for start in range(0, len(positions), BATCH):
+            batch = slice(start, start + BATCH)
+            is_clear[batch] = self._clear(
+                bases[batch], positions[batch], clearance, moving, self_clearance
+            )
+        return is_clear
 
     def _clear(
         self,
         bases: Array,
         positions: Array,
-        apart: float,
+        clearance: float,
         moving: Collection[int] | None,
-        itself: float | None,
+        self_clearance: float | None,
     ) -> Flags:
         count = len(positions)
-        placed = self.chain.frames(bases, positions)[:, self._links] @ self._local
-        centres = (placed @ self._centre[:, :, None])[..., :3, 0]
-        bodies = self._bodies(placed, centres)
-        is_free = np.ones(count, dtype=bool)
-        looked_at = np.flatnonzero(
+        poses_in_world = self.chain.frames(bases, positions)[:, self._links] @ self._local
+        centres = (poses_in_world @ self._centre[:, :, None])[..., :3, 0]
+        cores = self._placed_cores(poses_in_world, centres)
+        is_clear = np.ones(count, dtype=bool)
+        tested = np.flatnonzero(
             np.ones(len(self._links), bool)
             if moving is None
             else np.isin(self._links, list(moving))
         )
         for (first, second), bound in (
-            (self._near_walls(centres, looked_at, apart), apart),
-            (self._near_itself(centres, looked_at, itself), itself or 0.0),
+            (self._near_walls(centres, tested, clearance), clearance),
+            (self._near_itself(centres, tested, self_clearance), self_clearance or 0.0),
         ):
-            verdicts = classify_gaps(bodies, first, second, bound)
+            verdicts = classify_gaps(cores, first, second, bound)
             posture = (first - len(self.walls)) // len(self._links)
-            is_free[posture[verdicts != ABOVE]] = False
-        return is_free
+            is_clear[posture[verdicts != ABOVE]] = False
+        return is_clear
 
-    def _bodies(self, placed: Array, centres: Array) -> PlacedCores:
-        inner = (placed @ self._inner[:, :, None])[..., :3, 0]
-        turns = placed[..., :3, :3].reshape(-1, 9).T
+    def _placed_cores(self, poses_in_world: Array, centres: Array) -> PlacedCores:
+        inner = (poses_in_world @ self._inner[:, :, None])[..., :3, 0]
+        rotations = poses_in_world[..., :3, :3].reshape(-1, 9).T
         return PlacedCores(
             self._cores,
-            np.ascontiguousarray(np.concatenate((self._wall_turns, turns), axis=1)),
+            np.ascontiguousarray(np.concatenate((self._wall_rotations, rotations), axis=1)),
             np.concatenate((self._wall_centres, centres.reshape(-1, 3).T), axis=1),
             np.concatenate((self._wall_inner, inner.reshape(-1, 3).T), axis=1),
         )
 
-    def _near_walls(self, centres: Array, looked_at: Indices, apart: float) -> Pairs:
-        """Shapes of the robot and of what is around whose spheres and boxes are near."""
-        some = centres[:, looked_at]
-        reach = self._reach[looked_at] + apart
-        low = (some - reach[:, None]).min(axis=(0, 1))
-        high = (some + reach[:, None]).max(axis=(0, 1))
+    def _near_walls(self, centres: Array, tested: Indices, clearance: float) -> Pairs:
+        """Returns pairs of shapes of robot and obstacles whose spheres and boxes are near."""
+        tested_centres = centres[:, tested]
+        radii = self._radii[tested] + clearance
+        low = (tested_centres - radii[:, None]).min(axis=(0, 1))
+        high = (tested_centres + radii[:, None]).max(axis=(0, 1))
         walls = np.flatnonzero(((self._low <= high) & (self._high >= low)).all(axis=1))
-        far = np.zeros((*some.shape[:2], len(walls)))
+        squared_distances = np.zeros((*tested_centres.shape[:2], len(walls)))
         for axis in range(3):
-            along = some[:, :, axis, None]
-            gap = np.maximum(self._low[walls, axis] - along, along - self._high[walls, axis])
+            coordinates = tested_centres[:, :, axis, None]
+            gap = np.maximum(
+                self._low[walls, axis] - coordinates, coordinates - self._high[walls, axis]
+            )
             np.maximum(gap, 0.0, out=gap)
-            far += gap * gap
-        near = far <= (reach * reach)[:, None]
-        posture, shape, wall = np.nonzero(near)
-        first = len(self.walls) + posture * len(self._links) + looked_at[shape]
+            squared_distances += gap * gap
+        is_near = squared_distances <= (radii * radii)[:, None]
+        posture, shape, wall = np.nonzero(is_near)
+        first = len(self.walls) + posture * len(self._links) + tested[shape]
         return first, walls[wall]
 
-    def _near_itself(self, centres: Array, looked_at: Indices, apart: float | None) -> Pairs:
-        if apart is None:
+    def _near_itself(self, centres: Array, tested: Indices, clearance: float | None) -> Pairs:
+        if clearance is None:
             return np.zeros(0, np.intp), np.zeros(0, np.intp)
-        s, t = self._own_pairs(looked_at)
-        way = centres[:, s] - centres[:, t]
-        reach = self._reach[s] + self._reach[t] + apart
-        posture, pair = np.nonzero(np.einsum("npa,npa->np", way, way) <= reach * reach)
+        s, t = self._own_pairs(tested)
+        offsets = centres[:, s] - centres[:, t]
+        radii = self._radii[s] + self._radii[t] + clearance
+        posture, pair = np.nonzero(np.einsum("npa,npa->np", offsets, offsets) <= radii * radii)
         base = len(self.walls) + posture * len(self._links)
         return base + s[pair], base + t[pair]
 
-    def _own_pairs(self, looked_at: Indices) -> Pairs:
-        """Pairs of the robot's shapes that may meet: not of neighbours, nor of the hand's."""
+    def _own_pairs(self, tested: Indices) -> Pairs:
+        """Returns pairs of shapes of the robot to test: not of neighbour links nor of the hand."""
         parents = np.array([link.parent for link in self.chain.body.links])
-        links, looks = self._links, np.zeros(len(self._links), bool)
-        looks[looked_at] = True
+        links, is_tested = self._links, np.zeros(len(self._links), bool)
+        is_tested[tested] = True
         s, t = np.triu_indices(len(links), 1)
         i, j = links[s], links[t]
         in_hand = np.isin(links, self.hand)
-        apart = (i != j) & (parents[i] != j) & (parents[j] != i) & ~(in_hand[s] & in_hand[t])
-        apart &= looks[s] | looks[t]
-        return s[apart], t[apart]
+        is_pair = (i != j) & (parents[i] != j) & (parents[j] != i) & ~(in_hand[s] & in_hand[t])
+        is_pair &= is_tested[s] | is_tested[t]
+        return s[is_pair], t[is_pair]
 
 
 def _homogeneous(points: Sequence[tuple[float, float, float]]) -> Array:

@@ -1,4 +1,4 @@
-"""What is planned in: postures of an arm, and places of a robot on two wheels."""
+"""Defines the spaces of planning: postures of an arm, and places of a two-wheeled robot."""
 
 from __future__ import annotations
 
@@ -10,163 +10,173 @@ from ssduck.demos.motion.kinematics import KinematicChain
 from ssduck.demos.motion.obstacles import Obstacles
 from ssduck.geometry.arrays import Array, Flags, Indices
 
-# Of an arm: how far anything moves between two postures of a path, m, and what is kept free.
+# For an arm: the largest motion between two postures of a path, and the clearances, m.
 ARM_SPACING = 0.03
-ARM_APART = 0.016
-ITSELF = 0.01
-# The same of the base.
+ARM_CLEARANCE = 0.016
+SELF_CLEARANCE = 0.01
+# The same for the base.
 BASE_SPACING = 0.04
-BASE_APART = 0.03
+BASE_CLEARANCE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class ArmSpace:
-    """Postures of an arm, rad, on a base that stands still.
+    """The postures of an arm, rad, on a base at rest.
 
     Attributes:
         chain: the robot.
-        around: what it keeps clear of.
-        base: (4, 4), where its base is.
+        obstacles: the obstacles.
+        base: (4, 4), the pose of the base.
         others: (joints,), the positions of all joints; those of the arm are replaced.
-        arm: which joints are the arm's.
-        levers: (arm joints,), how far from each joint anything is that it moves, m.
-        apart: what is kept free around it, m.
+        arm: the indices of the joints of the arm.
+        levers: (arm joints,), the largest distance of moved parts from each joint, m.
+        clearance: the required clearance, m.
     """
 
     chain: KinematicChain
-    around: Obstacles
+    obstacles: Obstacles
     base: Array
     others: Array
     arm: Indices
     levers: Array
-    apart: float = ARM_APART
+    clearance: float = ARM_CLEARANCE
 
     def sample(self, rng: np.random.Generator) -> Array:
-        """Any posture within the limits."""
-        found: Array = rng.uniform(self.chain.lower[self.arm], self.chain.upper[self.arm])
-        return found
+        """Returns a random posture within the limits."""
+        result: Array = rng.uniform(self.chain.lower[self.arm], self.chain.upper[self.arm])
+        return result
 
     def distances(self, here: Array, others: Array) -> Array:
-        """A bound of how far any point of the arm moves, m."""
-        found: Array = np.abs(others - here) @ self.levers
-        return found
+        """Returns upper bounds of the motion of any point of the arm, m."""
+        result: Array = np.abs(others - here) @ self.levers
+        return result
 
-    def way(self, here: Array, there: Array) -> Array:
-        """Straight in the space of joints."""
+    def path(self, here: Array, there: Array) -> Array:
+        """Returns a straight path in joint space."""
         count = max(2, int(self.distances(here, there[None])[0] / ARM_SPACING) + 2)
         shares = np.linspace(0.0, 1.0, count)[:, None]
-        found: Array = here + shares * (there - here)
-        return found
+        result: Array = here + shares * (there - here)
+        return result
 
     def full(self, postures: Array) -> Array:
-        """All joints' positions (n, joints) in postures of the arm."""
-        found = np.tile(self.others, (len(postures), 1))
-        found[:, self.arm] = postures
-        return found
+        """Returns the positions of all joints (n, joints) in postures of the arm."""
+        result = np.tile(self.others, (len(postures), 1))
+        result[:, self.arm] = postures
+        return result
 
     def clear(self, postures: Array) -> Flags:
-        """Whether the arm is clear of all else."""
+        """Whether the arm keeps clear of obstacles and of the robot."""
         bases = np.tile(self.base, (len(postures), 1, 1))
         full = self.full(postures)
         links = range(int(self.chain.links[self.arm].min()), len(self.chain.rest))
-        return self.around.clear(
-            bases, full, self.apart, moving=links, itself=min(ITSELF, self.apart)
+        return self.obstacles.clear(
+            bases,
+            full,
+            self.clearance,
+            moving=links,
+            self_clearance=min(SELF_CLEARANCE, self.clearance),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class BaseSpace:
-    """Places of a robot on two wheels, its arm held still: x, y, m, of its axle, and yaw, rad.
+    """The places of a two-wheeled robot with a resting arm: x, y of its axle, m, and yaw, rad.
 
-    It turns on the spot, rolls straight, ahead or back, and turns again.
+    The robot turns on the spot, rolls straight forwards or backwards, and turns again.
 
     Attributes:
         chain: the robot.
-        around: what it keeps clear of.
-        positions: (joints,), where its joints are.
-        height: of the base link's frame, m.
-        axle: how far ahead of the base link's origin the axle is, m.
-        lever: how far from the axle anything of it is, m.
-        low: the least x and y.
-        high: the greatest.
-        apart: what is kept free around it, m.
+        obstacles: the obstacles.
+        positions: (joints,), the joint positions.
+        height: the height of the base link's frame, m.
+        axle: the distance of the axle ahead of the base link's origin, m.
+        lever: the largest distance of the robot's parts from the axle, m.
+        low: the least x and y, m.
+        high: the greatest x and y, m.
+        clearance: the required clearance, m.
     """
 
     chain: KinematicChain
-    around: Obstacles
+    obstacles: Obstacles
     positions: Array
     height: float
     axle: float
     lever: float
     low: tuple[float, float]
     high: tuple[float, float]
-    apart: float = BASE_APART
+    clearance: float = BASE_CLEARANCE
 
     def sample(self, rng: np.random.Generator) -> Array:
-        """Anywhere."""
+        """Returns a random place."""
         x, y = rng.uniform(self.low, self.high)
         return np.array([x, y, rng.uniform(-np.pi, np.pi)])
 
     def distances(self, here: Array, others: Array) -> Array:
-        """How far it rolls, and how far its farthest point turns, m."""
+        """Returns the rolled distances plus the arcs of the farthest point in turns, m."""
         rolled = np.hypot(*(others[:, :2] - here[:2]).T)
-        found: Array = rolled + self.lever * np.abs(wrapped(others[:, 2] - here[2]))
-        return found
+        result: Array = rolled + self.lever * np.abs(wrapped(others[:, 2] - here[2]))
+        return result
 
-    def way(self, here: Array, there: Array) -> Array:
-        """Turn, roll, turn; back if that turns less."""
+    def path(self, here: Array, there: Array) -> Array:
+        """Returns a path that turns, rolls and turns; it rolls backwards if it turns less so."""
         dx, dy = there[:2] - here[:2]
         parts = [here[None]]
         if np.hypot(dx, dy) > 1e-6:
             heading = np.arctan2(dy, dx)
             headings = heading, heading + np.pi
-            turned = [abs(wrapped(h - here[2])) + abs(wrapped(there[2] - h)) for h in headings]
-            heading = headings[int(np.argmin(turned))]
-            parts.append(self._turned(here, heading))
+            total_turns = [abs(wrapped(h - here[2])) + abs(wrapped(there[2] - h)) for h in headings]
+            heading = headings[int(np.argmin(total_turns))]
+            parts.append(self._turn(here, heading))
             corner = np.concatenate(parts)[-1]
             count = max(2, int(np.hypot(dx, dy) / BASE_SPACING) + 2)
             shares = np.linspace(0.0, 1.0, count)[1:, None]
             parts.append(corner + shares * np.array([dx, dy, 0.0]))
-        parts.append(self._turned(np.concatenate(parts)[-1], float(there[2])))
+        parts.append(self._turn(np.concatenate(parts)[-1], float(there[2])))
         return np.concatenate(parts)
 
-    def _turned(self, here: Array, yaw: float) -> Array:
+    def _turn(self, here: Array, yaw: float) -> Array:
         angle = wrapped(yaw - here[2])
         if abs(angle) < 1e-6:
             return np.zeros((0, 3))
         count = int(abs(angle) * self.lever / BASE_SPACING) + 1
-        found = np.tile(here, (count, 1))
-        found[:, 2] += np.linspace(0.0, angle, count + 1)[1:]
-        return found
+        result = np.tile(here, (count, 1))
+        result[:, 2] += np.linspace(0.0, angle, count + 1)[1:]
+        return result
 
     def bases(self, places: Array) -> Array:
-        """The base link's poses (n, 4, 4) at places (n, 3)."""
-        found = np.tile(np.eye(4), (len(places), 1, 1))
+        """Returns the poses of the base link (n, 4, 4) at places (n, 3)."""
+        result = np.tile(np.eye(4), (len(places), 1, 1))
         sine, cosine = np.sin(places[:, 2]), np.cos(places[:, 2])
-        found[:, 0, 0] = found[:, 1, 1] = cosine
-        found[:, 1, 0], found[:, 0, 1] = sine, -sine
-        found[:, 0, 3] = places[:, 0] - self.axle * cosine
-        found[:, 1, 3] = places[:, 1] - self.axle * sine
-        found[:, 2, 3] = self.height
-        return found
+        result[:, 0, 0] = result[:, 1, 1] = cosine
+        result[:, 1, 0], result[:, 0, 1] = sine, -sine
+        result[:, 0, 3] = places[:, 0] - self.axle * cosine
+        result[:, 1, 3] = places[:, 1] - self.axle * sine
+        result[:, 2, 3] = self.height
+        return result
 
     def place(self, base: Array) -> Array:
-        """The place (3,) of a base at a pose (4, 4)."""
+        """Returns the place (3,) of a base pose (4, 4)."""
         x, y = base[:2, 3] + self.axle * base[:2, 0]
         return np.array([x, y, np.arctan2(base[1, 0], base[0, 0])])
 
     def clear(self, postures: Array) -> Flags:
-        """Whether it is clear of all else there."""
+        """Whether the robot keeps clear of obstacles at each place."""
         places = postures[:, :2]
         inside = np.asarray(((places >= self.low) & (places <= self.high)).all(axis=1))
         some = np.flatnonzero(inside)
         if len(some):
             positions = np.tile(self.positions, (len(some), 1))
-            inside[some] = self.around.clear(self.bases(postures[some]), positions, self.apart)
+            inside[some] = self.obstacles.clear(
+                self.bases(postures[some]), positions, self.clearance
+            )
         return inside
 
 
 def wrapped(angle: Array | float) -> Array:
-    """An angle as one from -pi to pi."""
-    found: Array = (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
-    return found
+    """Returns an angle modulo a full turn, from -pi to pi.
+
+    >>> float(wrapped(1.5 * np.pi) / np.pi)
+    -0.5
+    """
+    result: Array = (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+    return result

@@ -95,11 +95,11 @@ class SnapshotRestorer:
         }
         posed = StaticSimulator(
             time=time,
-            frames={part.bodies: _frames(states[source]) for part, source in placing.sources},
+            link_poses={part.bodies: _frames(states[source]) for part, source in placing.sources},
             joints=self._joints(tick, placing.template.layout),
             disabled=absent["enabled"],
             hidden=absent["visible"],
-            called="a recorded tick",
+            description="a recorded tick",
         )
         snapshot.go_to(tick)
         snapshot.take(posed, members)
@@ -118,7 +118,7 @@ class SnapshotRestorer:
         if ids not in self._placings:
             members = [self._members[id] for id in ids]
             template = Snapshot(self._empty.geometries, self._empty.run)
-            layout = TableLayout(members, watched=False)
+            layout = TableLayout(members, is_external=False)
             posed = StaticSimulator(
                 0.0,
                 {part.bodies: _nowhere(part) for part in (layout.still, layout.moving)},

@@ -2,17 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from ssduck.simulators.backends import BodyToCopy, TickToCopy
-from ssduck.simulators.interface import Simulator
+from ssduck import validation
+from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
+from ssduck.formatting import short_repr
+from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
+from ssduck.simulators.interface import Kind, Simulator
 from ssduck.simulators.pybullet import scene_writer as saving
+from ssduck.simulators.pybullet.clients import handles_of, new_client
+from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.excerpt import excerpt
-from ssduck.simulators.pybullet.simulator import PyBulletSimulator, attach, load
+from ssduck.simulators.pybullet.given_shapes import given_shapes
+from ssduck.simulators.pybullet.scene_loader import load_models
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import Scene
 
 __all__ = ["attach", "excerpt", "load", "scene_of"]
+
+
+def load(scene: Scene) -> PyBulletSimulator:
+    """A new PyBullet simulation of a scene.
+
+    Raises:
+        SceneError: a model cannot be loaded: file, key and reason.
+    """
+    with new_client() as client:
+        loaded = load_models(scene, client)
+        return PyBulletSimulator(
+            client, owned=True, names=loaded.names, kinds=loaded.kinds, loaded=loaded
+        )
+
+
+def attach(
+    client: Any,
+    names: Mapping[int, str] | None,
+    kinds: Mapping[int, Kind] | None,
+    shapes: ShapesByBody | None = None,
+) -> PyBulletSimulator:
+    """The user's own client: its number, or an object that holds it as `_client`.
+
+    Raises:
+        SimulatorError: the client is not connected.
+        SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
+    """
+    number = getattr(client, "_client", client)
+    if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
+        raise SimulatorError(f"{client!r} is no connected PyBullet client")
+    number = int(number)
+    handles = handles_of(number)
+    for own, what in ((names, "names"), (kinds, "kinds")):
+        if not isinstance(own, Mapping | None):
+            raise ArgumentError(
+                f"attach: {what}: {short_repr(own)} is no dict by the bodies' numbers"
+            )
+    for handle in (*(names or {}), *(kinds or {})):
+        if not validation.is_integer(handle) or handle not in handles:
+            known = ", ".join(map(str, handles)) or "none"
+            raise SelectScriptError(
+                f"PyBullet has no body {short_repr(handle)}; its bodies: {known}"
+            )
+    for handle, kind in (kinds or {}).items():
+        if kind not in ("robot", "kinbody"):
+            raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
+    for handle, name in (names or {}).items():
+        if not isinstance(name, str):
+            raise ArgumentError(f"attach: names: body {handle}: {short_repr(name)} is no text")
+    given = given_shapes(number, handles, shapes)
+    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 
 
 def scene_of(

@@ -62,13 +62,13 @@ class BodyDescription:
         body: what it is made of.
         com: poses of the links' centres of mass in the link frames, (links, 3) and (links, 4).
         exact: whether all its shapes are what PyBullet uses; else boxes stand in for some.
-        told: what PyBullet told of the margins of each link; nothing if it was not asked.
+        link_margins: what PyBullet told of the margins of each link; nothing if it was not asked.
     """
 
     body: Body
     com: Pose
     exact: bool
-    told: tuple[KnownMargins, ...] = ()
+    link_margins: tuple[KnownMargins, ...] = ()
 
 
 def describe(
@@ -136,7 +136,11 @@ def masses_of(client: int, body: Body) -> list[float]:
     links = range(-1, len(body.links) - 1)
     dynamics = [pybullet.getDynamicsInfo(body.handle, link, client) for link in links]
     # What PyBullet says of a soft body is no number of kilograms.
-    return body.masses if dynamics[0][10] == _SOFT_BODY else [float(told[0]) for told in dynamics]
+    return (
+        body.masses
+        if dynamics[0][10] == _SOFT_BODY
+        else [float(link_margins[0]) for link_margins in dynamics]
+    )
 
 
 def _com(dynamics: Sequence[Any]) -> Pose:
@@ -175,7 +179,7 @@ class _Reader:
         masses = [float(dynamic[0]) for dynamic in self.dynamics]
         if self.type == _SOFT_BODY:
             masses = [0.0]  # what PyBullet says is no number of kilograms
-        told = tuple(map(self._told, range(len(names))))
+        link_margins = tuple(map(self._told, range(len(names))))
         body = Body(
             handle=self.handle,
             name=name or self.name or f"body_{self.handle}",
@@ -184,10 +188,12 @@ class _Reader:
             links=tuple(map(Link, names, parents, masses)),
             joints=joints,
             shapes=tuple(
-                shape for link, of in enumerate(told) for shape in with_margins(self.own[link], of)
+                shape
+                for link, of in enumerate(link_margins)
+                for shape in with_margins(self.own[link], of)
             ),
         )
-        return BodyDescription(body, self.com, not body.has_stand_ins, told)
+        return BodyDescription(body, self.com, not body.has_stand_ins, link_margins)
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
         """A joint, its axis in the frame of its link."""
@@ -274,8 +280,8 @@ class _Reader:
         """
         entries: list[Shapes] | None = None
         if self.type == _MULTI_BODY and link not in self._drawn_capsules:
-            told = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
-            entries = [self._shape(link, index, entry) for index, entry in enumerate(told)]
+            link_margins = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
+            entries = [self._shape(link, index, entry) for index, entry in enumerate(link_margins)]
             if None not in entries and (entries or self._is_bare(link)):
                 return entries
         saved = self._saved(link)

@@ -295,12 +295,12 @@ class _File:
         if name in _NUMBERS:
             return np.dtype(_NUMBERS[name])
         if name not in self._types:
-            told = []
+            fields = []
             for kind, field in self._by_name[name].fields:
                 own = _POINTER if field.startswith("*") else self._type(kind)
                 counts = tuple(map(int, re.findall(r"\[(\d+)\]", field)))
-                told.append((field.lstrip("*").partition("[")[0], own, counts))
-            self._types[name] = np.dtype(told)
+                fields.append((field.lstrip("*").partition("[")[0], own, counts))
+            self._types[name] = np.dtype(fields)
         return self._types[name]
 
 
@@ -342,9 +342,9 @@ def _decimal(number: Any) -> float:
     return float(str(np.float32(number)))
 
 
-def _vector(told: Any) -> Array:
+def _vector(fields: Any) -> Array:
     """A vector of the file, (3,)."""
-    numbers = told["m_floats"][:3]
+    numbers = fields["m_floats"][:3]
     if numbers.dtype == np.float32:
         return np.array([_decimal(number) for number in numbers])
     vector: Array = numbers.astype(np.float64)

@@ -60,7 +60,7 @@ def known_margins(
     return KnownMargins(float(dynamics[11]), len(entries) > 1 or any(off), is_of_file)
 
 
-def margin_of(type: str, told: KnownMargins) -> float:
+def margin_of(type: str, known: KnownMargins) -> float:
     """The margin of a shape, metres.
 
     What `changeDynamics` sets does not reach the hulls of a mesh file in a compound. Of a compound
@@ -68,40 +68,40 @@ def margin_of(type: str, told: KnownMargins) -> float:
 
     Args:
         type: of its geometry.
-        told: what PyBullet tells of its link.
+        known: what PyBullet tells of its link.
     """
     if type not in _PADDED:
         return 0.0
-    default = 0.0 if type == "mesh" and told.is_of_file else DEFAULT
-    if told.margin is None:
+    default = 0.0 if type == "mesh" and known.is_of_file else DEFAULT
+    if known.margin is None:
         return default
-    if not told.is_compound:
-        return told.margin
-    if told.margin in (0.0, DEFAULT) or (type == "hull" and told.is_of_file):
+    if not known.is_compound:
+        return known.margin
+    if known.margin in (0.0, DEFAULT) or (type == "hull" and known.is_of_file):
         return default
-    return told.margin
+    return known.margin
 
 
-def with_margins(shapes: Sequence[PlacedGeometry], told: KnownMargins) -> list[PlacedGeometry]:
+def with_margins(shapes: Sequence[PlacedGeometry], known: KnownMargins) -> list[PlacedGeometry]:
     """The shapes of a link with their margins."""
-    return [replace(shape, margin=margin_of(shape.geometry.type, told)) for shape in shapes]
+    return [replace(shape, margin=margin_of(shape.geometry.type, known)) for shape in shapes]
 
 
-def margins_of(client: int, body: Body, told: Sequence[KnownMargins]) -> list[float]:
+def margins_of(client: int, body: Body, known: Sequence[KnownMargins]) -> list[float]:
     """The margins of a body's shapes as they are now, metres.
 
     Args:
         client: the client that has it.
         body: the body.
-        told: what was told of each of its links when it came; nothing where its margins stay.
+        known: what was told of each of its links when it came; nothing where its margins stay.
     """
-    links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if told else set()
+    links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if known else set()
     now = {
         link: replace(
-            told[link], margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11])
+            known[link], margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11])
         )
         for link in links
-        if told[link].margin is not None
+        if known[link].margin is not None
     }
     return [
         margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin

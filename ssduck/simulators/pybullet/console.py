@@ -13,18 +13,18 @@ from contextlib import contextmanager, suppress
 def captured() -> Iterator[list[str]]:
     """Catch what C code prints meanwhile; at the end the list holds the lines."""
     lines: list[str] = []
-    kept: dict[int, int] = {}
+    saved: dict[int, int] = {}
     with tempfile.TemporaryFile() as sink:
         try:
             for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
                 if stream is not None:
                     stream.flush()
                 with suppress(OSError):  # a daemon may have closed it
-                    kept[number] = os.dup(number)
+                    saved[number] = os.dup(number)
                     os.dup2(sink.fileno(), number)
             yield lines
         finally:
-            for number, copy in kept.items():
+            for number, copy in saved.items():
                 os.dup2(copy, number)
                 os.close(copy)
             sink.seek(0)

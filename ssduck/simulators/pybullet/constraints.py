@@ -7,7 +7,7 @@ from ssduck.simulators.pybullet.scene_loader import make_constraint
 from ssduck.simulators.scenes import ConstraintSpec
 
 
-def tie(client: int, on: tuple[int, int], to: int) -> None:
+def add_fixed_constraint(client: int, on: tuple[int, int], to: int) -> None:
     """Tie the base of a body to a link, as they are now, with a fixed constraint.
 
     Args:

@@ -42,6 +42,7 @@ from ssduck.simulators.pybullet.body_state import (
     set_state,
     state_of,
 )
+from ssduck.simulators.pybullet.clients import new_client
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.introspection import (
     constraints_of,
@@ -61,10 +62,7 @@ from ssduck.simulators.pybullet.scene_loader import (
     set_solver_settings,
     solver_settings,
 )
-from ssduck.simulators.pybullet.simulator import (
-    PyBulletSimulator,
-    new_client,
-)
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import write_model, zero_poses
 from ssduck.simulators.scenes import BodySpec, Scene
 
@@ -115,7 +113,7 @@ class _Copier:
         source: what runs the originals now, if anything does.
         client: the new client.
         tick: when it is.
-        filled: what is known of the copies.
+        loaded: what is known of the copies.
         handles: the copies' numbers.
         guessed: what is not as it is in the source: names by what is said of them.
     """
@@ -123,7 +121,7 @@ class _Copier:
     source: PyBulletSimulator | None
     client: int
     tick: TickToCopy
-    filled: LoadedBodies = field(default_factory=LoadedBodies)
+    loaded: LoadedBodies = field(default_factory=LoadedBodies)
     handles: dict[Body, int] = field(default_factory=dict)
     guessed: dict[str, list[str]] = field(default_factory=dict)
 
@@ -133,7 +131,7 @@ class _Copier:
         Raises:
             _NotCarriedError: other contacts are there then.
         """
-        self.filled.time = self.tick.time
+        self.loaded.time = self.tick.time
         self._set_up()
         with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
             self._load(originals, Path(folder))
@@ -143,7 +141,7 @@ class _Copier:
             if carry and all(as_now):
                 self._carry_contacts(Path(folder) / "state.bullet")
         self._warn()
-        return PyBulletSimulator(self.client, owned=True, filled=self.filled)
+        return PyBulletSimulator(self.client, owned=True, loaded=self.loaded)
 
     def _set_up(self) -> None:
         """Gravity, time step and solver are as in the source."""
@@ -153,8 +151,8 @@ class _Copier:
             timestep = told["fixedTimeStep"]
             gravity = tuple(told[f"gravityAcceleration{axis}"] for axis in "XYZ")
             set_solver_settings(solver_settings(self.source.client), self.client)
-            if self.source.filled.elastic:
-                self.filled.elastic = True
+            if self.source.loaded.elastic:
+                self.loaded.elastic = True
                 set_elastic(self.client)
         pybullet.setTimeStep(timestep, self.client)
         pybullet.setGravity(*gravity, physicsClientId=self.client)
@@ -169,7 +167,7 @@ class _Copier:
                 handle = self._load_written(original, folder, len(self.handles))
             else:
                 if id(spec) not in loaded:
-                    loaded[id(spec)] = load_body(spec, "", self.filled, self.client)
+                    loaded[id(spec)] = load_body(spec, "", self.loaded, self.client)
                 handle = loaded[id(spec)][number]
             if pybullet.getNumJoints(handle, self.client) != len(original.body.joints):
                 raise SimulatorError(
@@ -181,16 +179,16 @@ class _Copier:
         ):
             pybullet.removeBody(handle, self.client)
         # What the scene's file says of them was at the start.
-        self.filled.disabled, self.filled.hidden = set(), set()
+        self.loaded.disabled, self.loaded.hidden = set(), set()
         kept = self.handles.values()
-        self.filled.origins = {h: o for h, o in self.filled.origins.items() if h in kept}
-        self.filled.held = {h: o for h, o in self.filled.held.items() if h in kept}
+        self.loaded.origins = {h: o for h, o in self.loaded.origins.items() if h in kept}
+        self.loaded.held = {h: o for h, o in self.loaded.held.items() if h in kept}
 
     def _origin_of(self, body: Body) -> tuple[BodySpec | None, int]:
         """The entry of a scene that a body was loaded from, if it still can be."""
         if self.source is None or self._known(body) is None:
             return None, 0
-        origin = self.source.filled.origins.get(body.handle)
+        origin = self.source.loaded.origins.get(body.handle)
         if origin is None or not origin.spec.model.is_file():
             return None, 0
         return origin.spec, origin.number
@@ -202,7 +200,7 @@ class _Copier:
         """Load a body by a model that is written of what is known of it."""
         known = self._known(original.body)
         if known is None:
-            model = guessed_model(original.body, original.frames, original.joints)
+            model = guessed_model(original.body, original.link_poses, original.joints)
             self._guess(
                 "only shapes, links, joints and masses are known; inertia and centre of mass are "
                 "those of the shapes, friction, damping and colours PyBullet's own, and joints "
@@ -219,7 +217,7 @@ class _Copier:
         # Meshes of another copy may have been in a file of that name, and would be kept for ever.
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self.client)
         (handle,) = load_model(spec, "", self.client)
-        if self.filled.elastic:
+        if self.loaded.elastic:
             make_elastic(handle, self.client)
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)
         return handle
@@ -242,11 +240,11 @@ class _Copier:
         set_state(self.client, handle, body, state)
         self._hold(original, state, handle)
         if body in self.tick.disabled:
-            self.filled.disabled.add(handle)
+            self.loaded.disabled.add(handle)
         if body in self.tick.hidden:
-            self.filled.hidden.add(handle)
+            self.loaded.hidden.add(handle)
         own = replace(body, handle=handle, name=original.name)
-        self.filled.described[handle] = BodyDescription(own, com, exact=True)
+        self.loaded.described[handle] = BodyDescription(own, com, exact=True)
         return as_now
 
     def _is_as_now(self, original: BodyToCopy) -> bool:
@@ -254,12 +252,12 @@ class _Copier:
         body = original.body
         if self.source is None or self._known(body) is None:
             return False
-        now, then = self.source.read_frames((body,), links_move=True), original.frames
+        now, then = self.source.read_link_poses((body,), with_velocities=True), original.link_poses
         base = np.array([0])
         told = (
             (now.positions, then.positions),
             (now.states[:, 3:7], then.states[:, 3:7]),
-            (now.at(now.positions[:1], base), then.at(then.positions[:1], base)),
+            (now.states_at(now.positions[:1], base), then.states_at(then.positions[:1], base)),
         )
         if not all(np.array_equal(here, there) for here, there in told):
             return False
@@ -269,11 +267,11 @@ class _Copier:
 
     def _told_state(self, original: BodyToCopy, com: tuple[Array, Array], handle: int) -> BodyState:
         """A body's state as the tick tells of it."""
-        frames = original.frames
+        link_poses = original.link_poses
         base = np.array([0])
-        link = frames.positions[:1], frames.states[:1, 3:7]
+        link = link_poses.positions[:1], link_poses.states[:1, 3:7]
         place, turn = compose(*link, com[0][:1], com[1][:1])
-        (moving,) = frames.at(place, base)
+        (moving,) = link_poses.states_at(place, base)
         joints = original.joints
         if np.isnan(joints).any():
             joints = self._joints_by_frames(original, handle)
@@ -299,7 +297,7 @@ class _Copier:
         at = np.array([[state[0][0] if state and state[0] else 0.0] for state in states])
         zero = zero_poses(body, here, positions_by_link(body, at))
         parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
-        places, turns = original.frames.positions, original.frames.states[:, 3:7]
+        places, turns = original.link_poses.positions, original.link_poses.states[:, 3:7]
         within = compose(*invert(places[parents], turns[parents]), places[1:], turns[1:])
         shifts, twists = compose(*invert(*zero), *within)
         joints = np.zeros((len(body.joints), 2))
@@ -317,13 +315,15 @@ class _Copier:
         held: Mapping[int, float] = {}
         now: BodyState | None = None
         if self.source is not None and self._known(body) is not None:
-            if self.source.watched and any(joint.type in SCALAR_JOINTS for joint in body.joints):
+            if self.source.is_external and any(
+                joint.type in SCALAR_JOINTS for joint in body.joints
+            ):
                 self._guess("what motors do is not told; they are as PyBullet begins", original)
-            held = self.source.filled.held.get(body.handle, {})
+            held = self.source.loaded.held.get(body.handle, {})
             now = state_of(self.source.client, body.handle) if held else None
         elif self.source is None or self._known(body) is None:
             held = {joint.link: 0.0 for joint in body.joints if joint.type in SCALAR_JOINTS}
-        begun = self.filled.held.get(handle, {})
+        begun = self.loaded.held.get(handle, {})
         targets = {}
         for link, target in held.items():
             there = state.joints[link - 1]
@@ -332,7 +332,7 @@ class _Copier:
             targets[link] = there[0][0] if moved else target
             if begun.get(link) != targets[link]:
                 hold_joint(handle, body.joints[link - 1], targets[link], self.client)
-        self.filled.held[handle] = targets
+        self.loaded.held[handle] = targets
 
     def _carry_contacts(self, file: Path) -> None:
         """Restore the contacts that the solver knows of, and the impulses that it begins with.

@@ -102,8 +102,8 @@ def _geometry(key: Any, value: Any) -> Geometry:
     return Geometry("mesh", (0.0, 0.0, 0.0), vertices, _faces(key, value[1], len(vertices)))
 
 
-def _vertices(key: Any, told: Any) -> Array:
-    vertices = _ragged(told)
+def _vertices(key: Any, values: Any) -> Array:
+    vertices = _ragged(values)
     if vertices is None or vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3:
         raise ArgumentError(f"shapes: {key!r}: vertices are to be numbers (n, 3), at least three")
     if not np.isfinite(vertices).all():
@@ -112,8 +112,8 @@ def _vertices(key: Any, told: Any) -> Array:
     return np.array(vertices)
 
 
-def _faces(key: Any, told: Any, count: int) -> Triangles:
-    faces = _ragged(told)
+def _faces(key: Any, values: Any, count: int) -> Triangles:
+    faces = _ragged(values)
     if faces is None or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise ArgumentError(
             f"shapes: {key!r}: faces are to be numbers of vertices (n, 3), at least one triangle"

@@ -47,11 +47,11 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
     known = simulator.description_of(body)
     assert known is not None
     infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
-    frames = simulator.read_frames((body,), links_move=True)
+    link_poses = simulator.read_link_poses((body,), with_velocities=True)
     joints = simulator.read_joints([body] if body.joints else [])
     return BodyModel(
         body,
-        zero_poses(body, frames, positions_by_link(body, joints)),
+        zero_poses(body, link_poses, positions_by_link(body, joints)),
         known.com,
         np.array([dynamic[2] for dynamic in dynamics]),
         [info[6] for info in infos],
@@ -62,20 +62,20 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
 
 def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
     """What contacts with a link are like; 0 and -1 are what PyBullet begins with."""
-    told = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
-    return {element: value for element, value in told.items() if value not in (0.0, -1.0)} | {
+    contact = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
+    return {element: value for element, value in contact.items() if value not in (0.0, -1.0)} | {
         "lateral_friction": float(dynamic[1])
     }
 
 
-def guessed_model(body: Body, frames: LinkPoses, joints: Array) -> BodyModel:
+def guessed_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel:
     """What a record tells of a body; its masses are in the middles of its shapes."""
     positions = positions_by_link(body, joints)
     com = np.array([_middle(body, link) for link in range(len(body.links))])
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
     return BodyModel(
         body,
-        zero_poses(body, frames, positions),
+        zero_poses(body, link_poses, positions),
         (com, turns),
         None,
         [0.0] * len(body.joints),

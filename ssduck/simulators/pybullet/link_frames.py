@@ -39,7 +39,9 @@ class LinkPosesReader:
         counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
         # By whether the links' velocities are read: how many numbers the answers have, and
         # where each frame's are.
-        self._orders = {links_move: _order(counts, links_move) for links_move in (False, True)}
+        self._orders = {
+            with_velocities: _order(counts, with_velocities) for with_velocities in (False, True)
+        }
         positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
         orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
         self._link_from_com = invert(positions, orientations)[1]
@@ -47,13 +49,13 @@ class LinkPosesReader:
         self._origins = -positions  # from the centres of mass, in the link frames' axes
         self._shifted = bool(positions.any())
 
-    def read(self, client: int, links_move: bool) -> LinkPoses:
+    def read(self, client: int, with_velocities: bool) -> LinkPoses:
         """All frames as they are now, body after body; velocities of links if they are wanted."""
         links = map(
             pybullet.getLinkStates,
             self._linked,
             self._links,
-            repeat(int(links_move)),
+            repeat(int(with_velocities)),
             repeat(1),  # with forward kinematics: without, links lag the base by a step
             repeat(client),
         )
@@ -61,10 +63,10 @@ class LinkPosesReader:
         answers = chain(
             map(pybullet.getBasePositionAndOrientation, self._handles, repeat(client)),
             map(pybullet.getBaseVelocity, self._handles, repeat(client)),
-            map(_pose_and_twist if links_move else _pose, _flatten(links)),
+            map(_pose_and_twist if with_velocities else _pose, _flatten(links)),
             _UNKNOWN,
         )
-        count, order = self._orders[links_move]
+        count, order = self._orders[with_velocities]
         numbers = np.fromiter(_flatten(_flatten(answers)), np.float64, count)
         states = numbers.take(order)
         if self._turned:
@@ -80,7 +82,7 @@ class LinkPosesReader:
 _UNKNOWN = (((np.nan,),),)
 
 
-def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
+def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
     """How many numbers the answers have, and where each frame's 13 are, (frames, 13).
 
     The answers are the bases' poses, the bases' velocities, the links' states with or without
@@ -90,7 +92,7 @@ def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
     total = int(counts.sum())
     is_base = np.zeros(total, dtype=bool)
     is_base[np.cumsum(counts) - counts] = True
-    width = 13 if links_move else 7
+    width = 13 if with_velocities else 7
     order = np.full((total, 13), -1, dtype=np.intp)  # from the end: the unknown one
     order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
     order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
@@ -102,4 +104,4 @@ def _order(counts: Indices, links_move: bool) -> tuple[int, Indices]:
 
 def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:
     """The frames of one body as they are now."""
-    return LinkPosesReader([body], [com]).read(client, links_move=True)
+    return LinkPosesReader([body], [com]).read(client, with_velocities=True)

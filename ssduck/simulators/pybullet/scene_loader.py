@@ -81,14 +81,14 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
     set_solver_settings(engine, client)
     if scene.elastic:
         set_elastic(client)
-    filled = LoadedBodies(time=scene.time, elastic=scene.elastic)
+    loaded = LoadedBodies(time=scene.time, elastic=scene.elastic)
     for index, spec in enumerate(scene.bodies):
         # A model that is loaded by itself has no entry in a scene's file.
-        load_body(spec, f"{scene.path}: body[{index}]." if spec.name else "", filled, client)
-    _make_constraints(scene, filled, client)
+        load_body(spec, f"{scene.path}: body[{index}]." if spec.name else "", loaded, client)
+    _make_constraints(scene, loaded, client)
     # Contacts and rays of the first tick are of where things are now.
     pybullet.performCollisionDetection(client)
-    return filled
+    return loaded
 
 
 def set_elastic(client: int) -> None:
@@ -133,13 +133,13 @@ def solver_settings(client: int) -> dict[str, int]:
     return {name: int(told[called]) for name, called in _ENGINE.items()}
 
 
-def load_body(spec: BodySpec, place: str, filled: LoadedBodies, client: int) -> Sequence[int]:
+def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
     """Load an entry of a scene; gives the numbers of its bodies, of which a file may have some.
 
     Args:
         spec: the entry.
         place: what errors say where it is.
-        filled: is told of them.
+        loaded: is told of them.
         client: where to.
 
     Raises:
@@ -147,19 +147,19 @@ def load_body(spec: BodySpec, place: str, filled: LoadedBodies, client: int) -> 
     """
     handles = load_model(spec, place, client)
     for number, handle in enumerate(handles):
-        filled.origins[handle] = SceneOrigin(spec, number)
+        loaded.origins[handle] = SceneOrigin(spec, number)
         if spec.name:
-            filled.names[handle] = spec.name
+            loaded.names[handle] = spec.name
         if spec.kind:
-            filled.kinds[handle] = spec.kind
+            loaded.kinds[handle] = spec.kind
         if not spec.enabled:
-            filled.disabled.add(handle)
+            loaded.disabled.add(handle)
         if not spec.visible:
-            filled.hidden.add(handle)
+            loaded.hidden.add(handle)
         held = _set_joints(handle, spec, place, client)
         if held:
-            filled.held[handle] = held
-        if filled.elastic:
+            loaded.held[handle] = held
+        if loaded.elastic:
             make_elastic(handle, client)
     return handles
 
@@ -267,8 +267,8 @@ def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place:
         raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
 
 
-def _make_constraints(scene: Scene, filled: LoadedBodies, client: int) -> None:
-    handles = {name: handle for handle, name in filled.names.items()}
+def _make_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None:
+    handles = {name: handle for handle, name in loaded.names.items()}
     for index, spec in enumerate(scene.constraints):
         place = f"{scene.path}: constraint[{index}]."
         ends = []

@@ -44,7 +44,7 @@ def scene_of(
         bodies=tuple(models.spec_of(original, tick) for original in originals),
         constraints=tuple(_constraints(simulator.client, names)),
         engine=Engine(**solver_settings(simulator.client)),
-        elastic=simulator.filled.elastic,
+        elastic=simulator.loaded.elastic,
     )
 
 
@@ -82,7 +82,7 @@ class _ModelWriter:
     def spec_of(self, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
         """What the scene says of a body."""
         body, states = original.body, original.joints
-        origin = self.simulator.filled.origins.get(body.handle)
+        origin = self.simulator.loaded.origins.get(body.handle)
         copy = None if origin is None else self._copied(origin.spec.model)
         if origin is not None and copy is not None:
             model, fixed, own_inertia = copy, origin.spec.fixed, origin.spec.own_inertia
@@ -94,10 +94,10 @@ class _ModelWriter:
         names = unique_names(joint.name for joint in body.joints)
         settable = [n for n, joint in enumerate(body.joints) if joint.type in SCALAR_JOINTS]
         positions = {names[n]: float(states[n, 0]) for n in settable}
-        held = self.simulator.filled.held.get(body.handle, {})
+        held = self.simulator.loaded.held.get(body.handle, {})
         targets = {names[link - 1]: target for link, target in held.items()}
-        frames = original.frames
-        base = frames.at(frames.positions[:1], _BASE)[0].tolist()
+        link_poses = original.link_poses
+        base = link_poses.states_at(link_poses.positions[:1], _BASE)[0].tolist()
         return BodySpec(
             name=original.name,
             kind=body.kind,  # type: ignore[arg-type]  # no sensor has a body

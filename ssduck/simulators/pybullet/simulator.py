@@ -9,23 +9,19 @@ exactly (ssduck.geometry.bounds).
 
 from __future__ import annotations
 
-import gc
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from itertools import repeat
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck import validation
-from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, warn
-from ssduck.formatting import joined_names, short_repr
+from ssduck.errors import SimulatorError, warn
+from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
-from ssduck.simulators.backends import ShapesByBody
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     Body,
@@ -44,14 +40,14 @@ from ssduck.simulators.pybullet.bodies import (
     xyzw,
 )
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
+from ssduck.simulators.pybullet.clients import handles_of
 from ssduck.simulators.pybullet.collision_margins import margins_of
 from ssduck.simulators.pybullet.console import captured, pybullet
-from ssduck.simulators.pybullet.constraints import fixed_constraints, tie
-from ssduck.simulators.pybullet.given_shapes import given_shapes
+from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
-from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, load_models, set_motor
-from ssduck.simulators.scenes import Camera, Scene
+from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, set_motor
+from ssduck.simulators.scenes import Camera
 
 T = TypeVar("T")
 
@@ -73,13 +69,15 @@ class PyBulletSimulator:
             of the models.
         kinds: kinds of these bodies, instead of robot for what has movable joints.
         shapes: of these bodies, those that the caller knows.
-        filled: what else is known of them if ssduck put them there.
+        loaded: what else is known of them if ssduck put them there.
 
     Attributes:
-        filled: the same; where its motors hold joints is kept there.
+        loaded: the same; where its motors hold joints is kept there.
         clock: counts the simulated time: the steps that ssduck runs, and in a client of
             the user's those that ticks tell of.
     """
+
+    backend = "pybullet"
 
     def __init__(
         self,
@@ -89,12 +87,12 @@ class PyBulletSimulator:
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
         shapes: Mapping[int, GivenShapes] | None = None,
-        filled: LoadedBodies | None = None,
+        loaded: LoadedBodies | None = None,
     ) -> None:
         self.client = client
-        self.watched = not owned
+        self.is_external = not owned
         # Of a client that ssduck filled.
-        self.filled = filled or LoadedBodies()
+        self.loaded = loaded or LoadedBodies()
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
         self._given = dict(shapes or {})
@@ -113,7 +111,7 @@ class PyBulletSimulator:
         # gone to the next one, which is none of ours.
         self._lost: str | None = None
         self._layout: tuple[tuple[Body, ...], LinkPosesReader] = ((), LinkPosesReader([], []))
-        self.clock = Clock(self._clients_timestep(), self.filled.time)
+        self.clock = Clock(self._clients_timestep(), self.loaded.time)
 
     # -- bodies ---------------------------------------------------------------------------
 
@@ -123,10 +121,10 @@ class PyBulletSimulator:
         PyBullet gives the number of a removed body to the next one at once, so every known
         body carries a tag (user data, which goes with it) that tells the two apart.
         """
-        if self._described and not self.watched:
+        if self._described and not self.is_external:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
-        handles = self._call(lambda: _handles(self.client))
+        handles = self._call(lambda: handles_of(self.client))
         tags = self._call(lambda: self._tags_of(handles))
         if self._listed == (handles, tags):
             return None
@@ -148,11 +146,11 @@ class PyBulletSimulator:
 
     def _begin_absent(self) -> None:
         """Let bodies be what they begin as: without collisions, or not drawn."""
-        for handle in self.filled.disabled:
+        for handle in self.loaded.disabled:
             self.enable(self._known[handle].body, on=False)
-        for handle in self.filled.hidden:
+        for handle in self.loaded.hidden:
             self.show(self._known[handle].body, on=False)
-        self.filled.disabled, self.filled.hidden = set(), set()
+        self.loaded.disabled, self.loaded.hidden = set(), set()
 
     def remove(self, body: Body) -> None:
         """Take a body out of a client that ssduck made."""
@@ -161,7 +159,7 @@ class PyBulletSimulator:
         self._call(lambda: pybullet.performCollisionDetection(self.client))
         self._forget([body])
         del self._known[body.handle]
-        for known in (self.filled.origins, self.filled.held):
+        for known in (self.loaded.origins, self.loaded.held):
             known.pop(body.handle, None)
         self._removed.append(body)
 
@@ -170,7 +168,7 @@ class PyBulletSimulator:
         known = self._known.get(body.handle)
         if known is None or known.body is not body or self._lost is not None:
             return None
-        if self.watched:
+        if self.is_external:
             # Its number may be another's by now.
             handles, tags = self._listed
             tag = dict(zip(handles, tags, strict=True)).get(body.handle)
@@ -201,7 +199,7 @@ class PyBulletSimulator:
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
     def _read(self, handle: int, saved: SavedShapes) -> BodyDescription:
-        read = self.filled.described.pop(handle, None) or describe(
+        read = self.loaded.described.pop(handle, None) or describe(
             self.client,
             handle,
             self._names.get(handle),
@@ -228,14 +226,14 @@ class PyBulletSimulator:
         """Go by another clock from now on."""
         self.clock = clock
 
-    def read_frames(self, bodies: tuple[Body, ...], *, links_move: bool) -> LinkPoses:
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
         """All frames of these bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
             self._layout = (
                 bodies,
                 LinkPosesReader(bodies, [self._known[b.handle].com for b in bodies]),
             )
-        return self._call(lambda: self._layout[1].read(self.client, links_move))
+        return self._call(lambda: self._layout[1].read(self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Position, velocity and effort of these bodies' joints, (joints, 3)."""
@@ -259,7 +257,7 @@ class PyBulletSimulator:
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """The collision margins of these bodies' shapes; of what is gone, as they were."""
-        told = {body: self._known[body.handle].told for body in self._are_there(bodies)}
+        told = {body: self._known[body.handle].link_margins for body in self._are_there(bodies)}
         return self._call(
             lambda: [margins_of(self.client, body, told.get(body, ())) for body in bodies]
         )
@@ -339,9 +337,9 @@ class PyBulletSimulator:
         def put() -> None:
             for link, position in positions.items():
                 pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
-                if not self.watched:
+                if not self.is_external:
                     hold_joint(body.handle, body.joints[link - 1], position, self.client)
-                    self.filled.held.setdefault(body.handle, {})[link] = position
+                    self.loaded.held.setdefault(body.handle, {})[link] = position
             pybullet.performCollisionDetection(self.client)
 
         self._call(put)
@@ -355,22 +353,22 @@ class PyBulletSimulator:
 
         self._call(put)
 
-    def are_tied(self, body: Body, other: Body) -> bool:
+    def has_constraint(self, body: Body, other: Body) -> bool:
         """Whether a fixed constraint is between a link of a body and the base of another."""
         return bool(self._call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
-    def tie(self, body: Body, link: int, other: Body) -> None:
+    def add_constraint(self, body: Body, link: int, other: Body) -> None:
         """Make a fixed constraint between a link of a body and the base of another, as they are."""
-        self._call(lambda: tie(self.client, (body.handle, link - 1), other.handle))
+        self._call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
 
-    def untie(self, body: Body, other: Body) -> None:
+    def remove_constraint(self, body: Body, other: Body) -> None:
         """Remove the fixed constraints between links of a body and the base of another."""
 
-        def untie() -> None:
+        def remove() -> None:
             for number in fixed_constraints(self.client, body.handle, other.handle):
                 pybullet.removeConstraint(number, self.client)
 
-        self._call(untie)
+        self._call(remove)
 
     def enable(self, body: Body, on: bool) -> None:
         """Let a body take part in collisions, or not.
@@ -471,7 +469,7 @@ class PyBulletSimulator:
         self._lost = "the world is closed"
         if not pybullet.isConnected(self.client):
             return
-        if self.watched:
+        if self.is_external:
             for tag in self._listed[1]:
                 pybullet.removeUserData(tag, self.client)
         else:
@@ -498,12 +496,6 @@ def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
     return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
 
 
-def _handles(client: int) -> list[int]:
-    """The numbers of the client's bodies."""
-    count = pybullet.getNumBodies(client)
-    return list(map(pybullet.getBodyUniqueId, range(count), repeat(client)))
-
-
 def _warn_of_guesses(bodies: Sequence[Body]) -> None:
     if bodies:
         warn(
@@ -522,88 +514,6 @@ def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[fl
         colours.append((entry[1], shapes[entry[1]], entry[7]))
         shapes[entry[1]] += 1
     return colours
-
-
-# -- the two ways to a simulator --------------------------------------------------------------
-
-
-def load(scene: Scene) -> PyBulletSimulator:
-    """A new PyBullet simulation of a scene.
-
-    Raises:
-        SceneError: a model cannot be loaded: file, key and reason.
-    """
-    with new_client() as client:
-        filled = load_models(scene, client)
-        return PyBulletSimulator(
-            client, owned=True, names=filled.names, kinds=filled.kinds, filled=filled
-        )
-
-
-@contextmanager
-def new_client() -> Iterator[int]:
-    """A new client, that is disconnected again if what is done with it fails.
-
-    Raises:
-        SimulatorError: there are as many as PyBullet can have.
-    """
-    client = _connected()
-    if client < 0:
-        # Worlds that nobody has any more may wait to be collected, and hold theirs so long.
-        gc.collect()
-        client = _connected()
-    if client < 0:
-        raise SimulatorError("PyBullet could not make another client; close worlds")
-    try:
-        yield client
-    except BaseException:
-        pybullet.disconnect(client)
-        raise
-
-
-def _connected() -> int:
-    try:
-        return int(pybullet.connect(pybullet.DIRECT))
-    except pybullet.error:
-        return -1
-
-
-def attach(
-    client: Any,
-    names: Mapping[int, str] | None,
-    kinds: Mapping[int, Kind] | None,
-    shapes: ShapesByBody | None = None,
-) -> PyBulletSimulator:
-    """The user's own client: its number, or an object that holds it as `_client`.
-
-    Raises:
-        SimulatorError: the client is not connected.
-        SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
-    """
-    number = getattr(client, "_client", client)
-    if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
-        raise SimulatorError(f"{client!r} is no connected PyBullet client")
-    number = int(number)
-    handles = _handles(number)
-    for own, what in ((names, "names"), (kinds, "kinds")):
-        if not isinstance(own, Mapping | None):
-            raise ArgumentError(
-                f"attach: {what}: {short_repr(own)} is no dict by the bodies' numbers"
-            )
-    for handle in (*(names or {}), *(kinds or {})):
-        if not validation.is_integer(handle) or handle not in handles:
-            known = ", ".join(map(str, handles)) or "none"
-            raise SelectScriptError(
-                f"PyBullet has no body {short_repr(handle)}; its bodies: {known}"
-            )
-    for handle, kind in (kinds or {}).items():
-        if kind not in ("robot", "kinbody"):
-            raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
-    for handle, name in (names or {}).items():
-        if not isinstance(name, str):
-            raise ArgumentError(f"attach: names: body {handle}: {short_repr(name)} is no text")
-    given = given_shapes(number, handles, shapes)
-    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 
 
 def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:

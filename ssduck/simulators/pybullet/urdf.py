@@ -76,17 +76,17 @@ class BodyModel:
 
 
 def zero_poses(
-    body: Body, frames: LinkPoses, positions: Mapping[int, float]
+    body: Body, link_poses: LinkPoses, positions: Mapping[int, float]
 ) -> tuple[Array, Array]:
     """The poses of links in their parents' frames at joint positions of 0.
 
     Args:
         body: whose.
-        frames: where its links are.
+        link_poses: where its links are.
         positions: of its joints there, by link; of those that have one.
     """
     back = {link: -position for link, position in positions.items()}
-    zero = moved_link_poses(body, frames, None, back)
+    zero = moved_link_poses(body, link_poses, None, back)
     parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
     places, turns = zero.positions, zero.states[:, 3:7]
     inverse = invert(places[parents], turns[parents])
@@ -102,7 +102,7 @@ def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
         element = ET.SubElement(robot, "link", name=name)
         contact = ET.SubElement(element, "contact")
         for kind, value in model.contacts[index].items():
-            ET.SubElement(contact, kind, value=_told(value))
+            ET.SubElement(contact, kind, value=_text_of(value))
         _add_inertial(element, model, index)
         shapes = [shape for shape in model.body.shapes if shape.frame == index]
         for shape in shapes:
@@ -121,9 +121,9 @@ def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
 def _add_inertial(element: ET.Element, model: BodyModel, index: int) -> None:
     inertial = ET.SubElement(element, "inertial")
     _add_origin(inertial, model.com[0][index], model.com[1][index])
-    ET.SubElement(inertial, "mass", value=_told(model.body.links[index].mass))
+    ET.SubElement(inertial, "mass", value=_text_of(model.body.links[index].mass))
     moments = np.zeros(3) if model.inertias is None else model.inertias[index]
-    told = dict(zip(("ixx", "iyy", "izz"), map(_told, moments), strict=True))
+    told = dict(zip(("ixx", "iyy", "izz"), map(_text_of, moments), strict=True))
     ET.SubElement(inertial, "inertia", told, ixy="0", ixz="0", iyz="0")
 
 
@@ -146,7 +146,7 @@ def _add_drawn(
         elif Path(one.file).is_file():
             visual = ET.SubElement(element, "visual")
             _add_origin(visual, one.position, one.orientation)
-            scale = " ".join(map(_told, one.scale))
+            scale = " ".join(map(_text_of, one.scale))
             ET.SubElement(
                 ET.SubElement(visual, "geometry"),
                 "mesh",
@@ -158,7 +158,7 @@ def _add_drawn(
             visuals = [_add_geometry(element, "visual", shape, meshes) for shape in shapes]
         for visual in visuals:
             material = ET.SubElement(visual, "material", name=colour)
-            ET.SubElement(material, "color", rgba=" ".join(map(_told, one.colour)))
+            ET.SubElement(material, "color", rgba=" ".join(map(_text_of, one.colour)))
 
 
 def _add_geometry(
@@ -167,7 +167,7 @@ def _add_geometry(
     part = ET.SubElement(element, kind)
     _add_origin(part, shape.position, shape.orientation)
     geometry = ET.SubElement(part, "geometry")
-    a, b, c = map(_told, shape.geometry.size)
+    a, b, c = map(_text_of, shape.geometry.size)
     match shape.geometry.type:
         case "box":
             ET.SubElement(geometry, "box", size=f"{a} {b} {c}")
@@ -206,17 +206,17 @@ def _add_joint(robot: ET.Element, model: BodyModel, number: int, names: Sequence
     ET.SubElement(element, "child", link=names[joint.link])
     _add_origin(element, model.zero[0][number], model.zero[1][number])
     if kind in ("revolute", "prismatic"):
-        ET.SubElement(element, "axis", xyz=" ".join(map(_told, joint.axis)))
-    ET.SubElement(element, "dynamics", damping=_told(model.damping[number]))
+        ET.SubElement(element, "axis", xyz=" ".join(map(_text_of, joint.axis)))
+    ET.SubElement(element, "dynamics", damping=_text_of(model.damping[number]))
     # To PyBullet a range of nothing is no limit.
     low, high = (joint.lower, joint.upper) if limited else (0.0, -1.0)
     ET.SubElement(
         element,
         "limit",
-        lower=_told(low or 0.0),
-        upper=_told(high or 0.0),
-        effort=_told(joint.max_effort or _NONE),
-        velocity=_told(joint.max_velocity or _NONE),
+        lower=_text_of(low or 0.0),
+        upper=_text_of(high or 0.0),
+        effort=_text_of(joint.max_effort or _NONE),
+        velocity=_text_of(joint.max_velocity or _NONE),
     )
 
 
@@ -224,8 +224,8 @@ def _add_origin(element: ET.Element, position: Array, orientation: Array) -> Non
     ET.SubElement(
         element,
         "origin",
-        xyz=" ".join(map(_told, position)),
-        rpy=" ".join(map(_told, roll_pitch_yaw(orientation))),
+        xyz=" ".join(map(_text_of, position)),
+        rpy=" ".join(map(_text_of, roll_pitch_yaw(orientation))),
     )
 
 
@@ -282,10 +282,10 @@ def _obj(geometry: Geometry) -> str:
     if not len(geometry.faces):
         # Of a hull PyBullet takes the corners of its faces, whatever they are.
         faces = [(0, i, i + 1) for i in range(1, len(corners) - 1)]
-    lines = ["v " + " ".join(map(_told, corner)) for corner in corners]
+    lines = ["v " + " ".join(map(_text_of, corner)) for corner in corners]
     lines += ["f " + " ".join(str(int(corner) + 1) for corner in face) for face in faces]
     return "\n".join(lines) + "\n"
 
 
-def _told(number: float) -> str:
+def _text_of(number: float) -> str:
     return repr(float(number))

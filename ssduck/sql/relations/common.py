@@ -1,4 +1,4 @@
-"""What relations of several families have in common: their parameters, what they look up."""
+"""Parameters and formulas that relations of several topics share."""
 
 from __future__ import annotations
 
@@ -35,6 +35,6 @@ def of_entity(
 
 
 def recorded_numbers(what: str, a: str, b: str = "") -> str:
-    """What contacts or sensors told at the tick of a row, as numbers (`replay.lookups`)."""
+    """A formula: numbers of contacts or sensors at the tick of a row (`replay.lookups`)."""
     other = f"{b}.id" if b else "0"
     return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{what}', {a}.tick, {a}.id, {other})"

@@ -1,4 +1,4 @@
-"""Relations of what the physics solver found in the last step."""
+"""Relations of contacts: those that the physics solver found in the last step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Relations of what an entity is, where it is, and of its box: formulas of its columns."""
+"""Relations of an entity's type, pose and box: formulas over its columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Relations that ask the shapes themselves: which function answers, and for which pairs.
+"""Relations of shapes: the function that answers, and the pairs for which it is called.
 
 Such a relation is one entry with a `GeometryQuery`, which names a method of `ShapeQueries`
 (`ssduck.geometry.queries`). The formula of the relation and the function that DuckDB calls follow

@@ -1,4 +1,4 @@
-"""Relations under the names of the ODE dialect, and those that only it has."""
+"""Relations of the ODE dialect: other names, and some that only it has."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a relation is: what it takes and yields, its formula, its help, its DuckDB macro."""
+"""The description of a relation: its parameters, formula, help and DuckDB macro."""
 
 from __future__ import annotations
 
@@ -312,7 +312,7 @@ _TEXT_FUNCTIONS = ("contains", "position")
 
 @cache
 def _overloads(relation: Relation, schema: str | None) -> str:
-    """What a macro takes and is, by the number of arguments: written once, for it takes long."""
+    """The parameters and bodies of a macro, by the number of arguments; cached, as it is slow."""
     result = [
         f"({', '.join(p.name for p in relation.parameters[:count])}) "
         f"AS ({relation.macro_body(tree, schema).sql('duckdb')})"

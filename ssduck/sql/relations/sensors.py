@@ -1,4 +1,4 @@
-"""Relations of what sensors perceive."""
+"""Relations of sensors and the entities that they perceive."""
 
 from __future__ import annotations
 

@@ -1,0 +1,135 @@
+"""A simulator of two boxes, connected as the manual says: no part of it knows PyBullet."""
+
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from ssduck import Interpreter, World
+from ssduck.errors import UnknownNameError, UnsupportedError
+from ssduck.geometry.poses import IDENTITY
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.simulators.backends import BACKENDS
+from ssduck.simulators.clock import Clock
+from ssduck.simulators.interface import Body, Link, LinkPoses
+from ssduck.simulators.scenes import Scene
+
+
+def cube(handle, name, mass):
+    shape = PlacedGeometry(0, Geometry.primitive("box", (1, 1, 1)), np.zeros(3), IDENTITY)
+    return Body(handle, name, "kinbody", mass > 0, (Link(name, -1, mass),), (), (shape,))
+
+
+class TwoBoxes:
+    """A box at rest, and one that falls onto it."""
+
+    backend = "two_boxes"
+    is_external = False
+    timestep = 0.01
+    disabled = hidden = frozenset()
+
+    def __init__(self, height=3.0):
+        self.clock = Clock(self.timestep)
+        self.bodies = [cube(0, "ground", 0.0), cube(1, "box", 1.0)]
+        self.heights = {0: 0.0, 1: height}
+        self.speed = 0.0
+        self._is_described = False
+
+    @property
+    def time(self):
+        return self.clock.time
+
+    def describe(self):
+        if self._is_described:
+            return None
+        self._is_described = True
+        return list(self.bodies), []
+
+    def read_link_poses(self, bodies, *, with_velocities):
+        states = np.zeros((len(bodies), 13))
+        states[:, 2] = [self.heights[body.handle] for body in bodies]
+        states[:, 3] = 1.0
+        states[:, 9] = [self.speed if body.movable else 0.0 for body in bodies]
+        matrices = np.tile(np.eye(3), (len(bodies), 1, 1))
+        return LinkPoses(states[:, :3], matrices, states)
+
+    def read_joints(self, bodies):
+        return np.zeros((0, 3))
+
+    def read_masses(self, bodies):
+        return [body.masses for body in bodies]
+
+    def read_margins(self, bodies):
+        return [body.margins for body in bodies]
+
+    def read_contacts(self):
+        return ()
+
+    def step(self, count):
+        for _ in range(count):
+            self.speed -= 9.81 * self.timestep
+            self.heights[1] += self.speed * self.timestep
+            if self.heights[1] < 1.0:
+                self.heights[1], self.speed = 1.0, 0.0
+        self.clock = self.clock.after(count, self.timestep)
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def backend(monkeypatch):
+    """The backend of `TwoBoxes`, in a module of its own as any other."""
+    module = types.ModuleType("two_boxes_backend")
+
+    def load(scene):
+        return TwoBoxes()
+
+    def attach(client, names, kinds, shapes):
+        return client
+
+    def excerpt(source, originals, tick):
+        (original,) = [one for one in originals if one.body.movable]
+        return TwoBoxes(float(original.link_poses.positions[0, 2]))
+
+    def scene_of(simulator, originals, tick, folder):
+        raise UnsupportedError("two boxes have no scene")
+
+    module.load, module.attach, module.excerpt, module.scene_of = load, attach, excerpt, scene_of
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(BACKENDS, "two_boxes", module.__name__)
+
+
+def test_queries_ask_a_simulator_of_two_boxes(tmp_path, backend):
+    world = World.load(Scene("boxes", tmp_path / "scene.toml"), simulator="two_boxes")
+    with Interpreter() as ss:
+        ss.add_variable("boxes", world)
+        ss.add_variable("ground", world["ground"])
+        apart = ss.eval("SELECT id, z FROM boxes WHERE above(ground, this) AS list;")
+        assert apart == ["box", 3.0]
+        assert ss.eval("SELECT id FROM boxes WHERE clearance(ground, this) == 2 AS list;") == [
+            "box"
+        ]
+        world.run(1.0)
+        assert world.time == pytest.approx(1.0)
+        assert ss.eval("SELECT id FROM boxes WHERE on(ground, this) AS list;") == ["box"]
+        assert not ss.eval("SELECT id FROM boxes WHERE collides(ground, this) AS list;")
+        world.simulator.heights[1] = 0.9
+        world.tick()
+        assert ss.eval("SELECT id FROM boxes WHERE collides(ground, this) AS list;") == ["box"]
+
+
+def test_worlds_are_copied_and_saved_by_the_backend_of_their_own_simulator(tmp_path, backend):
+    world = World.attach(TwoBoxes(2.5), simulator="two_boxes")
+    copy = world.excerpt(["ground", "box"])
+    assert copy["box"].position[2] == 2.5
+    assert isinstance(copy.simulator, TwoBoxes)
+    with pytest.raises(UnsupportedError, match="no scene"):
+        world.save(tmp_path / "saved")
+
+
+def test_an_unknown_simulator_comes_with_the_nearest_names(tmp_path):
+    with pytest.raises(UnknownNameError) as caught:
+        World.load(Scene("boxes", tmp_path / "scene.toml"), simulator="pybulet")
+    assert caught.value.suggestions == ("pybullet",)
