@@ -31,9 +31,9 @@ from benchmarks.timing import Way, minima, printed, shown, shown_finely
 from ssduck import Recording
 from ssduck.geometry.arrays import Array
 from ssduck.recording.background_writer import BackgroundWriter
-from ssduck.recording.buffers import STORED
 from ssduck.recording.recorder import RING_TICKS, Recorder
 from ssduck.recording.stores.memory import MemoryStore
+from ssduck.schema import RECORDED
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 Scene: TypeAlias = Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]
@@ -189,10 +189,8 @@ def _used(ss: ssduck.Interpreter, place: Path) -> int:
     if place.name == "run":
         return sum(f.stat().st_size for f in place.rglob("*") if f.is_file())
     store = _recorder(ss)._store
-    kept = store._kept.values() if isinstance(store, MemoryStore) else ()
-    parts = [part for table in kept for part in table.parts]
     ((of_tables,),) = ss.sql("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchall()
-    return int(of_tables + sum(part.nbytes for part in parts))
+    return int(of_tables + (store.nbytes if isinstance(store, MemoryStore) else 0))
 
 
 # -- a long run ---------------------------------------------------------------------------------
@@ -212,9 +210,9 @@ def fill(ss: ssduck.Interpreter, world: ssduck.World, ticks: int, step: int = 60
             "ticks": _table("ticks", [numbers], np.array([times, times])),
             "entities": _entities(numbers, times, ids),
         }
-        for table, ring in recorder.rings.items():
+        for table, buffer in recorder.buffers.items():
             if table not in rows:
-                rows[table] = ring.arrow.slice(0, 0)
+                rows[table] = buffer.arrow.slice(0, 0)
         recorder._store.add(rows)
         for number, at in zip(numbers.tolist(), times.tolist(), strict=True):
             recorder.ticks.append(number, at)
@@ -247,8 +245,7 @@ def _entities(numbers: Numbers, times: Numbers, ids: Numbers) -> pa.Table:
 def _table(
     table: str, integers: Sequence[Numbers], reals: Array, flags: Sequence[Numbers] = ()
 ) -> pa.Table:
-    stored = STORED[table]
-    names = [*stored.integers, *stored.names_of_reals(table), *stored.flags]
+    names = RECORDED[table].tick_columns.names
     return pa.table([*map(pa.array, integers), *map(pa.array, reals), *map(pa.array, flags)], names)
 
 

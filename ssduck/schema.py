@@ -1,26 +1,41 @@
-"""The tables of a world: their columns, with types, units and meanings.
+"""Declares the tables of a world: columns, types, units, meanings, and how they are recorded.
+
+Each table is declared once, as a `Table`; the DuckDB schema, the buffers of live and recorded rows,
+the stores, the Parquet files and the manual's page follow from it.
 
 Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
 those of link frames, not of centres of mass.
+
+>>> TABLES["joints"].tick_columns.integers
+('tick', 'entity', 'link')
+>>> [column.name for column in TABLES["links"].model]
+['entity', 'link', 'name', 'parent', 'mass']
 """
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, TypeAlias
 
-# What is asked for like a table: the masses, which others may change in a simulation of theirs.
+# Requested like a table: the masses, which users may change in a simulation of theirs.
 MASSES = "masses"
 # The collision margins, likewise.
 MARGINS = "margins"
-# So many ticks is what was asked for read without another question.
+# A table is read with each tick until so many ticks have passed without a request.
 FORGOTTEN_AFTER = 240
 # A pair of entities in SQL is one number, the first id times this and the second: DuckDB takes and
 # sorts one number in less time than two.
 MOST_IDS = 1 << 32
-# Of an entity's numbers these may be infinite; the others are finite or unknown.
+# The numbers of an entity that may be infinite; the others are finite or unknown.
 BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 ColumnType: TypeAlias = Literal["real", "integer", "text", "flag", "points", "triples"]
+# Where a record stores a column: with the rows of each tick, once for each entity in the *model*
+# of the table, or in both.
+Storage: TypeAlias = Literal["tick", "model", "both"]
 _SQL: dict[ColumnType, str] = {
     "real": "DOUBLE",
     "integer": "BIGINT",
@@ -31,21 +46,28 @@ _SQL: dict[ColumnType, str] = {
 }
 
 
-class Column(NamedTuple):
+@dataclass(frozen=True)
+class Column:
     """A column of a table.
 
     Attributes:
-        name: of the column.
-        type: of its values.
-        comment: what it means, with the unit.
-        also: its second name in the views of SQL, where the first one, or that of a neighbour of
-            the same meaning, has to be quoted there; else nothing.
+        name: its name.
+        type: the type of its values.
+        comment: its meaning, with the unit.
+        second_name: another name in the views of SQL, where the name, or that of a neighbour of
+            the same meaning, has to be quoted there; else empty.
+        storage: where a record stores it.
+        is_live: whether the table of the current tick has it; else only the model has.
+        model_comment: its meaning in the model, where it differs; else empty.
     """
 
     name: str
     type: ColumnType
     comment: str
-    also: str = ""
+    second_name: str = ""
+    storage: Storage = "tick"
+    is_live: bool = True
+    model_comment: str = ""
 
     @property
     def sql(self) -> str:
@@ -53,104 +75,283 @@ class Column(NamedTuple):
         return _SQL[self.type]
 
 
-def _reals(names: str, comment: str, also: str = "") -> tuple[Column, ...]:
-    seconds = [f"{also}_{name[-1]}" if also else "" for name in names.split()]
+@dataclass(frozen=True)
+class TickColumns:
+    """The columns of a table that a record stores with each tick, by type.
+
+    Attributes:
+        integers: their names, `tick` first.
+        reals: their names, `time` first.
+        flags: their names.
+    """
+
+    integers: tuple[str, ...]
+    reals: tuple[str, ...]
+    flags: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names, in the order of the stored columns."""
+        return (*self.integers, *self.reals, *self.flags)
+
+    @property
+    def sql(self) -> dict[str, str]:
+        """The type of each column in SQL."""
+        return {
+            **dict.fromkeys(self.integers, _SQL["integer"]),
+            **dict.fromkeys(self.reals, _SQL["real"]),
+            **dict.fromkeys(self.flags, _SQL["flag"]),
+        }
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a world.
+
+    Attributes:
+        name: its name.
+        row: what a row is, to follow "A row is".
+        all_columns: its columns and those that only its model has, in order.
+        filled_by: the functions that write its rows, by their dotted names in `ssduck`.
+        key: the columns by which the rows of a tick and those of the model belong together; empty
+            for a table whose rows are other ones at each tick.
+        entity_columns: the columns that hold ids of entities: a row is recorded if all of these
+            entities are.
+        is_live: whether each world has it; else it is there in records only.
+        is_on_demand: whether it is read from the simulator only when it is requested.
+        is_recordable: whether users choose to record it.
+        has_history: whether its rows are of ticks.
+        follows_from_poses: whether a past tick has it without its being recorded.
+    """
+
+    name: str
+    row: str
+    all_columns: tuple[Column, ...]
+    filled_by: tuple[str, ...]
+    key: tuple[str, ...] = ()
+    entity_columns: tuple[str, ...] = ()
+    is_live: bool = True
+    is_on_demand: bool = False
+    is_recordable: bool = True
+    has_history: bool = True
+    follows_from_poses: bool = False
+
+    @cached_property
+    def columns(self) -> tuple[Column, ...]:
+        """The columns of the table of a tick."""
+        return tuple(column for column in self.all_columns if column.is_live)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The names of these columns."""
+        return tuple(column.name for column in self.columns)
+
+    @cached_property
+    def model(self) -> tuple[Column, ...]:
+        """The columns of its model, with their meanings there; empty if it has none."""
+        return tuple(
+            replace(column, comment=column.model_comment or column.comment)
+            for column in self.all_columns
+            if column.storage != "tick"
+        )
+
+    @cached_property
+    def tick_columns(self) -> TickColumns:
+        """The columns that a record stores with each tick."""
+        integers, reals, flags = (
+            tuple(c.name for c in self.columns if c.type == type and c.storage != "model")
+            for type in ("integer", "real", "flag")
+        )
+        return TickColumns(integers, reals, flags)
+
+    @cached_property
+    def second_names(self) -> dict[str, str]:
+        """The columns that have a second name, with that."""
+        return {column.name: column.second_name for column in self.columns if column.second_name}
+
+    @property
+    def history_view(self) -> str:
+        """The name of the view of all recorded ticks."""
+        return f"{self.name}_history"
+
+    @property
+    def model_view(self) -> str:
+        """The name of the view of the model."""
+        return f"{self.name}_model"
+
+
+def _reals(
+    names: str,
+    comment: str,
+    second_name: str = "",
+    storage: Storage = "tick",
+    model_comment: str = "",
+) -> tuple[Column, ...]:
+    """Columns of reals of one meaning; their second names end as their names do."""
     return tuple(
-        Column(name, "real", comment, second)
-        for name, second in zip(names.split(), seconds, strict=True)
+        Column(
+            name,
+            "real",
+            comment,
+            f"{second_name}_{name[-1]}" if second_name else "",
+            storage,
+            model_comment=model_comment,
+        )
+        for name in names.split()
     )
+
+
+def _fixed(name: str, type: ColumnType, comment: str, model_comment: str = "") -> Column:
+    """A column that is the same at each tick."""
+    return Column(name, type, comment, storage="model", model_comment=model_comment)
+
+
+def _key(name: str, comment: str) -> Column:
+    """A column by which the rows of a tick and those of the model belong together."""
+    return Column(name, "integer", comment, storage="both")
+
+
+def _model_only(name: str, type: ColumnType, comment: str) -> Column:
+    """A column that only the model has."""
+    return Column(name, type, comment, storage="model", is_live=False)
 
 
 _TICK = (
     Column("tick", "integer", "number of the snapshot"),
     Column("time", "real", "simulated time, s"),
 )
-_POSE = (
-    *_reals("x y z", "position of the link frame, m"),
-    *_reals("qw qx qy qz", "orientation of the link frame, unit quaternion"),
+_POSITION = "position of the link frame, m"
+_ORIENTATION = "orientation of the link frame, unit quaternion"
+_POSE = (*_reals("x y z", _POSITION), *_reals("qw qx qy qz", _ORIENTATION))
+_POSE_OF_SHAPE = (
+    *_reals("x y z", _POSITION, "", "both", "position in the frame of the link, m"),
+    *_reals("qw qx qy qz", _ORIENTATION, "", "both", "orientation in the frame of the link"),
 )
 _TWIST = (
     *_reals("vx vy vz", "velocity of the link frame's origin, m/s"),
     *_reals("wx wy wz", "angular velocity, rad/s"),
 )
 _BOX = _reals(" ".join(BOX), "axis-aligned box of the shapes, exact, m")
+_FIRST_MASS = "kg, when the entity was first recorded; a later change is not recorded"
 
 EXACT = (
     "whether it is the simulator's own shape; else a box stands in for it. Unknown in records "
     "that are older than this column"
 )
 
-# What a row of each table is.
-ROWS: dict[str, str] = {
-    "entities": "a robot, kinbody or sensor of the world",
-    "links": "a link of an entity",
-    "joints": "a joint of an entity",
-    "shapes": "a shape by which an entity collides",
-    "geometries": "a geometry that shapes have, in its own frame",
-    "contacts": "a contact point that the physics solver found in the last step",
-    "sensings": "an entity that a sensor perceives",
-    "ticks": "the tick",
-}
-
-TABLES: dict[str, tuple[Column, ...]] = {
-    "entities": (
+_ENTITIES = Table(
+    "entities",
+    "a robot, kinbody or sensor of the world",
+    (
         *_TICK,
-        Column("id", "integer", "ssduck's own number of the entity, never used again"),
-        Column("name", "text", "unique in its world"),
-        Column("kind", "text", "robot, kinbody or sensor"),
-        Column("parent", "text", "the entity that a sensor sits on"),
+        _key("id", "ssduck's own number of the entity, never used again"),
+        _fixed("name", "text", "unique in its world"),
+        _fixed("kind", "text", "robot, kinbody or sensor"),
+        _fixed("parent", "text", "the entity that a sensor sits on"),
         *_POSE,
         *_TWIST,
         *_BOX,
-        Column("mass", "real", "kg; 0 for what cannot move"),
+        _fixed("mass", "real", "kg; 0 for what cannot move", _FIRST_MASS),
         Column("enabled", "flag", "takes part in collisions"),
         Column("visible", "flag", "is drawn"),
-        Column("run", "integer", "random number of the run that the row is of"),
+        _model_only("links", "integer", "how many links it has"),
+        _model_only("movable", "flag", "whether the simulation can move it; none for a sensor"),
+        _model_only("host", "integer", "id of the entity that a sensor sits on"),
+        _model_only("host_link", "integer", "number of the link that a sensor sits on"),
+        _model_only("sensor", "text", "what a sensor is, as JSON"),
+        _fixed("run", "integer", "random number of the run that the row is of"),
     ),
-    "links": (
+    ("world.snapshot.Snapshot._lay_out", "world.layout.BodyGroup.write_entities"),
+    key=("id",),
+    entity_columns=("id",),
+)
+_LINKS = Table(
+    "links",
+    "a link of an entity",
+    (
         *_TICK,
-        Column("entity", "integer", "id of the entity"),
-        Column("link", "integer", "number of the link; the base is 0"),
-        Column("name", "text", "as in the model"),
-        Column("parent", "integer", "number of the parent link; none for the base"),
+        _key("entity", "id of the entity"),
+        _key("link", "number of the link; the base is 0"),
+        _fixed("name", "text", "as in the model"),
+        _fixed("parent", "integer", "number of the parent link; none for the base"),
         *_POSE,
         *_TWIST,
         *_BOX,
-        Column("mass", "real", "kg; 0 for a base that cannot move"),
+        _fixed("mass", "real", "kg; 0 for a base that cannot move", _FIRST_MASS),
     ),
-    "joints": (
+    ("world.snapshot.Snapshot._fill_links", "world.layout.BodyGroup.write_links"),
+    key=("entity", "link"),
+    entity_columns=("entity",),
+    is_on_demand=True,
+    follows_from_poses=True,
+)
+_JOINTS = Table(
+    "joints",
+    "a joint of an entity",
+    (
         *_TICK,
-        Column("entity", "integer", "id of the entity"),
-        Column("link", "integer", "number of the link that the joint moves"),
-        Column("name", "text", "as in the model"),
-        Column("type", "text", "revolute, prismatic, spherical, planar or fixed"),
+        _key("entity", "id of the entity"),
+        _key("link", "number of the link that the joint moves"),
+        _fixed("name", "text", "as in the model"),
+        _fixed("type", "text", "revolute, prismatic, spherical, planar or fixed"),
         Column("position", "real", "rad or m"),
         Column("velocity", "real", "rad/s or m/s"),
         Column("effort", "real", "of the joint's motor in the last step, N m or N"),
-        Column("lower", "real", "limit, rad or m"),
-        Column("upper", "real", "limit, rad or m"),
-        Column("max_effort", "real", "limit, N m or N"),
-        Column("max_velocity", "real", "limit, rad/s or m/s"),
+        _fixed("lower", "real", "limit, rad or m"),
+        _fixed("upper", "real", "limit, rad or m"),
+        _fixed("max_effort", "real", "limit, N m or N"),
+        _fixed("max_velocity", "real", "limit, rad/s or m/s"),
+        _model_only("axis_x", "real", "axis in the frame of the link"),
+        _model_only("axis_y", "real", "axis in the frame of the link"),
+        _model_only("axis_z", "real", "axis in the frame of the link"),
     ),
-    "shapes": (
+    ("world.snapshot.Snapshot._fill_joints", "world.snapshot.Snapshot.take"),
+    key=("entity", "link"),
+    entity_columns=("entity",),
+    is_on_demand=True,
+)
+_SHAPES = Table(
+    "shapes",
+    "a shape by which an entity collides",
+    (
         *_TICK,
-        Column("entity", "integer", "id of the entity"),
-        Column("link", "integer", "number of the link"),
-        Column("shape", "integer", "number of the shape in its entity"),
-        Column("geometry", "integer", "id of the geometry"),
-        *_POSE,
+        _key("entity", "id of the entity"),
+        _fixed("link", "integer", "number of the link"),
+        _key("shape", "number of the shape in its entity"),
+        _fixed("geometry", "integer", "id of the geometry"),
+        *_POSE_OF_SHAPE,
         *_BOX,
-        Column("margin", "real", "how far around it the simulator takes others to touch it, m"),
-        Column("exact", "flag", EXACT),
+        _fixed("margin", "real", "how far around it the simulator takes others to touch it, m"),
+        _fixed("exact", "flag", EXACT),
     ),
-    "geometries": (
-        Column("id", "integer", "the same for equal geometries"),
-        Column("type", "text", "sphere, box, cylinder, capsule, plane, hull or mesh"),
-        *_reals("size_x size_y size_z", "box: full sizes; else radius, length; plane: normal; m"),
-        Column("vertices", "points", "of hulls and meshes, m"),
-        Column("faces", "triples", "of meshes: three vertex numbers each"),
+    ("world.snapshot.Snapshot._fill_shapes", "world.layout.BodyGroup.write_shapes"),
+    key=("entity", "shape"),
+    entity_columns=("entity",),
+    is_on_demand=True,
+    follows_from_poses=True,
+)
+_GEOMETRIES = Table(
+    "geometries",
+    "a geometry that shapes have, in its own frame",
+    (
+        _fixed("id", "integer", "the same for equal geometries"),
+        _fixed("type", "text", "sphere, box, cylinder, capsule, plane, hull or mesh"),
+        *_reals(
+            "size_x size_y size_z",
+            "box: full sizes; else radius, length; plane: normal; m",
+            storage="model",
+        ),
+        _fixed("vertices", "points", "of hulls and meshes, m"),
+        _fixed("faces", "triples", "of meshes: three vertex numbers each"),
     ),
-    "contacts": (
+    ("world.snapshot.Snapshot._fill_shapes",),
+    is_recordable=False,
+    has_history=False,
+)
+_CONTACTS = Table(
+    "contacts",
+    "a contact point that the physics solver found in the last step",
+    (
         *_TICK,
         Column("a", "integer", "id of an entity; a < b, but for self-contacts"),
         Column("link_a", "integer", "number of its link"),
@@ -163,7 +364,14 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("force", "real", "normal force, N"),
         *_reals("fx fy fz", "force on a, friction included, N", "force"),
     ),
-    "sensings": (
+    ("world.snapshot.Snapshot._write_contacts",),
+    entity_columns=("a", "b"),
+    is_on_demand=True,
+)
+_SENSINGS = Table(
+    "sensings",
+    "an entity that a sensor perceives",
+    (
         *_TICK,
         Column("sensor", "integer", "id of a sensor that is switched on"),
         Column("entity", "integer", "id of an entity that it perceives"),
@@ -171,10 +379,68 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("rays", "integer", "how many it has"),
         Column("measured", "real", "simulated time of the reading, s"),
     ),
-    "ticks": (*_TICK, Column("wall_time", "real", "seconds since 1970")),
-}
+    ("world.snapshot.Snapshot._write_sensings",),
+    entity_columns=("sensor", "entity"),
+    is_on_demand=True,
+)
+_TICKS = Table(
+    "ticks",
+    "the tick",
+    (*_TICK, Column("wall_time", "real", "seconds since 1970")),
+    ("world.snapshot.Snapshot._finish",),
+    is_recordable=False,
+)
+_FRAMES = Table(
+    "frames",
+    "the pose of a link of a body that has several, where the table of links is not recorded",
+    (
+        *_TICK,
+        Column("entity", "integer", "id of the entity"),
+        Column("link", "integer", "number of the link"),
+        *_POSE,
+    ),
+    ("recording.row_selection.RecordedRows._copy_frames",),
+    key=("entity", "link"),
+    entity_columns=("entity",),
+    is_live=False,
+    is_recordable=False,
+)
+
+_DECLARED = (
+    _ENTITIES,
+    _LINKS,
+    _JOINTS,
+    _SHAPES,
+    _GEOMETRIES,
+    _CONTACTS,
+    _SENSINGS,
+    _TICKS,
+    _FRAMES,
+)
+# The tables that each world has, by name.
+TABLES: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.is_live}
+# The tables that are read from the simulator only when they are requested.
+ON_DEMAND = frozenset(table.name for table in _DECLARED if table.is_on_demand)
+# The tables that users choose to record; `ticks` is recorded always, and models once.
+RECORDABLE = tuple(table.name for table in _DECLARED if table.is_recordable)
+# The tables of ticks that a record may store, by name.
+RECORDED: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.has_history}
+# The recorded tables that users see.
+HISTORIES: Mapping[str, Table] = {name: RECORDED[name] for name in ("ticks", *RECORDABLE)}
+# The tables that have a model, by name.
+MODELS: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.model}
+# The recorded poses of links, where the table of links is not recorded.
+FRAMES = _FRAMES.name
 
 
-def second_names(table: str) -> dict[str, str]:
-    """The columns of a table that have a second name, with that."""
-    return {column.name: column.also for column in TABLES.get(table, ()) if column.also}
+def recorded_tables(chosen: tuple[str, ...]) -> tuple[str, ...]:
+    """The tables that a record stores of each tick.
+
+    Args:
+        chosen: those that are chosen of `RECORDABLE`.
+
+    >>> recorded_tables(("entities", "joints"))
+    ('ticks', 'entities', 'joints', 'frames')
+    """
+    frames = () if "links" in chosen else (FRAMES,)
+    return ("ticks", *dict.fromkeys(chosen), *frames)

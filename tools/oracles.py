@@ -38,10 +38,10 @@ HEAD = """\
 
 How exactly the relations of shapes (`clearance`, `collides`, `penetration`, `nearestPoints`, …)
 compare each combination of shapes. `python -m tools.oracles --write` writes this page: it
-compared {count} random pairs (first seed {seed}), half of them with parallel edges and touching
-faces, with oracles. The oracles have their own geometry, except that they cut faces into the same
-triangles if a mesh takes part. Among them are things in the holes of rings, tubes, cups, frames,
-profiles, boxes with a cavity and bowls. No combination raises an error.
+compared {count} random pairs (first seed {seed}) with oracles. Half of the pairs have parallel
+edges and touching faces; some are things in the holes of rings, tubes, cups, frames, profiles,
+boxes with a cavity and bowls. The oracles have their own geometry, except that they cut faces
+into the same triangles if a mesh takes part. No combination raises an error.
 
 | method | meaning |
 |---|---|

@@ -10,11 +10,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 from ssduck.adapters.registry import all_adapters
 from ssduck.language.builtins import BUILTINS
-from ssduck.schema import ROWS, TABLES, Column
+from ssduck.schema import TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 
@@ -226,30 +227,25 @@ def relations_page() -> str:
 
 def merged(columns: tuple[Column, ...]) -> Iterator[tuple[str, str, str]]:
     """Neighbouring columns of one meaning as one row."""
-    names: list[str] = []
-    for index, column in enumerate(columns):
-        names.append(column.name)
-        following = columns[index + 1] if index + 1 < len(columns) else None
-        if following is None or following[1:3] != column[1:3]:
-            seconds = " ".join(
-                c.also for c in columns[index + 1 - len(names) : index + 1] if c.also
-            )
-            also = f"; also {seconds}" if seconds else ""
-            yield " ".join(names), column.type, column.comment + also
-            names = []
+    for (kind, comment), group in groupby(columns, lambda c: (c.type, c.comment)):
+        same = list(group)
+        seconds = " ".join(column.second_name for column in same if column.second_name)
+        also = f"; also {seconds}" if seconds else ""
+        yield " ".join(column.name for column in same), kind, comment + also
 
 
 def tables_page() -> str:
     """The page of the tables."""
     lines = [TABLES_HEAD.rstrip()]
-    for name, columns in TABLES.items():
+    for table in TABLES.values():
         lines += [
-            f"\n## `{name}`\n",
-            f"A row is {ROWS[name]}.\n",
+            f"\n## `{table.name}`\n",
+            f"A row is {table.row}.\n",
             "| columns | type | meaning |",
             "|---|---|---|",
         ]
-        lines += [f"| {names} | {kind} | {comment} |" for names, kind, comment in merged(columns)]
+        columns = merged(table.columns)
+        lines += [f"| {names} | {kind} | {comment} |" for names, kind, comment in columns]
     return "\n".join(lines) + "\n"
 
 

@@ -288,7 +288,7 @@ GRIDS = (
     ),
     Adapter(
         ("roombaGrid",),
-        "The same with the sizes of SelectScript's tutorial, and its one cell more.",
+        "The same with the sizes of SelectScript's tutorial, and one more cell along each axis.",
         _roomba_grid,
         needs="entities",
         tables=SHAPES,
@@ -309,8 +309,8 @@ GRIDS = (
     ),
     Adapter(
         ("plane",),
-        "The rows' values, summed in the cells of a plane, 'XY' say, that positions fall into; "
-        "size is [cells, cells, m a cell].",
+        "The sums of the rows' values in the cells of a plane such as 'XY', by position; "
+        "size is [cells, cells, side of a cell in m].",
         _plane,
         needs="entities",
         select=_with_entity,

@@ -163,7 +163,7 @@ LOGIC = (
     Adapter(
         ("asp",),
         "Relations as facts for clingo: a sorted list of texts, with the dot. Fractions are "
-        "strings, or integers when times scale.",
+        "strings, or integers if multiplied by scale.",
         _asp,
         select=with_arguments,
     ),

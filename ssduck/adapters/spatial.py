@@ -110,14 +110,14 @@ SPATIAL = (
     ),
     Adapter(
         ("mesh",),
-        "The shapes as a trimesh scene: a node a shape, in the world frame.",
+        "The shapes as a trimesh scene in the world frame, with a node for each shape.",
         _mesh,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("glb",),
-        "The same written to a glTF file, with y up as viewers want it; its path.",
+        "Writes the same to a glTF file, with y up as viewers expect, and gives its path.",
         _glb,
         needs="entities",
         tables=SHAPES,
@@ -125,7 +125,7 @@ SPATIAL = (
     ),
     Adapter(
         ("image",),
-        "A picture of the scene, all but the entities faded; sensors are shown by their bodies.",
+        "A picture of the scene that fades all but the entities; sensors appear as their bodies.",
         _image,
         needs="entities",
     ),

@@ -161,14 +161,14 @@ TABULAR = (
     ),
     Adapter(
         ("json",),
-        "A text: a list of objects. Entities by name; null for what is no number.",
+        "A JSON text: a list of objects. Entities appear by name, NaN and infinities as null.",
         _json,
         needs="columns",
     ),
-    Adapter(("records",), "A list of named tuples, one a row.", _records),
+    Adapter(("records",), "A list of named tuples, one for each row.", _records),
     Adapter(
         ("parquet",),
-        "Writes a Parquet file, in the place of one of that name, and gives its path.",
+        "Writes a Parquet file, replacing an existing one, and gives its path.",
         cast("Any", _parquet),
         needs="columns",
         writes=True,

@@ -39,7 +39,7 @@ def _single_value(selection: Selection, default: Any = _NO_DEFAULT) -> Any:
 VALUES = (
     Adapter(
         ("dict", "dictionary"),
-        "A list of dicts, one a row, by the columns' names. The default.",
+        "A list of dicts, one for each row, by the columns' names. The default.",
         _dicts,
         needs="columns",
     ),

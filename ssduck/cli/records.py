@@ -63,7 +63,8 @@ def record(
 ) -> None:
     """Simulate a scene and record each step; Ctrl-C ends it, and what was recorded is kept."""
     from ssduck.interpreter.opening import load
-    from ssduck.recording.spec import RECORDABLE, Recording
+    from ssduck.recording.spec import Recording
+    from ssduck.schema import RECORDABLE
     from ssduck.simulators.scenes import find_scene
 
     description = find_scene(scene)

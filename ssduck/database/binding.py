@@ -18,13 +18,9 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.lookups import TOLD
 from ssduck.recording.replay.record import Record
-from ssduck.recording.stores.duckdb import (
-    POSE,
-    TickArchive,
-    VisibleRows,
-    history_name,
-    not_recorded,
-)
+from ssduck.recording.spec import not_recorded
+from ssduck.recording.stores.base import TickArchive, VisibleRows
+from ssduck.schema import POSE, RECORDED
 from ssduck.simulators.joints import EntityJoints
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.world import World
@@ -156,7 +152,7 @@ class BoundWorld:
         ]
         for part, tables in enumerate(self.history.shown if self.history is not None else ()):
             for table, rows in tables.items():
-                found.append((history_name(table), self.waiting(table)[part], rows))
+                found.append((RECORDED[table].history_view, self.waiting(table)[part], rows))
         return found
 
     def live(self, table: str) -> str:

@@ -22,7 +22,7 @@ from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
 from ssduck.recording.replay.record import PAIR, Record
-from ssduck.recording.stores.duckdb import PairRequest
+from ssduck.recording.stores.base import PairRequest
 from ssduck.simulators.joints import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
 from ssduck.sql.relations.geometry_query import MARGINS_UDF, PAIR_SEARCHES, GeometryUdf

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from sqlglot import exp
 
 from ssduck.language.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_INTERVALS
-from ssduck.recording.static_tables import MODEL_COMMENTS, MODELS
-from ssduck.recording.stores.duckdb import history_name, model_name
-from ssduck.schema import ROWS, TABLES
+from ssduck.schema import MODELS, TABLES
 from ssduck.sql.from_clause import pair_table
 from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
@@ -167,18 +165,19 @@ def drop_statements(world: str, *, described: bool, formulas: Iterable[str] = ()
 
 def _comments(schema: str, *, recorded: bool) -> Iterator[str]:
     """Yields the comments on the tables of a world."""
-    for table, columns in TABLES.items():
-        told = {column.name: column.comment for column in columns}
-        told |= {column.also: column.comment for column in columns if column.also}
-        yield from _comments_on(schema, table, f"A row is {ROWS[table]}.", told)
-        if table != "geometries":
-            about = f"A row is {ROWS[table]}, at each recorded tick."
-            yield from _comments_on(schema, history_name(table), about, told)
-    for table in MODELS if recorded else ():
-        about = f"What is the same at each recorded tick. A row is {ROWS[table]}."
-        known = {column.name: column.comment for column in TABLES[table]} | MODEL_COMMENTS[table]
-        told = {name: known[name] for name in MODELS[table]}
-        yield from _comments_on(schema, model_name(table), about, told)
+    for name, table in TABLES.items():
+        comments = {column.name: column.comment for column in table.columns}
+        comments |= {
+            column.second_name: column.comment for column in table.columns if column.second_name
+        }
+        yield from _comments_on(schema, name, f"A row is {table.row}.", comments)
+        if table.has_history:
+            about = f"A row is {table.row}, at each recorded tick."
+            yield from _comments_on(schema, table.history_view, about, comments)
+    for table in MODELS.values() if recorded else ():
+        about = f"What is the same at each recorded tick. A row is {table.row}."
+        comments = {column.name: column.comment for column in table.model}
+        yield from _comments_on(schema, table.model_view, about, comments)
 
 
 def _comments_on(schema: str, view: str, about: str, columns: Mapping[str, str]) -> Iterator[str]:

@@ -14,7 +14,7 @@ from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording, check_names
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.memory import MemoryStore
-from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording, ParquetWriter
+from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording, ParquetStore
 from ssduck.world.world import World
 
 
@@ -35,13 +35,17 @@ class Recorders:
         world, is_file = bound.world, self._connection.is_file
         check_names(recording, world.snapshot.members)
         in_memory = not is_file and not recording.changed
-        make = MemoryStore if in_memory else DuckDBStore
-        store = make(self._free_schema(name), self._connection.writer(), recording, name)
-        if is_file:
-            store.show()
+        schema, connection = self._free_schema(name), self._connection.writer()
+        store: MemoryStore | DuckDBStore
+        if in_memory:
+            store = MemoryStore(schema, connection, recording, name)
+        else:
+            store = DuckDBStore(schema, connection, recording, name)
+            if is_file:
+                store.make_views()
         # Of a file, what waits is lost when the process is killed; of memory, all is.
         recorder = Recorder(recording, store, MEMORY_TICKS if in_memory else RING_TICKS)
-        tables = tuple(recorder.rings)
+        tables = tuple(recorder.buffers)
         record = Record(
             world,
             recorder.ticks,
@@ -51,7 +55,9 @@ class Recorders:
             recorder.near,
             reweighed=recorder.reweighed,
         )
-        bound.history = WorldHistory(store, record, recorder, (*store.shown, *recorder.shown))
+        bound.history = WorldHistory(
+            store, record, recorder, (*store.visible_rows, *recorder.visible_rows)
+        )
         self.running.append(recorder)
         try:
             world.record(recorder)
@@ -80,7 +86,7 @@ class Recorders:
         if is_file:
             history.recorder.flush()
         history.recorder.wait()
-        waiting = [name for table in history.recorder.rings for name in bound.waiting(table)]
+        waiting = [name for table in history.recorder.buffers for name in bound.waiting(table)]
         self._forget(bound, history.recorder)
         history.store.close(forget=not is_file)
         for name in waiting:
@@ -99,7 +105,7 @@ class Recorders:
         self, world: World, recording: Recording, path: Path, name: str
     ) -> ParquetRecording:
         """Starts to write the ticks of a world to a folder as well, under a name."""
-        folder = ParquetWriter(path, name, recording)
+        folder = ParquetStore(path, name, recording)
         recorder = Recorder(recording, folder, waits=PART_TICKS)
         self.running.append(recorder)
         try:

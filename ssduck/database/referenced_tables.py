@@ -20,7 +20,7 @@ _READ = {"mass": MASSES, "margin": MARGINS}
 
 def _with_read_columns(table: str) -> frozenset[str]:
     """Returns a table, and the tables read for its columns."""
-    return frozenset((table, *(_READ[c.name] for c in TABLES[table] if c.name in _READ)))
+    return frozenset((table, *(_READ[name] for name in TABLES[table].names if name in _READ)))
 
 
 # The tables that a word in a statement stands for: a table's name, or that of a relation that

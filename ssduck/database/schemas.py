@@ -10,20 +10,14 @@ from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.database.macros import description_statements, drop_statements, formula_statements
 from ssduck.database.referenced_tables import qualified_formulas
-from ssduck.recording.spec import RECORDABLE
-from ssduck.recording.static_tables import MODELS
-from ssduck.recording.stores.duckdb import (
-    DuckDBStore,
-    history_name,
-    model_name,
-    not_recorded,
-    quoted,
-)
-from ssduck.schema import TABLES, second_names
+from ssduck.recording.spec import not_recorded
+from ssduck.recording.stores.duckdb import DuckDBStore
+from ssduck.recording.stores.history_sql import quoted
+from ssduck.schema import HISTORIES, MODELS, TABLES, Table
 
-_HISTORIES = {history_name(table): table for table in ("ticks", *RECORDABLE)}
-_MODELS = tuple(map(model_name, MODELS))
-# The buffers of a world in a view, as a regular expression in SQL.
+_HISTORY_VIEWS = {table.history_view: table for table in HISTORIES.values()}
+_MODEL_VIEWS = [table.model_view for table in MODELS.values()]
+# What refers to a world's buffers, as a regular expression in SQL.
 _STALE_BUFFER = exp.Literal.string(r'"world \d+: ').sql("duckdb")
 
 # The views and macros in a file, which may call relations.
@@ -53,11 +47,12 @@ class Schemas:
         """Creates the schema of a world, or its views anew."""
         schema = exp.table_(name, quoted=True)
         self._connection.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
-        for table in TABLES:
-            rows = exp.select("*").from_(exp.table_(bound.live(table), quoted=True))
-            if table in bound.world.snapshot.untold:
-                _refuse(rows, bound.world.snapshot.untold[table])
-            self._make_view(name, table, _with_second_names(table, rows.sql("duckdb")))
+        for table in TABLES.values():
+            rows = exp.select("*").from_(exp.table_(bound.live(table.name), quoted=True))
+            if table.name in bound.world.snapshot.untold:
+                _refuse(rows, bound.world.snapshot.untold[table.name])
+            view = _with_second_names(table, rows.sql("duckdb"))
+            self._make_view(name, table.name, view)
         self.make_history(name, bound)
 
     def make_history(self, name: str, bound: BoundWorld) -> None:
@@ -65,19 +60,18 @@ class Schemas:
         if self._described is not None:
             self._described.discard(name)
         history = bound.history
-        for table in ("ticks", *RECORDABLE):
+        for table in HISTORIES.values():
             rows = None
             if history is not None:
                 waiting = bound.waiting if history.recorder is not None else None
-                rows = history.store.select(table, waiting)
+                rows = history.store.select(table.name, waiting)
             if rows is None:
-                refused = exp.select("*").from_(exp.table_(bound.live(table), quoted=True))
-                _refuse(refused, not_recorded(table, bound.world.name))
+                refused = exp.select("*").from_(exp.table_(bound.live(table.name), quoted=True))
+                _refuse(refused, not_recorded(table.name, bound.world.name))
                 rows = refused.sql("duckdb")
-            rows = _with_second_names(table, rows)
-            self._make_view(name, history_name(table), rows)
-        for table, rows in history.store.models().items() if history is not None else ():
-            self._make_view(name, table, rows)
+            self._make_view(name, table.history_view, _with_second_names(table, rows))
+        for view, rows in history.store.models().items() if history is not None else ():
+            self._make_view(name, view, rows)
 
     def _make_view(self, schema: str, name: str, rows: str) -> None:
         view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
@@ -99,8 +93,8 @@ class Schemas:
     def make_formulas(self, sql: str, names: Sequence[str]) -> None:
         """Creates the macros of relations without tables in schemas, if a statement calls them.
 
-        All of them in all schemas would take longer than a statement. Views and macros in a file
-        may call them, too.
+        """Creates the macros of relations without tables in schemas, if SQL calls them.
+        call them, too.
 
         Args:
             sql: the statement that is about to run.
@@ -138,10 +132,12 @@ class Schemas:
         store = history.store if history is not None else None
         if not isinstance(store, DuckDBStore):
             store = None
-        for name in (*_HISTORIES, *_MODELS):
+        for name in (*_HISTORY_VIEWS, *_MODEL_VIEWS):
             if store is not None and name in store.views:
                 rows = f"SELECT * FROM {store.place(name)}"  # noqa: S608
-                self._make_view(schema, name, _with_second_names(_HISTORIES.get(name, ""), rows))
+                table = _HISTORY_VIEWS.get(name)
+                view = rows if table is None else _with_second_names(table, rows)
+                self._make_view(schema, name, view)
             else:
                 view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
                 self._connection.run(f"DROP VIEW IF EXISTS {view}")
@@ -157,13 +153,14 @@ class Schemas:
             self._connection.run(f"DROP VIEW {view}")
 
 
-def _with_second_names(table: str, rows: str) -> str:
+def _with_second_names(table: Table, rows: str) -> str:
     """Returns the SELECT of a table's rows, with the second names of columns at the end."""
-    seconds = second_names(table)
-    if not seconds:
+    if not table.second_names:
         return rows
-    told = ", ".join(f"{quoted(name)} AS {quoted(second)}" for name, second in seconds.items())
-    return f"SELECT *, {told} FROM ({rows}) AS rows"  # noqa: S608
+    columns = ", ".join(
+        f"{quoted(name)} AS {quoted(second)}" for name, second in table.second_names.items()
+    )
+    return f"SELECT *, {columns} FROM ({rows}) AS rows"  # noqa: S608
 
 
 def _refuse(rows: exp.Select, why: str) -> None:

@@ -12,16 +12,13 @@ from sqlglot import exp
 
 from ssduck.database.connection import Connection
 from ssduck.errors import SelectScriptError
-from ssduck.recording.buffers import FRAMES
-from ssduck.recording.spec import RECORDABLE
-from ssduck.recording.stores.duckdb import history_name
-from ssduck.schema import TABLES, Column
+from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
 # The beginning of our prepared statements' names, before a number and the tables that they read.
 _NAME_PREFIX = "ssduck statement "
 # The tables of a world whose buffers may be made anew.
-_TABLES = frozenset((*TABLES, *map(history_name, ("ticks", *RECORDABLE, FRAMES))))
+_TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
 # No source can be called so, for it is no name.
 _PARAMETERS = "the parameters"
 

@@ -16,7 +16,7 @@ from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.duckdb import ABOUT
+from ssduck.recording.stores.model_tables import ABOUT
 from ssduck.world.world import UNNAMED, World
 
 # Schemas that DuckDB has already.

@@ -50,6 +50,6 @@ def description_of(name: str) -> str:
     """Returns a line that describes a demonstration.
 
     >>> description_of("map")
-    'Maps of the kitchen as its vacuum cleaner needs them, of all and of what is near it.'
+    'Maps of the kitchen for its vacuum cleaner: of everything, and of everything near it.'
     """
     return (import_module(f"{__name__}.{name}").__doc__ or "").partition("\n")[0]

@@ -1,4 +1,4 @@
-"""A world of what is near the vacuum cleaner, cut out of the kitchen, that goes on by itself.
+"""A world of everything near the vacuum cleaner, copied from the kitchen, runs by itself.
 
 As the tutorial's section 10.1: `AS environment`. Without the kitchen there is no floor: the vacuum
 cleaner falls, and what is on the table, which is held where it is, stays. How deep it falls is

@@ -1,4 +1,4 @@
-"""Maps of the kitchen as its vacuum cleaner needs them, of all and of what is near it.
+"""Maps of the kitchen for its vacuum cleaner: of everything, and of everything near it.
 
 As the tutorial's section 10.2 makes them: the cells of 2.5 cm that something occupies 22 cm above
 the floor. The maps are saved as ROS's map_server reads them and loaded again; and the legs that

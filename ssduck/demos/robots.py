@@ -1,4 +1,4 @@
-"""Two robots drive about in the kitchen, and a trigger tells which sensors see which robot.
+"""Two robots drive about in the kitchen, and a trigger reports which sensors see which robot.
 
 As in the second demonstration of SelectScript's tutorial: the arm on its base and the vacuum
 cleaner go to random places, in turns. Where each of them can be is tried out in a second

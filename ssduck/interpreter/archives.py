@@ -3,43 +3,29 @@
 from __future__ import annotations
 
 import json
-import os
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from sqlglot import exp
 
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest
-from ssduck.recording.buffers import FRAMES
 from ssduck.recording.episode import Episode
 from ssduck.recording.paths import given_path
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import MODELS, defaults, geometries_of, members_of, run_of
-from ssduck.recording.stores.duckdb import (
-    ABOUT,
-    VERSION,
-    DuckDBStore,
-    PairRequest,
-    StoreConnection,
-    Waiting,
-    columns_of,
-    model_name,
-    near_rows,
-    quoted,
-    whole_rows,
-)
+from ssduck.recording.static_tables import geometries_of, members_of, run_of
+from ssduck.recording.stores.base import StoreConnection
+from ssduck.recording.stores.duckdb import DuckDBStore
+from ssduck.recording.stores.history_sql import quoted
+from ssduck.recording.stores.model_tables import ABOUT, VERSION
+from ssduck.recording.stores.parquet_archive import ParquetArchive
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
-from ssduck.schema import TABLES
+from ssduck.schema import RECORDABLE
 from ssduck.world.run_numbers import new_run
 
 
@@ -129,23 +115,23 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     Raises:
         RecordError: a file is missing or damaged.
     """
-    archive: OpenedFolder | DuckDBStore
+    archive: ParquetArchive | DuckDBStore
     if isinstance(run, FolderRun):
-        archive = OpenedFolder(run, database.connection.writer())
-        ticks, models = archive.ticks, {table: run.read(f"models/{table}") for table in MODELS}
+        tables = [table for table in run.tables if table in RECORDABLE]
+        recording = _recording({**run.recording, "tables": tables}, run.about)
+        archive = ParquetArchive(run, recording, database.connection.writer())
+        ticks, models = archive.ticks, archive.model_rows()
     else:
         assert isinstance(run, StoredRun)
         archive = run.history(database.connection.writer())
-        ticks, models = archive.ticks(), archive.all_models()
+        ticks, models = archive.ticks(), archive.model_rows()
     try:
         description = run_of(models)
     except RecordError as error:
         raise RecordError(f"episode {run.number} of {run.world!r}: {error.message}") from error
-    if (
-        description is None and models["entities"].num_rows
-    ):  # it was recorded before rows description
-        archive.untold_run = new_run()
-    number = description or archive.untold_run or new_run()
+    if description is None and models["entities"].num_rows:  # older rows lack the run
+        archive.unrecorded_run = new_run()
+    number = description or archive.unrecorded_run or new_run()
     record = Record(
         None,
         ticks,
@@ -157,114 +143,6 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         number,
     )
     return ReplayedWorld(run.world, record, archive)
-
-
-# -- folders ----------------------------------------------------------------------------------
-
-
-class OpenedFolder:
-    """A run in a folder, opened to be read (`ssduck.recording.stores.duckdb.TickArchive`).
-
-    Args:
-        run: the run.
-        writer: a connection of its own, which reads the files.
-
-    Attributes:
-        ticks: the stored ticks.
-        tables: the tables with rows.
-        recording: the recording that stored them.
-        untold_run: the number of the run, if its rows do not have it.
-    """
-
-    untold_run: int | None = None
-
-    def __init__(self, run: FolderRun, writer: StoreConnection) -> None:
-        self._run = run
-        self._writer = writer
-        self._starts, self.ticks = run.ticks()
-        self.tables = run.tables
-        kept = [table for table in run.tables if table not in ("ticks", FRAMES)]
-        self.recording = _recording({**run.recording, "tables": kept}, run.about)
-        # All of them have to be there, so that no query fails later.
-        self._files = {table: run.files(table) for table in run.tables}
-
-    def select(self, table: str, rings: Waiting | None) -> str | None:  # noqa: ARG002
-        """Returns the SELECT of a history's view; None for a table that is not recorded."""
-        if table not in self._files:
-            return None
-        columns = {column.name: column.sql for column in TABLES[table]}
-        return self._select_all(self._files[table], columns)
-
-    def models(self) -> dict[str, str]:
-        """Returns the SELECT of each model's view, by its name."""
-        return {
-            model_name(table): self._select_all(self._run.files(f"models/{table}"), MODELS[table])
-            for table in MODELS
-        }
-
-    def _select_all(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
-        """Returns the SELECT of all columns of a table from its files."""
-        geometries = _parquet_scan(self._run.files("models/geometries"))
-        missing = defaults(self.untold_run, geometries)
-        return whole_rows(_parquet_scan(files), columns, _columns_in(files), missing)
-
-    def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """Returns the rows of a table from the first to the last tick."""
-        begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
-        end = int(np.searchsorted(self._starts, last, side="right"))
-        files = self._files[table][begin:end]
-        columns = ", ".join(map(quoted, columns_of(table)))
-        if not files:
-            files, first, last = self._files[table][:1], 0, -1
-        chosen = "tick BETWEEN ? AND ?"
-        if table == "links":  # those of bodies of one link are as the body
-            entities = _parquet_scan(self._run.files("models/entities"))
-            chosen += f" AND entity IN (SELECT id FROM {entities} WHERE links > 1)"  # noqa: S608
-        return self._writer.rows(
-            f"SELECT {columns} FROM {_parquet_scan(files)} WHERE {chosen}",  # noqa: S608
-            (first, last),
-        )
-
-    def near(self, asked: PairRequest, waiting: pa.Table | None) -> pa.Table:
-        """Returns the pairs of entities whose boxes are near each other at some ticks."""
-        rows = self.select("entities", None)
-        assert rows is not None
-        return near_rows(self._writer, rows, asked, waiting)
-
-    def close(self, *, forget: bool) -> None:  # noqa: ARG002
-        """Closes the connection."""
-        self._writer.close()
-
-
-def _columns_in(files: Sequence[Path]) -> list[str]:
-    """Returns the columns of a table's files, which are the same in all of them."""
-    names: list[str] = pq.read_schema(files[0].absolute()).names
-    return names
-
-
-def _parquet_scan(files: Sequence[Path]) -> str:
-    names = ", ".join(exp.Literal.string(_literal_path(file)).sql("duckdb") for file in files)
-    return f"read_parquet([{names}], hive_partitioning = false)"
-
-
-def _literal_path(file: Path) -> str:
-    """Returns the path of one file for DuckDB, which reads `*`, `?` and `[` as patterns.
-
-    Raises:
-        RecordError: the path has a backslash beside one of them, which DuckDB takes for a slash.
-    """
-    path = str(file.resolve())
-    if not _PATTERN.search(path):
-        return path
-    if "\\" in path and os.sep != "\\":
-        raise RecordError(
-            f"{path} cannot be read: DuckDB takes a backslash in such a name for a slash; rename "
-            "the folder"
-        )
-    return _PATTERN.sub(r"[\g<0>]", path)
-
-
-_PATTERN = re.compile(r"[*?[]")
 
 
 # -- DuckDB files -----------------------------------------------------------------------------

@@ -16,8 +16,9 @@ from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.recording.paths import given_path
 from ssduck.recording.replay.past import PastTicks, past_of
-from ssduck.recording.spec import RECORDABLE, Recording
+from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.schema import RECORDABLE
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 

@@ -15,7 +15,7 @@ from ssduck.language.tree import Call, Query
 def argument_check(call: Call, query: Query | None) -> Callable[[Sequence[Any]], None]:
     """Returns a check that rejects arguments that a call would misunderstand.
 
-    An aggregate takes a list; of what a row gives, a text is none.
+    An aggregate takes a list; a text is not one.
 
     Args:
         call: the call.
@@ -42,7 +42,7 @@ def argument_check(call: Call, query: Query | None) -> Callable[[Sequence[Any]],
 
 
 def _anything(_: Sequence[Any]) -> None:
-    """Other functions say themselves what they take."""
+    """Accepts any arguments: other functions check their own."""
 
 
 def _over_rows(call: Call, query: Query) -> Callable[[str], str]:

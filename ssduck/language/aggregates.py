@@ -51,7 +51,7 @@ def _is_uniq(node: Node) -> bool:
 
 @known
 def _counts_rows(node: Node) -> bool:
-    """Whether a part has an aggregate of a number in it, which `*` stands for, too."""
+    """Whether the node contains an aggregate of a number; `*` counts as one."""
     match node:
         case Query():
             return False
@@ -116,7 +116,7 @@ class GroupFunction:
         )
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
-        """Its value.
+        """The value for a group.
 
         Args:
             rows: of the group.
@@ -152,7 +152,7 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
 
 
 def _nothing() -> None:
-    """The least of no rows."""
+    """Raises the error for the least of no rows."""
 
 
 def _refusal(name: str, values: Sequence[Any]) -> str:
@@ -164,7 +164,7 @@ def _refusal(name: str, values: Sequence[Any]) -> str:
 
 
 def check_one_group(query: Query, selected: Sequence[Node]) -> None:
-    """Refuse what is of one row where all rows are one group.
+    """Rejects values of a single row where all rows are one group.
 
     Args:
         query: the query, bare names looked up.

@@ -33,9 +33,9 @@ OVER_TIME = frozenset(("since", "heldFor", "holds", "changes", "least"))
 
 
 def known(look: Callable[[Node], T]) -> Callable[[Node], T]:
-    """Look at a part once: a planner asks of each part, and of each that it is in.
+    """Caches a function of nodes: a planner calls it for each node, and for each that contains it.
 
-    What is in it is looked at before, so that nothing recurses.
+    Children are visited first, so that no call recurses.
     """
     result: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
 
@@ -82,7 +82,7 @@ def sees_outside(query: Query) -> bool:
 
 @known
 def is_impure(node: Node) -> bool:
-    """Whether evaluating it does something, so that order and number matter."""
+    """Whether evaluation has side effects, so that the order and number of evaluations matter."""
     match node:
         case Assignment():
             return True
@@ -135,7 +135,12 @@ def mentions(node: Node, names: Collection[str]) -> bool:
 
 @known
 def variables_of(node: Node) -> frozenset[str]:
-    """The variables that a part reads."""
+    """The variables that a node reads.
+
+    >>> from ssduck.language.parser import parse
+    >>> sorted(variables_of(parse("x = y + z{1.0};").statements[0]))
+    ['y', 'z']
+    """
     own = (node.name,) if isinstance(node, Name | TimeIndex) else ()
     own = (node.alias,) if isinstance(node, QualifiedName) else own
     return frozenset(own).union(*map(variables_of, node.children()))

@@ -55,7 +55,7 @@ class Function:
         return cls(name, call, text, least, most, hints=hints)
 
     def __call__(self, arguments: Sequence[Any]) -> Any:
-        """Call it.
+        """Calls the function.
 
         Raises:
             FunctionError: a user's one raised; the original is the cause.
@@ -123,7 +123,7 @@ def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
 
 
 def _uniq(values: list[Any]) -> list[Any]:
-    """Without repetitions, in order of first appearance."""
+    """The distinct values, in order of first appearance."""
     if ATOMS.issuperset(map(type, values)):
         return list(dict.fromkeys(values))
     distinct: dict[Any, Any] = {}
@@ -137,7 +137,7 @@ def _avg(values: list[Any]) -> Any:
 
 
 def _of_elements(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A function of the elements of a list: a text's letters are none."""
+    """A function of the elements of a list; the letters of a text are not elements."""
 
     @wraps(call)
     def of_list(values: Any) -> Any:

@@ -99,7 +99,7 @@ class PythonClauses:
 
     @property
     def clauses(self) -> list[str]:
-        """The clauses that are always Python's."""
+        """The clauses that Python always evaluates."""
         given = (("GROUP BY", bool(self.group)), ("DISTINCT", self.distinct))
         return [clause for clause, is_given in given if is_given]
 
@@ -209,7 +209,7 @@ class Clauses:
         return truth(self._having(rows, outer), self._rest.having)
 
     def _distinct(self, frames: list[Frame]) -> Rows:
-        """The rows of these frames, of equal ones the first."""
+        """The distinct rows of these frames, in order of first appearance."""
         rows = self.items.rows(frames)
         several = rows.names if isinstance(rows.names, list) else [rows.names] * len(frames)
         first: dict[Any, tuple[Any, Any]] = {}
@@ -255,7 +255,7 @@ class SelectedItems:
         return Rows(values, [self.names(frame) for frame in frames])
 
     def gathered(self, names: list[tuple[Any, ...]], values: list[tuple[Any, ...]]) -> Rows:
-        """Rows of values that were selected before."""
+        """The rows of values that were selected before."""
         fixed = len(self._fixed) == len(self._names)
         return Rows(values, self._fixed if fixed else names)
 
@@ -272,7 +272,7 @@ class _Aggregated:
         self._fixed = tuple(name for name in self._names if isinstance(name, str))
 
     def row(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
-        """The row of a group; none where HAVING leaves it out."""
+        """The row of a group; None where HAVING excludes it."""
         if not is_there:
             return Rows([], self._fixed)
         values = [tuple(item(frames, outer) for item in self._items)]
@@ -285,7 +285,7 @@ class _Aggregated:
 def _sorted(
     found: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, OrderKey]]
 ) -> list[Any]:
-    """By keys; what has equal keys stays in its order."""
+    """Sorts by keys; items with equal keys keep their order."""
     keyed = [(keys_of(entry), entry) for entry in found]
 
     def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
@@ -329,7 +329,7 @@ def printed(value: Any, node: Node) -> str:
 
 
 def _unsigned(value: Any) -> Any:
-    """-0.0 as 0.0: they are equal, and SQL has its own idea of which one a remainder is."""
+    """Replaces -0.0 by 0.0: they are equal, and remainders in SQL may be either."""
     if type(value) is float:
         return value + 0.0
     return [_unsigned(part) for part in value] if type(value) is list else value
@@ -357,7 +357,7 @@ class LockstepSource(Sequence[Any]):
         return self._elements[place]
 
     def beside(self, other: Any) -> Sequence[Any]:
-        """Those of the tick of another one."""
+        """The entities at the tick of another one."""
         return self._by_tick.get(other.moment.tick, ())
 
 
@@ -402,7 +402,7 @@ def row_frames(
     outer: Frame,
     kept: dict[Node, Any],
 ) -> Iterator[Frame]:
-    """The frames of all rows of a query, in order; each one is a step."""
+    """The frames of all rows of a query, in order; each counts as one evaluation step."""
     look = outer.scope.meter.combination_counter()
     for elements in combinations(aliases, values, outer):
         look()
@@ -410,7 +410,7 @@ def row_frames(
 
 
 def check_columns(columns: Sequence[SelectedValue]) -> None:
-    """Two columns of one name would leave one value out of a dict, unnoticed.
+    """Rejects two columns of one name: a dict would silently lose one of them.
 
     Raises:
         ArgumentError: two have the same name.

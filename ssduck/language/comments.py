@@ -11,7 +11,7 @@ _QUOTES = ("'", '"')
 
 @dataclass(frozen=True)
 class DelimitedText:
-    """A text or a comment: what opens it, where it is, and whether it is closed."""
+    """A text or a comment: its opening sign, its place, and whether it is closed."""
 
     opening: str
     start: int
@@ -44,7 +44,11 @@ def _is_comment(text: str, index: int) -> bool:
 
 
 def without_dashes(text: str) -> str:
-    """A program with blanks in the place of its comments that two dashes begin."""
+    """The program with blanks in place of the comments that begin with two dashes.
+
+    >>> without_dashes("SELECT z -- height")
+    'SELECT z          '
+    """
     if "--" not in text:
         return text
     parts, last = [], 0

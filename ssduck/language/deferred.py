@@ -6,7 +6,7 @@ from ssduck.language.tree import Node
 
 
 class LazyList:
-    """A list that mentions elements of sources that are not there yet.
+    """A list that mentions elements of sources that do not exist yet.
 
     It is resolved in the query that uses it.
 

@@ -66,16 +66,16 @@ class EvaluationScope(Protocol):
         """Whether there is a variable of that name."""
 
     def assign(self, name: str, value: Any) -> None:
-        """Set a variable."""
+        """Sets a variable."""
 
     def keep(self, name: str, value: Any, horizon: float) -> None:
-        """Set a variable that keeps its values of so many seconds."""
+        """Sets a variable that keeps its values for that many seconds."""
 
     def past_value(self, name: str, *age: Any) -> Any:
         """The past value of a variable; all kept values if no age is given."""
 
     def check_call(self, node: Call) -> None:
-        """Complain of an unknown function, or of a wrong number of arguments."""
+        """Rejects an unknown function, or a wrong number of arguments."""
 
     def resolved_name(self, name: str) -> str:
         """The name under which the function is called: marked if a user's function replaces it."""
@@ -84,7 +84,7 @@ class EvaluationScope(Protocol):
         """Whether that is a user's function."""
 
     def builtin(self, name: str) -> Callable[[list[Any]], Any] | None:
-        """A function of plain values that comes with the language, and stays what it is."""
+        """A built-in function of plain values, whether or not a user's function replaces it."""
 
     def function(self, name: str) -> Callable[[list[Any]], Any] | None:
         """A function that is no relation."""
@@ -175,7 +175,7 @@ class Frame:
         )
 
     def independent(self) -> Frame:
-        """The frame for a query that depends on no row around it: handles do not go with those."""
+        """The frame for a query that depends on no row around it."""
         return Frame(
             self.scope,
             self.elements,
@@ -208,7 +208,7 @@ _COMPILED: dict[Node, Thunk] = {}
 
 
 def compiled(node: Node, scope: EvaluationScope) -> Thunk:
-    """A part as a function of a frame; made once for a part, names checked each time."""
+    """Compiles a node to a function of a frame, once for each node."""
     thunk = _COMPILED.get(node)
     if thunk is None:
         if len(_COMPILED) >= MOST_COMPILED:
@@ -218,7 +218,7 @@ def compiled(node: Node, scope: EvaluationScope) -> Thunk:
 
 
 class ExpressionCompiler:
-    """Makes functions of frames from parts of a tree.
+    """Compiles nodes of a tree to functions of frames.
 
     Args:
         scope: names are checked with it, whether a row comes to them or not.
@@ -248,7 +248,7 @@ class ExpressionCompiler:
         self._memorize = memorize
 
     def thunk(self, node: Node) -> Thunk:
-        """A part as a function of a frame."""
+        """The node as a function of a frame."""
         known = self._known.get(node)
         if known is not None:
             return known
@@ -258,7 +258,7 @@ class ExpressionCompiler:
         return _cached(node, thunk, attrgetter("state")) if node in self._of_state else thunk
 
     def condition(self, node: Node) -> Callable[[Frame], bool]:
-        """A part as a function that tells whether it holds."""
+        """The node as a condition: a function of a frame that returns True or False."""
         thunk = self.thunk(node)
         if is_decided(node):
             return thunk  # which is True or False
@@ -270,7 +270,7 @@ class ExpressionCompiler:
         return holds
 
     def calls_once(self, node: Node) -> bool:
-        """Whether a part is a call that is made once for a row, however often it is written."""
+        """Whether the node is a call that is evaluated once a row, however often it is written."""
         return (
             self._memorize
             and isinstance(node, Call)
@@ -426,7 +426,7 @@ class ExpressionCompiler:
         return call
 
     def _remembered(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
-        """A call of a user's function: made once for a row, and once for the same values."""
+        """A call of a user's function, evaluated once a row, and once for equal arguments."""
         key, name = written(node), node.name
         function = self._scope.function(name)
         assert function is not None
@@ -460,7 +460,7 @@ class ExpressionCompiler:
         return element
 
     def made(self, node: Node) -> Any:
-        """The value of a part that depends on nothing."""
+        """The value of a node that depends on nothing."""
         return self._thunk(node)(Frame(self._scope))
 
     def _choice(self, node: If) -> Thunk:
@@ -522,7 +522,7 @@ def _refuse_state(name: str, frame: Frame) -> None:
 
 
 def _placed(node: Node, thunk: Thunk) -> Thunk:
-    """With its place told to the errors that arise in it."""
+    """Adds the node's place to the errors that arise in it."""
 
     def placed(frame: Frame) -> Any:
         try:

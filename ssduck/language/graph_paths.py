@@ -33,7 +33,7 @@ def simple_paths(
     longest: int | None,
     count: Callable[[], None],
 ) -> Iterator[list[T]]:
-    """The paths from a root to a vertex that is found, none met twice; the shortest first.
+    """The simple paths from a root to a vertex that is found, shortest first.
 
     All simple paths of any length are more than anybody can wait for: without a longest length
     they are those that are as short as the shortest.

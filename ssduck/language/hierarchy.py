@@ -51,7 +51,7 @@ class RowSelection:
 
 
 class PathStep:
-    """A row in a state at which a path does not end in vain.
+    """A row in a state that is not a dead end.
 
     Attributes:
         frame: what the row's expressions see.
@@ -85,7 +85,7 @@ Calls: TypeAlias = dict[str, Any]
 
 
 class _States:
-    """The rows of each state that was reached; those of equal states are the same.
+    """The rows of each state that was reached; equal states share them.
 
     Rows of different states share what users' functions gave if the states differ only in
     variables that the calls do not mention.
@@ -398,7 +398,7 @@ class Hierarchy:
 def _assignments(
     parts: Sequence[Node], compiler: ExpressionCompiler
 ) -> list[tuple[str | None, Thunk]]:
-    """The state variables and their values; without a name, what is evaluated beside them."""
+    """The state variables and their values; without a name, the other expressions."""
     return [
         (part.name, compiler.thunk(part.value))
         if isinstance(part, Assignment)
@@ -422,7 +422,7 @@ def _called_with(query: Query, compiler: ExpressionCompiler) -> frozenset[str] |
 def _read(
     nodes: Sequence[Node], names: frozenset[str], compiler: ExpressionCompiler
 ) -> frozenset[str] | None:
-    """Those of some variables that parts read; None if nobody knows."""
+    """The variables that the nodes read; None if unknown."""
     read = [part for node in nodes for part in node.walk() if isinstance(part, Name | TimeIndex)]
     if any(compiler.is_deferred(part) for part in read):
         return None

@@ -25,6 +25,9 @@ Interval: TypeAlias = list[float]
 def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interval]:
     """The maximal intervals during which something held, in order.
 
+    >>> intervals_of([0.0, 0.5, 1.0, 1.5], [True, True, False, True])
+    [[0.0, 1.0], [1.5, 1.5]]
+
     Args:
         times: of the recorded ticks, s.
         holding: whether it held at each.
@@ -43,7 +46,11 @@ def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interv
 
 
 def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]:
-    """[time, value] at the first tick and wherever the value is another one than before."""
+    """The list [time, value] at the first tick, and at each tick where the value changes.
+
+    >>> changes_of([0.0, 0.5, 1.0], ["on", "on", "off"])
+    [[0.0, 'on'], [1.0, 'off']]
+    """
     result = [[time, value] for time, value in zip(times[:1], values[:1], strict=True)]
     steps = zip(times[1:], pairwise(values), strict=True)
     return result + [[time, now] for time, (before, now) in steps if not _same(before, now)]
@@ -79,7 +86,7 @@ class Allen:
 
     @property
     def function(self) -> Function:
-        """It as a function of the language."""
+        """The relation as a function of the language."""
         help_text = f"{self.about}\nUsage: {self.name}(a, b) -> bool"
         return Function(
             self.name, lambda a, b: self.holds(*_ends(a), *_ends(b)), help_text, 2, 2, builtin=True
@@ -136,5 +143,5 @@ ABOUT_INTERVALS = (
 
 
 def are_intervals(values: Sequence[Any]) -> bool:
-    """Whether two values are lists of two, as intervals are, and no entities."""
+    """Whether two values are intervals: lists of two numbers, not entities."""
     return len(values) == 2 and all(isinstance(v, list) and len(v) == 2 for v in values)

@@ -19,7 +19,7 @@ _WORTH = 8
 
 
 class Memo:
-    """A function that remembers what it gave.
+    """A function that remembers its results.
 
     Values are told apart as exactly as a function could: 1, 1.0 and True differ, and so do 0.0
     and -0.0. Those that cannot be told apart are not remembered. What is the very same object
@@ -73,7 +73,7 @@ class Memo:
             self._clear()
 
     def forget(self) -> None:
-        """Forget everything: another query begins."""
+        """Forgets all results, for the next query."""
         self._clear()
         self._asked = self._found = 0
         self._is_worth_it = True

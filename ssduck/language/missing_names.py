@@ -29,7 +29,7 @@ def no_element(
 
 
 def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
-    """The error for a bare name that the current element, a dict, has no key of."""
+    """The error for a bare name that is no key of the current element, a dict."""
     texts = [key for key in keys if isinstance(key, str)]
     return UnknownNameError(
         f"there is no key, variable or function {short_repr(name)}",
@@ -38,7 +38,7 @@ def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownName
 
 
 def is_a_key(name: str) -> UnknownNameError:
-    """The error for a variable that is not there, where the current element has such a key."""
+    """The error for an unknown variable, where the current element has a key of that name."""
     return UnknownNameError(
         f"there is no variable {short_repr(name)}; write this.{first_line(name)}"
     )

@@ -18,7 +18,7 @@ MOST_JOINED = 400
 
 
 class OperandRow:
-    """Operands with operators of one level between them, as they are parsed.
+    """The operands of a chain of operators, as they are parsed.
 
     Args:
         start: where the text of the first operand begins.
@@ -41,7 +41,7 @@ class OperandRow:
         return Binary(span, self._operators[-1], *self._operands[-2:])
 
     def add(self, operator: str, operand: Node, end: int) -> None:
-        """Add an operand, with the operator before it and where its text ends."""
+        """Adds an operand, with the operator before it and the end of its text."""
         self._operators.append(operator)
         self._operands.append(operand)
         self._ends.append(end)
@@ -60,7 +60,12 @@ class OperandRow:
 
 
 def conjuncts(node: Node | None) -> Iterator[Node]:
-    """The parts of a condition that are joined by AND, in order; one part if they are too many."""
+    """The parts of a condition that are joined by AND, in order; one part if they are too many.
+
+    >>> from ssduck.language.parser import parse
+    >>> [part.outline() for part in conjuncts(parse("a AND b AND c;").statements[0])]
+    ["Name('a')", "Name('b')", "Name('c')"]
+    """
     match node:
         case Binary(operator="AND", left=left, right=right):
             yield from conjuncts(left)

@@ -12,6 +12,9 @@ def unquoted(written: str) -> str:
     twos: two are a backslash, and one that is left makes the quote a part of the text. All other
     backslashes are themselves.
 
+    >>> unquoted("'it''s'"), unquoted(r'"a\" b"')
+    ("it's", 'a" b')
+
     Args:
         written: the text with its quotes.
     """

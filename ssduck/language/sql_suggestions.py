@@ -87,6 +87,9 @@ def instead_of_name(name: str) -> str:
 def instead_of(word: str) -> str:
     """The suggestion for a word or a sign of SQL; empty if there is none.
 
+    >>> instead_of("coalesce")
+    'write IF(x IS NULL; 0; x)'
+
     Args:
         word: as it is written; case does not matter.
     """

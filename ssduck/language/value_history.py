@@ -33,7 +33,7 @@ class ValueLog:
     values: list[Any]
 
     def part(self, first: int, end: int) -> ValueLog:
-        """A log of its own of some of it."""
+        """A copy of a range of the log."""
         return ValueLog(self.times[first:end], self.values[first:end])
 
 
@@ -43,6 +43,10 @@ class ValueHistory:
 
     Times and ages are simulated seconds; `now` is the present simulated time. What is later
     than that (the first world was replaced by a younger one) is not there.
+
+    >>> history = ValueHistory.begun("shut", horizon=5.0, now=0.0).added("open", 5.0, now=2.0)
+    >>> history.at(1.0, now=2.0), history.within(math.inf, now=2.0)
+    ('shut', [(0.0, 'shut'), (2.0, 'open')])
 
     Adding a value costs the same however many there are, on average; where it is not the
     latest history of its log that grows (a program failed), they are copied once.
@@ -67,7 +71,7 @@ class ValueHistory:
         return cls(value, horizon, ValueLog([now], [value]), 0, 1)
 
     def added(self, value: Any, horizon: float, now: float) -> ValueHistory:
-        """With one more value, and its horizon from now on."""
+        """The history with one more value, and another horizon from now on."""
         known = self.until(now).recent(now)
         if horizon != self.horizon:
             known = replace(known, horizon=horizon).recent(now)
@@ -79,7 +83,7 @@ class ValueHistory:
         return ValueHistory(value, horizon, log, first, end + 1)
 
     def recent(self, now: float) -> Self:
-        """Without what nobody can ask for any more.
+        """The history without values that can no longer be read.
 
         The last value before the horizon stays: it is in force where the horizon begins.
         """
@@ -95,7 +99,7 @@ class ValueHistory:
         return replace(self, log=log, first=0, end=self.end - first)
 
     def until(self, now: float) -> Self:
-        """Without what is later; the variable itself keeps its value."""
+        """The history without later values; the variable itself keeps its value."""
         if self.end == self.first or self.log.times[self.end - 1] <= now:
             return self
         return replace(self, end=bisect_right(self.log.times, now, self.first, self.end))
@@ -133,7 +137,7 @@ class ValueHistory:
 
     @property
     def values(self) -> Sequence[Any]:
-        """All values that it may give."""
+        """All values that can be read."""
         return [self.last, *self.log.values[self.first : self.end]]
 
     def _begin(self, now: float) -> float:

@@ -1,14 +1,13 @@
 """Rows of ticks that wait to be stored: numpy buffers that an Arrow table looks into.
 
-Whoever holds that table sees the rows at once. What is the same in each tick is laid into a
-`RowBuffer` beforehand; `STORED` says what is not.
+Whoever holds that table sees the rows at once. Columns that are the same in each tick are laid
+into a `RowBuffer` beforehand.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,45 +15,11 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.geometry.arrays import Array
-from ssduck.schema import TABLES
+from ssduck.schema import RECORDED
 
 # So many rows of a table wait at most to be stored.
 RING_ROWS = 1 << 17
 _LEAST_ROWS = 1024
-
-
-@dataclass(frozen=True)
-class StoredTable:
-    """The columns of a table that differ from tick to tick; what does not is stored once.
-
-    Attributes:
-        integers: their names, `tick` first.
-        reals: the first and the last of neighbouring columns of reals, `time` first.
-        flags: their names.
-    """
-
-    integers: tuple[str, ...]
-    reals: tuple[str, str]
-    flags: tuple[str, ...] = ()
-
-    def names_of_reals(self, table: str) -> tuple[str, ...]:
-        """The columns of reals of a table, in order."""
-        names = [column.name for column in TABLES[table] if column.type == "real"]
-        return tuple(names[names.index(self.reals[0]) : names.index(self.reals[1]) + 1])
-
-
-STORED: dict[str, StoredTable] = {
-    "entities": StoredTable(("tick", "id"), ("time", "zmax"), ("enabled", "visible")),
-    "links": StoredTable(("tick", "entity", "link"), ("time", "zmax")),
-    "joints": StoredTable(("tick", "entity", "link"), ("time", "effort")),
-    "shapes": StoredTable(("tick", "entity", "shape"), ("time", "zmax")),
-    "contacts": StoredTable(("tick", "a", "link_a", "b", "link_b"), ("time", "fz")),
-    "sensings": StoredTable(("tick", "sensor", "entity", "hits", "rays"), ("time", "measured")),
-    "ticks": StoredTable(("tick",), ("time", "wall_time")),
-}
-# Where the links of bodies of several links are, if the table of links is not recorded.
-FRAMES = "frames"
-FRAME_REALS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 class RowBuffer:
@@ -193,17 +158,15 @@ def _is_free(numbers: list[npt.NDArray[Any]]) -> bool:
     return all(sys.getrefcount(numbers[place]) == 2 for place in range(len(numbers)))
 
 
-def in_parts(table: str) -> pa.Schema:
-    """What the columns of a ring of a table are called, and of which types they are."""
-    return ring_of(table).arrow.schema
+def buffer_schema(table: str) -> pa.Schema:
+    """The names and types of the columns of a table's buffer."""
+    return buffer_of(table).arrow.schema
 
 
-def ring_of(table: str) -> RowBuffer:
-    """An empty ring for a table's rows, or for the frames of links."""
-    if table == FRAMES:
-        return RowBuffer(("tick", "entity", "link"), FRAME_REALS)
-    stored = STORED[table]
-    return RowBuffer(stored.integers, stored.names_of_reals(table), stored.flags)
+def buffer_of(table: str) -> RowBuffer:
+    """An empty buffer for the rows of a table."""
+    columns = RECORDED[table].tick_columns
+    return RowBuffer(columns.integers, columns.reals, columns.flags)
 
 
 class TickBuffer:

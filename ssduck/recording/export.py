@@ -8,10 +8,10 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import EvaluationError
-from ssduck.recording.buffers import FRAMES
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, chosen_members
-from ssduck.recording.stores.parquet import ParquetWriter
+from ssduck.recording.stores.parquet import ParquetStore
+from ssduck.schema import RECORDABLE, RECORDED
 
 # So many rows of entities make a part, about: ten megabytes.
 PART_ROWS = 1 << 18
@@ -42,9 +42,8 @@ def exported(
     """
     numbers = _ticks(record, between)
     record.warn_of_masses()
-    tables = [table for table in record.tables if table not in ("ticks", FRAMES)]
     chosen = Recording(
-        tables=tuple(sorted(tables)),
+        tables=tuple(sorted(record.tables & set(RECORDABLE))),
         entities=recording.entities if names is None else names,
         every=recording.every,
     )
@@ -52,7 +51,7 @@ def exported(
     check_names(Recording(entities=names), members)
     kept = members if names is None else chosen_members(members, names)
     ids = None if names is None else pa.array([member.id for member in kept])
-    folder = ParquetWriter(path, world, chosen)
+    folder = ParquetStore(path, world, chosen)
     try:
         folder.add_members(kept, record.world.snapshot)
         for first, last in _parts(numbers, max(len(kept), 1)):
@@ -94,10 +93,9 @@ def _parts(numbers: list[int], rows: int) -> list[tuple[int, int]]:
 
 def _of(rows: pa.Table, table: str, ids: pa.Array | None) -> pa.Table:
     """The rows of some entities."""
-    if ids is None or table == "ticks":
+    if ids is None:
         return rows
-    sides = {"entities": ("id",), "contacts": ("a", "b"), "sensings": ("sensor", "entity")}
-    kept = np.ones(rows.num_rows, dtype=bool)
-    for side in sides.get(table, ("entity",)):
-        kept &= np.isin(rows[side].to_numpy(), ids.to_numpy())
-    return rows.filter(pa.array(kept))
+    is_chosen = np.ones(rows.num_rows, dtype=bool)
+    for column in RECORDED[table].entity_columns:
+        is_chosen &= np.isin(rows[column].to_numpy(), ids.to_numpy())
+    return rows.filter(pa.array(is_chosen))

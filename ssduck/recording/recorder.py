@@ -11,49 +11,25 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from ssduck.errors import SelectScriptError
-from ssduck.recording.background_writer import WHENEVER, BackgroundWriter, BufferedRows, Cut
-from ssduck.recording.buffers import FRAMES, RowBuffer, TickBuffer, ring_of
+from ssduck.errors import RecordError, SelectScriptError
+from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
+from ssduck.recording.buffers import RowBuffer, TickBuffer, buffer_of
 from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import QUARTERS, Recording
 from ssduck.recording.static_tables import ShapeNumbers
+from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
 from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
 
 # So many ticks wait at most to be stored, in a file or in memory.
 RING_TICKS = 240
 MEMORY_TICKS = 960
-
-
-class RowStore(Protocol):
-    """What keeps the rows of ticks.
-
-    Attributes:
-        keeps: whether it keeps them where they are, which takes no time.
-    """
-
-    keeps: bool
-
-    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
-        """Keep what entities are, all or none of it."""
-
-    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
-        """Keep the rows of whole ticks, all or none of them; enters the cut to make them good."""
-
-    def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """The rows of a table at ticks from first to last."""
-
-    def near(self, asked: Any, waiting: pa.Table | None) -> pa.Table:
-        """The pairs of entities whose boxes are near at some ticks."""
-
-    def drop_before(self, tick: int) -> int:
-        """Drop old ticks; tells which one is the first that is still there."""
 
 
 class Recorder:
@@ -71,13 +47,12 @@ class Recorder:
         reweighed: the bodies whose masses are known to have changed since.
     """
 
-    def __init__(self, recording: Recording, store: RowStore, waits: int = RING_TICKS) -> None:
+    def __init__(self, recording: Recording, store: TickStore, waits: int = RING_TICKS) -> None:
         self.recording = recording
         self._waits = waits
         self._store = store
-        frames = () if "links" in recording.tables else (FRAMES,)
-        self.rings = {table: ring_of(table) for table in ("ticks", *recording.tables, *frames)}
-        columns = {table: ring.arrow.schema for table, ring in self.rings.items()}
+        self.buffers = {table: buffer_of(table) for table in store.tables}
+        columns = {table: buffer.arrow.schema for table, buffer in self.buffers.items()}
         self._storing = BackgroundWriter(store.add, columns)
         self._lock = threading.RLock()
         self.ticks = TickBuffer()
@@ -96,9 +71,9 @@ class Recorder:
         return self.recording.tables
 
     @property
-    def shown(self) -> tuple[Mapping[str, RowBuffer | BufferedRows], ...]:
+    def visible_rows(self) -> tuple[Mapping[str, RowBuffer | BufferedRows], ...]:
         """What is not stored, by table; to be read with what is, and under `reading`."""
-        return (self.rings,) if self._store.keeps else (self._storing.batches, self.rings)
+        return (self.buffers,) if self._store.is_in_place else (self._storing.batches, self.buffers)
 
     @property
     def reading(self) -> AbstractContextManager[Any]:
@@ -134,21 +109,21 @@ class Recorder:
                 self.reweighed.note(id, member.name)
 
     def _keep(self, snapshot: Snapshot, rows: RecordedRows) -> None:
-        counts = {table: rows.count(snapshot, table) for table in self.rings}
+        counts = {table: rows.count(snapshot, table) for table in self.buffers}
         failed = self._tried(self._tell_new)
         is_due = self._is_due(snapshot.time) or not all(
-            self.rings[table].takes(count) for table, count in counts.items()
+            self.buffers[table].takes(count) for table, count in counts.items()
         )
         if is_due:
             failed = self._tried(self._hand_over) or failed
         elif not self._storing.is_busy:
             failed = failed or self._tried(self._look_after)
         failed = failed or self._storing.failure()
-        if is_due or not self.rings["ticks"].count:
+        if is_due or not self.buffers["ticks"].count:
             for table, count in counts.items():
-                self.rings[table].reserve(count, self._waits)
+                self.buffers[table].reserve(count, self._waits)
         for table, count in counts.items():
-            rows.copy(snapshot, table, self.rings[table], count)
+            rows.copy(snapshot, table, self.buffers[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
         if not snapshot.is_whole:  # where the ring has what is no number, the store has NULL
             failed = failed or self._tried(self.flush)
@@ -172,7 +147,7 @@ class Recorder:
         if self._new or not len(self._storing):  # rows go after what their entities are
             return
         self._is_looked_after = False
-        if self._store.keeps:
+        if self._store.is_in_place:
             self._storing.store()
             self._look_after()
         else:
@@ -180,8 +155,8 @@ class Recorder:
 
     def _put(self) -> None:
         """Empty the rings; what was in them waits in a batch."""
-        if self.rings["ticks"].count:
-            self._storing.put({table: ring.taken() for table, ring in self.rings.items()})
+        if self.buffers["ticks"].count:
+            self._storing.put({table: buffer.taken() for table, buffer in self.buffers.items()})
 
     def wait(self) -> None:
         """Wait until nothing is being stored in a thread."""
@@ -222,28 +197,39 @@ class Recorder:
         The caller holds the world.
         """
         with self.reading:
-            stored = self._store.fetch(table, first, last)
+            stored = self._archive.fetch(table, first, last)
             waiting = self._waiting(table)
             ticks = waiting["tick"].to_numpy()
             inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
             copied = inside.select(stored.column_names).cast(stored.schema)
             return pa.concat_tables([stored, copied])
 
-    def near(self, asked: Any) -> pa.Table:
+    def near(self, request: PairRequest) -> pa.Table:
         """The pairs of entities whose boxes are near at some ticks, with their poses.
 
         The caller holds the world.
         """
         with self.reading:
-            return self._store.near(asked, self._waiting("entities"))
+            return self._archive.near(request, self._waiting("entities"))
+
+    @property
+    def _archive(self) -> TickArchive:
+        """The store, to be read.
+
+        Raises:
+            RecordError: it is a folder, which is opened to be read.
+        """
+        if not isinstance(self._store, TickArchive):
+            raise RecordError("a folder that is being recorded is read by opening it")
+        return self._store
 
     def _waiting(self, table: str) -> pa.Table:
         """The rows of a table that are not stored."""
-        return pa.concat_tables([self._storing.batches[table].arrow, self.rings[table].rows()])
+        return pa.concat_tables([self._storing.batches[table].arrow, self.buffers[table].rows()])
 
     def _is_due(self, time: float) -> bool:
         """Whether what waits is to be stored: so many ticks, or a quarter of what is kept."""
-        waiting = self.rings["ticks"].count
+        waiting = self.buffers["ticks"].count
         if not waiting:
             return False
         recording = self.recording

@@ -10,11 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Indices
-from ssduck.recording.buffers import FRAMES, STORED, RowBuffer
+from ssduck.recording.buffers import RowBuffer
 from ssduck.recording.spec import chosen_members
+from ssduck.schema import FRAMES, TABLES
 from ssduck.world.layout import TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.snapshot import Snapshot
+
+# The tables whose rows are the same ones at each tick, while the entities are.
+LAID_OUT = tuple(table.name for table in TABLES.values() if table.key)
 
 
 class RecordedRows:
@@ -32,12 +36,6 @@ class RecordedRows:
         self.members = members if names is None else chosen_members(members, names)
         self._ids = np.array([member.id for member in self.members], dtype=np.int64)
         kept = {member.id for member in self.members}
-        absent = snapshot.disabled, snapshot.hidden
-        bodies = [member.body for member in self.members]
-        self._flags = {
-            name: np.array([body is not None and body not in gone for body in bodies], np.uint8)
-            for name, gone in zip(("enabled", "visible"), absent, strict=True)
-        }
         self._frames = [
             _frames_of(part, self._layout, kept)
             for part in (self._layout.still, self._layout.moving)
@@ -45,7 +43,8 @@ class RecordedRows:
         self._frames_count = sum(len(frames.places) for frames in self._frames)
         self._picked: dict[str, Indices | None] = {
             table: None if names is None else self._pick(snapshot, table)
-            for table in ("entities", "joints", "shapes")
+            for table in LAID_OUT
+            if table != "links"
         }
         self._picked["links"] = self._links(kept)
 
@@ -56,8 +55,8 @@ class RecordedRows:
         )
 
     def _pick(self, snapshot: Snapshot, table: str) -> Indices:
-        owner = snapshot.tables[table]["id" if table == "entities" else "entity"]
-        return np.flatnonzero(np.isin(owner, self._ids))
+        (owner,) = TABLES[table].entity_columns
+        return np.flatnonzero(np.isin(snapshot.tables[table][owner], self._ids))
 
     def _links(self, kept: Collection[int]) -> Indices:
         """The rows of links of bodies that have several."""
@@ -76,11 +75,12 @@ class RecordedRows:
         """The rows that are kept; None for all."""
         if table in self._picked:
             return self._picked[table]
-        if table == "ticks" or self._picked["entities"] is None:
+        owners = TABLES[table].entity_columns
+        if not owners or self._picked["entities"] is None:
             return None
-        sides = ("a", "b") if table == "contacts" else ("sensor", "entity")
         live = snapshot.tables[table]
-        return np.flatnonzero(np.logical_and(*(np.isin(live[side], self._ids) for side in sides)))
+        are_chosen = [np.isin(live[owner], self._ids) for owner in owners]
+        return np.flatnonzero(np.logical_and.reduce(are_chosen))
 
     def copy(self, snapshot: Snapshot, table: str, ring: RowBuffer, count: int) -> None:
         """Copy the rows of a table, of which there are so many, into a ring."""
@@ -92,11 +92,11 @@ class RecordedRows:
             self._copy_frames(snapshot, ring, run)
             return
         live: LiveTable = snapshot.tables[table]
-        stored, picked = STORED[table], self._selected(snapshot, table)
-        reals = live.reals(*stored.reals)
+        columns, picked = TABLES[table].tick_columns, self._selected(snapshot, table)
+        reals = live.block[live.places(columns.reals)]
         ring.reals[:, run] = reals if picked is None else reals[:, picked]
         if table not in self._picked:
-            for name in stored.integers[1:]:
+            for name in columns.integers[1:]:
                 column = live[name]
                 ring.integers[name][run] = column if picked is None else column[picked]
 
@@ -106,10 +106,11 @@ class RecordedRows:
             owners = {"entity": [f.entities for f in self._frames]}
             links = {"link": [f.links for f in self._frames]}
             return {name: np.concatenate(parts) for name, parts in (owners | links).items()}
-        stored, picked = STORED[table], self._picked[table]
+        columns, picked = TABLES[table].tick_columns, self._picked[table]
         live = snapshot.tables[table]
-        own = {n: live[n] if picked is None else live[n][picked] for n in stored.integers[1:]}
-        return own | {name: self._flags[name] for name in stored.flags}
+        fixed = {name: live[name] for name in columns.integers[1:]}
+        fixed |= {name: live.flags(name) for name in columns.flags}
+        return {n: values if picked is None else values[picked] for n, values in fixed.items()}
 
     def _copy_frames(self, snapshot: Snapshot, ring: RowBuffer, run: slice) -> None:
         ring.reals[0, run] = snapshot.time

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from ssduck import validation
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
+from ssduck.schema import RECORDABLE
 from ssduck.world.layout import EntityInfo
 
-# What may be chosen; `ticks` are kept always, and geometries once.
-RECORDABLE = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 # Of what is kept, a quarter at a time is stored together, and dropped together.
 QUARTERS = 4
 
@@ -100,3 +99,11 @@ def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
                 f"there is no entity {short_repr(name)} to be recorded",
                 suggestions=nearest(name, known),
             )
+
+
+def not_recorded(table: str, world: str) -> str:
+    """The message that a table of a world has no history."""
+    return (
+        f"the table of {table} of {world!r} is not recorded: record it with "
+        f"tables=('entities', '{table}')"
+    )

@@ -12,107 +12,14 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.schema import MODELS, RECORDED
 from ssduck.simulators.interface import Body, Joint, Link
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.layout import EntityInfo
+from ssduck.world.live_tables import ARROW_TYPES
 
-# What an entity is, by the table whose rows tell of it: columns that are the same at each tick.
-MODELS: dict[str, dict[str, str]] = {
-    "entities": {
-        "id": "BIGINT",
-        "name": "VARCHAR",
-        "kind": "VARCHAR",
-        "parent": "VARCHAR",
-        "mass": "DOUBLE",
-        "links": "BIGINT",
-        "movable": "BOOLEAN",
-        "host": "BIGINT",
-        "host_link": "BIGINT",
-        "sensor": "VARCHAR",
-        "run": "BIGINT",
-    },
-    "links": {
-        "entity": "BIGINT",
-        "link": "BIGINT",
-        "name": "VARCHAR",
-        "parent": "BIGINT",
-        "mass": "DOUBLE",
-    },
-    "joints": {
-        "entity": "BIGINT",
-        "link": "BIGINT",
-        "name": "VARCHAR",
-        "type": "VARCHAR",
-        "lower": "DOUBLE",
-        "upper": "DOUBLE",
-        "max_effort": "DOUBLE",
-        "max_velocity": "DOUBLE",
-        "axis_x": "DOUBLE",
-        "axis_y": "DOUBLE",
-        "axis_z": "DOUBLE",
-    },
-    # The pose is that in the frame of the link.
-    "shapes": {
-        "entity": "BIGINT",
-        "link": "BIGINT",
-        "shape": "BIGINT",
-        "geometry": "BIGINT",
-        "x": "DOUBLE",
-        "y": "DOUBLE",
-        "z": "DOUBLE",
-        "qw": "DOUBLE",
-        "qx": "DOUBLE",
-        "qy": "DOUBLE",
-        "qz": "DOUBLE",
-        "margin": "DOUBLE",
-        "exact": "BOOLEAN",
-    },
-    "geometries": {
-        "id": "BIGINT",
-        "type": "VARCHAR",
-        "size_x": "DOUBLE",
-        "size_y": "DOUBLE",
-        "size_z": "DOUBLE",
-        "vertices": "DOUBLE[3][]",
-        "faces": "INTEGER[3][]",
-    },
-}
-_FIRST_MASS = "kg, when the entity was first recorded; a later change is not recorded"
-# What those mean that no table of a tick has, or that mean something else there.
-MODEL_COMMENTS: dict[str, dict[str, str]] = {
-    "entities": {
-        "links": "how many links it has",
-        "movable": "whether the simulation can move it; none for a sensor",
-        "host": "id of the entity that a sensor sits on",
-        "host_link": "number of the link that a sensor sits on",
-        "sensor": "what a sensor is, as JSON",
-        "mass": _FIRST_MASS,
-    },
-    "links": {"mass": _FIRST_MASS},
-    "joints": dict.fromkeys(("axis_x", "axis_y", "axis_z"), "axis in the frame of the link"),
-    "shapes": {
-        **dict.fromkeys("xyz", "position in the frame of the link, m"),
-        **dict.fromkeys(("qw", "qx", "qy", "qz"), "orientation in the frame of the link"),
-    },
-    "geometries": {},
-}
-# The margins, metres, of shapes in records that do not tell them: PyBullet's, which it gave hulls.
-UNTOLD_MARGINS = {"hull": 1e-3}
-# By which columns rows of a tick and what is fixed belong together.
-KEYS = {
-    "entities": ("id",),
-    "links": ("entity", "link"),
-    "joints": ("entity", "link"),
-    "shapes": ("entity", "shape"),
-}
-_ARROW = {
-    "BIGINT": pa.int64(),
-    "DOUBLE": pa.float64(),
-    "VARCHAR": pa.string(),
-    "BOOLEAN": pa.bool_(),
-    "DOUBLE[3][]": pa.list_(pa.list_(pa.float64(), 3)),
-    "INTEGER[3][]": pa.list_(pa.list_(pa.int32(), 3)),
-}
+# The margins, m, of shapes in old records, which lack them: those that PyBullet gave hulls.
+UNRECORDED_MARGINS = {"hull": 1e-3}
 
 
 class ShapeNumbers(Protocol):
@@ -126,10 +33,10 @@ class ShapeNumbers(Protocol):
         """The number of a geometry."""
 
 
-def models_of(
+def model_rows(
     members: Collection[EntityInfo], numbers: ShapeNumbers, known: Collection[int]
 ) -> dict[str, pa.Table]:
-    """What entities are, as rows.
+    """The rows of the models of entities, by table.
 
     Args:
         members: the entities.
@@ -174,12 +81,13 @@ def _member_row(member: EntityInfo) -> tuple[Any, ...]:
 
 
 def _table(table: str, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
-    columns = list(zip(*rows, strict=True)) or [()] * len(MODELS[table])
+    model = MODELS[table].model
+    columns = list(zip(*rows, strict=True)) or [()] * len(model)
     arrays = [
-        pa.array(column, _ARROW[type])
-        for column, type in zip(columns, MODELS[table].values(), strict=True)
+        pa.array(values, ARROW_TYPES[column.type])
+        for values, column in zip(columns, model, strict=True)
     ]
-    return pa.table(arrays, names=list(MODELS[table]))
+    return pa.table(arrays, names=[column.name for column in model])
 
 
 # -- and back ---------------------------------------------------------------------------------
@@ -230,14 +138,16 @@ def geometries_of(models: Mapping[str, pa.Table]) -> dict[str, int]:
     return {_geometry(row).key: row["id"] for row in models["geometries"].to_pylist()}
 
 
-def defaults(run: int | None, geometries: str) -> dict[str, str]:
+def default_values(run: int | None, geometries: str) -> dict[str, str]:
     """The values of columns that rows of older records lack, in SQL; the others are unknown.
 
     Args:
         run: the number of the run, of rows that do not tell it.
         geometries: the table of the geometries, in SQL.
     """
-    cases = " ".join(f"WHEN '{type}' THEN {margin!r}" for type, margin in UNTOLD_MARGINS.items())
+    cases = " ".join(
+        f"WHEN '{type}' THEN {margin!r}" for type, margin in UNRECORDED_MARGINS.items()
+    )
     margin = (
         f"SELECT CASE types.type {cases} ELSE 0 END "  # noqa: S608
         f"FROM {geometries} AS types WHERE types.id = geometry"
@@ -275,7 +185,7 @@ def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> Placed
     position = np.array([row[axis] for axis in ("x", "y", "z")])
     orientation = np.array([row[axis] for axis in ("qw", "qx", "qy", "qz")])
     geometry = geometries[row["geometry"]]
-    margin = row["margin"] if "margin" in row else UNTOLD_MARGINS.get(geometry.type, 0.0)
+    margin = row["margin"] if "margin" in row else UNRECORDED_MARGINS.get(geometry.type, 0.0)
     return PlacedGeometry(row["link"], geometry, position, orientation, margin, row.get("exact"))
 
 
@@ -288,7 +198,7 @@ def _geometry(row: Mapping[str, Any]) -> Geometry:
     )
 
 
-def told_of(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]) -> pa.Table:
+def with_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]) -> pa.Table:
     """Rows of a tick with what entities are.
 
     Args:
@@ -308,7 +218,7 @@ def told_of(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]) -
 
 def _keys(table: str, rows: pa.Table) -> Any:
     """One number a row, by which rows and models belong together."""
-    first, *others = (rows[name].to_numpy() for name in KEYS[table])
+    first, *others = (rows[name].to_numpy() for name in RECORDED[table].key)
     return first if not others else first * 2**20 + others[0]
 
 

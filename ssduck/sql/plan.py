@@ -67,7 +67,7 @@ class TypeEnvironment(Protocol):
         """The name under which the function is called: marked if a user's function replaces it."""
 
     def check_call(self, node: Call) -> None:
-        """Complain of an unknown function, or of a wrong number of arguments."""
+        """Rejects an unknown function, or a wrong number of arguments."""
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
         """The signature of a user's function for such arguments; None if SQL cannot call it."""

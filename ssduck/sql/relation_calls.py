@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from sqlglot import exp
 
+from ssduck.schema import TABLES
 from ssduck.sql.relations.relation import Relation, in_schema
 from ssduck.sql.sql_values import NotSqlError, SqlValue, wrapped
 
@@ -43,10 +44,10 @@ def expanded(
 
 
 def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValue]) -> exp.Expr:
-    """A relation's formula with the tables of its entities' world.
+    """Returns a relation's formula with the tables of its entities' world.
 
     Raises:
-        NotSqlError: which world that is is not known yet.
+        NotSqlError: the world is not known yet.
     """
     schemas = {value.tag.schema for value in values.values() if value.tag.type == "entity"}
     if None in schemas:
@@ -61,7 +62,7 @@ def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValu
 
 
 def _as_exists(part: exp.Expr) -> exp.Expr:
-    """`(x, y) IN (SELECT …)` as EXISTS: DuckDB has no such IN with what depends on rows."""
+    """Rewrites `(x, y) IN (SELECT …)` as EXISTS: DuckDB has no such IN for correlated queries."""
     query = part.args.get("query") if isinstance(part, exp.In) else None
     if query is None or not isinstance(part.this, exp.Tuple):
         return part
@@ -80,7 +81,7 @@ def _as_exists(part: exp.Expr) -> exp.Expr:
 
 
 # What is the same at each tick is in a table of its own.
-_MODEL_TABLES = {"shapes": "shapes_model", "geometries": "geometries_model"}
+_MODEL_TABLES = {name: TABLES[name].model_view for name in ("shapes", "geometries")}
 
 
 def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
@@ -93,7 +94,9 @@ def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr
             table.set("this", exp.to_identifier(_MODEL_TABLES[table.name]))
             table.set("alias", exp.TableAlias(this=alias))
             continue
-        history = exp.table_(f"{table.name}_history", db=schema, alias="ticks then", quoted=True)
+        history = exp.table_(
+            TABLES[table.name].history_view, db=schema, alias="ticks then", quoted=True
+        )
         own = exp.column("tick", table="ticks then", quoted=True)
         rows = exp.select("*").from_(history).where(exp.EQ(this=own, expression=ticks[0].copy()))
         table.replace(rows.subquery(alias))

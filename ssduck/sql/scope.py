@@ -67,7 +67,7 @@ class ExpressionScope(ABC):
         return self.around.element(alias) if self.around and alias is not None else None
 
     def is_constant(self, node: Node) -> bool:
-        """Whether it is the same for all rows of the statement."""
+        """Whether the node has the same value for all rows of the statement."""
         if node not in self._are_constant:  # each part is asked about, and all that it is in
             self._are_constant[node] = self._is_constant(node)
         return self._are_constant[node]
@@ -125,14 +125,14 @@ class ExpressionScope(ABC):
 
     @abstractmethod
     def value(self, node: Node) -> SqlValue:
-        """A part as SQL.
+        """The node as SQL.
 
         Raises:
             NotSqlError: it is left to Python.
         """
 
     def condition(self, node: Node) -> exp.Expr:
-        """A part as a condition.
+        """The node as a condition.
 
         Raises:
             NotSqlError: it is left to Python.
@@ -140,7 +140,7 @@ class ExpressionScope(ABC):
         return truth(self.value(node))
 
     def number(self, node: Node) -> SqlValue:
-        """A part that is a number.
+        """The node as SQL, if it is a number.
 
         Raises:
             NotSqlError: it is left to Python.

@@ -19,7 +19,7 @@ from ssduck.sql.types import IDS, Signature, SqlType
 
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type
-    for column in TABLES["entities"]
+    for column in TABLES["entities"].columns
     if column.type in ("real", "integer", "text", "flag")
 }
 ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
@@ -30,7 +30,7 @@ MOST_COPIED = 100
 
 
 class NotSqlError(Exception):
-    """A part that is left to Python."""
+    """An expression that is left to Python."""
 
 
 class FloatDomain(IntEnum):
@@ -47,7 +47,7 @@ class FloatDomain(IntEnum):
 
 @dataclass(frozen=True)
 class SqlValue:
-    """A part as SQL, its type, and how to get at what it is made of.
+    """A node as SQL: its expression, its type, and its columns, elements or fields.
 
     Attributes:
         expression: the value; of an entity its id is taken if there is none, and at a recorded tick
@@ -123,13 +123,13 @@ class StatementContext:
     possible_failures: int = 0
 
     def note_possible_failure(self) -> None:
-        """Leave to Python what could fail in SQL, if the plan is to be cautious."""
+        """Notes that the expression may fail in SQL; a cautious plan leaves it to Python."""
         if self.cautious:
             raise NotSqlError
         self.possible_failures += 1
 
     def nan_checked(self, value: SqlValue) -> SqlValue:
-        """A value that is a number where it is used; what is none is left to Python."""
+        """A value that fails where it is NaN, so that Python evaluates it."""
         if value.domain < FloatDomain.NAN:
             return value
         self.note_possible_failure()
@@ -145,7 +145,7 @@ class StatementContext:
         return alias
 
     def parameter(self, stem: str, wanted: ParameterBinding) -> exp.Expr:
-        """A parameter for that binding: the same one for the same."""
+        """The parameter for a binding; equal bindings share one."""
         for binding in self.bindings:
             if replace(binding, name="") == wanted:
                 return exp.Parameter(this=exp.var(binding.name))
@@ -177,7 +177,7 @@ def literal(value: Any) -> exp.Expr:
 
 
 def copied(sql: exp.Expr) -> exp.Expr:
-    """A part that is written a second time.
+    """Copies an expression that is written a second time.
 
     Raises:
         NotSqlError: it is too long.
@@ -210,12 +210,12 @@ def failure(tag: SqlType) -> exp.Expr:
 
 
 def or_failure(sql: exp.Expr, tag: SqlType) -> exp.Expr:
-    """A value that is there; a statement that finds none fails."""
+    """The value, or a failure of the statement where there is none."""
     return exp.Coalesce(this=sql, expressions=[failure(tag)])
 
 
 def wrapped(sql: exp.Expr) -> exp.Expr:
-    """In parentheses where it is not a single term."""
+    """Adds parentheses unless the expression is a single term."""
     return (
         exp.paren(sql)
         if isinstance(sql, exp.Binary | exp.Unary) and not isinstance(sql, exp.Paren)

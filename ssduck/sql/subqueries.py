@@ -74,7 +74,7 @@ class Subquery:
 
 @dataclass(frozen=True)
 class UnrolledRows:
-    """The rows of a nested query one by one: whether each is there, and what it selects."""
+    """The rows of a nested query one by one: whether each exists, and its selected values."""
 
     rows: tuple[tuple[exp.Expr, tuple[SqlValue, ...]], ...]
     is_risky: bool
@@ -343,7 +343,7 @@ def _rows(around: ExpressionScope, query: Query) -> Rows:
 
 
 def check_sources(query: Query) -> None:
-    """Leave to Python a product of so many sources that DuckDB would plan it for seconds."""
+    """Leaves to Python a product of so many sources that DuckDB would plan it for seconds."""
     if len(query.sources) > MOST_SOURCES:
         raise NotSqlError
 
@@ -396,7 +396,7 @@ def _unrolled_row(
 
 
 def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:
-    """Look up the bare names of a nested query whose sources are in SQL already."""
+    """Resolves the bare names of a nested query whose sources are in SQL already."""
     shapes = [SourceType(alias, tag=inner.rows[alias].tag) for alias in aliases]
     resolved = resolve(query, shapes, inner.names, inner.locals)
     inner.context.bare |= resolved.bare

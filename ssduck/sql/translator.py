@@ -52,7 +52,7 @@ _ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
 
 
 class NotInlineError(Exception):
-    """A nested query in FROM that is to be evaluated before."""
+    """A nested query in FROM that has to be evaluated first."""
 
 
 def translate(
@@ -198,7 +198,7 @@ class _Translator:
         return unnested(name, SqlValue(values_sql, tag))
 
     def _past(self, shape: SourceType) -> FromItem:
-        """The past of a world; its name is none that a column could have."""
+        """The past of a world, under a name that no column can have."""
         name = self.context.alias(f"{shape.alias} then")
         assert shape.schema is not None
         if shape.moments == "now":
@@ -221,7 +221,7 @@ class _Translator:
         return past_table(shape.schema, name, first, last, id)
 
     def _together(self) -> Iterator[exp.Expr]:
-        """Sources that are several ticks of one world go through them together."""
+        """Joins sources that are several ticks of one world by their ticks."""
         before: dict[str | None, exp.Expr] = {}
         for shape in self.result.shapes:
             if shape.moments == "window":
@@ -242,7 +242,7 @@ class _Translator:
     # -- clauses ----------------------------------------------------------------------------
 
     def _conditions(self) -> Iterator[exp.Expr | None]:
-        """The conditions in SQL; none for those from the first one on that does something."""
+        """The conditions in SQL, up to the first one with side effects."""
         happens = False
         for node in conjuncts(self.query.where):
             happens = happens or is_impure(node)
@@ -287,7 +287,7 @@ class _Translator:
         return result.condition
 
     def _note_only(self) -> None:
-        """Note of which one entity sources are: by `this == cup`, by `id(this) == 'cup'`."""
+        """Notes the sources that are one entity: by `this == cup`, by `id(this) == 'cup'`."""
         for node in conjuncts(self.query.where):
             match node:
                 case Binary(operator="==", left=This() as row, right=other):
@@ -318,7 +318,7 @@ class _Translator:
         return exp.and_(near, guarded)
 
     def _item(self, node: Node) -> None:
-        """A selected value or a key: a column if it can be, else its parts are."""
+        """A selected value or a key: a column if possible, else columns of its parts."""
         if self.sql.is_constant(node):
             self._leave(node)
             return
@@ -328,7 +328,7 @@ class _Translator:
             self._leave(node)
 
     def _of_group(self, node: Node) -> None:
-        """A part of a group: what its aggregates are of are columns, if they can be."""
+        """A node of a group: the arguments of its aggregates are columns, if possible."""
         calls = over_rows(node)
         for call in calls:
             self._item(call.arguments[0])
@@ -450,7 +450,7 @@ class _Translator:
         return OutputColumn(self.texts[text], tag)
 
     def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
-        """Leave a part to Python: fetch the largest parts of it that SQL can do."""
+        """Leaves a node to Python, and fetches its largest parts that SQL can express."""
         if node in but:
             return
         if but:
@@ -484,7 +484,7 @@ def _parts(node: Node) -> Iterator[Node]:
 
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
-    """The error for a function that is not there."""
+    """The error for an unknown function."""
     instead = instead_of_name(node.name)
     near = nearest(node.name, known)
     is_same = any(name.casefold() == node.name.casefold() for name in near)

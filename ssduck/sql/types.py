@@ -16,7 +16,10 @@ IDS = 2**25
 
 @dataclass(frozen=True)
 class SqlType:
-    """The type of a value: what a plan depends on.
+    """The type of a value, as plans depend on it.
+
+    >>> SqlType("list", SqlType("real")).sql_type
+    'DOUBLE[]'
 
     Attributes:
         type: what it is.
@@ -38,12 +41,12 @@ class SqlType:
 
     @property
     def is_number(self) -> bool:
-        """Whether it is a number."""
+        """Whether values are numbers."""
         return self.type in ("real", "integer", "number")
 
     @property
     def comes_back(self) -> bool:
-        """Whether a value that went to SQL comes back as the same value."""
+        """Whether SQL returns a value unchanged."""
         match self.type:
             case "list":
                 return self.element is None or self.element.comes_back
@@ -96,7 +99,7 @@ _WORDS: dict[ValueType, str] = {
 
 @dataclass(frozen=True)
 class Signature:
-    """A user's function as SQL calls it: its name here and there, what it takes and yields."""
+    """A user's function as SQL calls it: both of its names, its parameters, its result."""
 
     function: str
     name: str
@@ -112,7 +115,11 @@ BOOLEAN = SqlType("flag")
 
 
 def merged(tags: Iterable[SqlType]) -> SqlType | None:
-    """The type of what is one of several types; None of none."""
+    """The common type of several types; None if there are none.
+
+    >>> merged([INTEGER, DOUBLE]).type, merged([STRING, INTEGER]).type
+    ('number', 'any')
+    """
     distinct = list(dict.fromkeys(tags))
     return reduce(_both, distinct) if distinct else None
 

@@ -7,7 +7,7 @@ sees the next tick without being told.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import count
 from typing import Any
 
@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from ssduck.geometry.arrays import Array
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import Column, ColumnType
 
-_ARROW: dict[ColumnType, pa.DataType] = {
+# The types of Arrow by those of columns.
+ARROW_TYPES: dict[ColumnType, pa.DataType] = {
     "real": pa.float64(),
     "integer": pa.int64(),
     "text": pa.string(),
@@ -64,7 +65,7 @@ class LiveTable:
             else:
                 self._numbers[name] = np.zeros(count, dtype=np.int64)
         self._others = {
-            name: pa.array(values[name] if name in values else [None] * count, _ARROW[kind])
+            name: pa.array(values[name] if name in values else [None] * count, ARROW_TYPES[kind])
             for name, kind in kinds.items()
             if name not in self._numbers
         }
@@ -76,7 +77,7 @@ class LiveTable:
     def put(self, values: dict[str, Any]) -> None:
         """Put other values in the place of columns that hold no numbers."""
         kinds = {column.name: column.type for column in self.columns}
-        new = {name: pa.array(column, _ARROW[kinds[name]]) for name, column in values.items()}
+        new = {name: pa.array(column, ARROW_TYPES[kinds[name]]) for name, column in values.items()}
         self._others = self._others | new
         self.publish()
 
@@ -96,16 +97,26 @@ class LiveTable:
         unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
         self.whole = not any(unknown)
         arrays = []
-        for name, kind, *_ in self.columns:
+        for column in self.columns:
+            name = column.name
             if name not in self._numbers:
                 arrays.append(self._others[name])
             elif name in self._row and unknown[self._row[name]]:
                 arrays.append(pa.array(self._numbers[name], from_pandas=True))
             else:
                 buffer = pa.py_buffer(self._numbers[name])
-                arrays.append(pa.Array.from_buffers(_ARROW[kind], self.count, [None, buffer]))
+                arrays.append(
+                    pa.Array.from_buffers(ARROW_TYPES[column.type], self.count, [None, buffer])
+                )
         self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
         self.version = next(_versions)
+
+    def flags(self, name: str) -> npt.NDArray[np.uint8]:
+        """A column of flags, 0 or 1."""
+        column: npt.NDArray[np.uint8] = (
+            self._others[name].fill_null(False).to_numpy(zero_copy_only=False)
+        )
+        return column.astype(np.uint8)
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
         """The buffer of a column of numbers."""
@@ -114,6 +125,13 @@ class LiveTable:
     def reals(self, first: str, last: str) -> Array:
         """The buffers of neighbouring columns of reals, (columns, rows)."""
         return self.block[self._row[first] : self._row[last] + 1]
+
+    def places(self, names: Sequence[str]) -> slice | Indices:
+        """The rows of `block` that are some columns of reals; a slice if these are neighbours."""
+        rows = [self._row[name] for name in names]
+        if rows == list(range(rows[0], rows[0] + len(rows))):
+            return slice(rows[0], rows[0] + len(rows))
+        return np.array(rows, dtype=np.intp)
 
     def written(self) -> None:
         """Tell that numbers were written: an unknown one (NaN) becomes NULL."""

@@ -28,14 +28,12 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
-from ssduck.schema import FORGOTTEN_AFTER, TABLES
+from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, TABLES
 from ssduck.simulators.interface import Body, Contact, LinkPoses, Simulator
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.run_numbers import new_run
 from ssduck.world.sensor_readings import Reading, SensorReader, TickContext, has_rays, posed
-
-ON_DEMAND = frozenset(("links", "joints", "shapes", "contacts", "sensings"))
 
 
 class Snapshot:
@@ -58,7 +56,7 @@ class Snapshot:
 
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
         self.run = new_run() if run is None else run
-        self.tables = {name: LiveTable(columns) for name, columns in TABLES.items()}
+        self.tables = {name: LiveTable(table.columns) for name, table in TABLES.items()}
         self.number = 0
         self.time = 0.0
         self.listed: list[EntityInfo] = []

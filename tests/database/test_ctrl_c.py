@@ -265,7 +265,7 @@ OURS = {
     ctrl_c.InterruptListener.enter.__code__,
     ctrl_c.InterruptListener.leave.__code__,
     Connection._execute.__code__,
-    Connection._in_time.__code__,
+    Connection._run_in_time.__code__,
 }
 
 

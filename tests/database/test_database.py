@@ -19,8 +19,7 @@ import ssduck
 from ssduck.database.connection import Connection
 from ssduck.database.database import Database
 from ssduck.database.macros import TABLE_MACROS
-from ssduck.recording.static_tables import MODELS
-from ssduck.schema import ROWS, TABLES, second_names
+from ssduck.schema import MODELS, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.timing import HANGS
 
@@ -57,8 +56,8 @@ def sim():
 @pytest.mark.parametrize("table", TABLES)
 def test_every_table_is_there_with_its_columns(ss, table):
     for name in (table, f"kitchen.{table}"):
-        names = [column.name for column in TABLES[table]]
-        seconds = list(second_names(table).values())
+        names = list(TABLES[table].names)
+        seconds = list(TABLES[table].second_names.values())
         assert ss.sql(f"FROM {name} LIMIT 0").columns == names + seconds
 
 
@@ -524,7 +523,8 @@ def test_tables_columns_and_functions_are_commented(sim):
             "SELECT view_name, comment FROM duckdb_views() WHERE schema_name = 'sim'"
         ).fetchall()
     )
-    for name, row in ROWS.items():
+    for name, table in TABLES.items():
+        row = table.row
         assert views.pop(name) == f"A row is {row}."
         if name != "geometries":
             assert views.pop(f"{name}_history") == f"A row is {row}, at each recorded tick."

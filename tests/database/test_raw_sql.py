@@ -4,10 +4,8 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.recording.spec import RECORDABLE, Recording
-from ssduck.recording.static_tables import MODELS
-from ssduck.recording.stores.duckdb import history_name, model_name
-from ssduck.schema import TABLES, second_names
+from ssduck.recording.spec import Recording
+from ssduck.schema import MODELS, RECORDABLE, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 
 # A literal for each type of parameter; entities are the rows a and b.
@@ -186,15 +184,15 @@ def one():
 
 VIEWS = {
     **{table: table for table in TABLES},
-    **{history_name(table): table for table in ("entities", "contacts", "ticks")},
+    **{TABLES[table].history_view: table for table in ("entities", "contacts", "ticks")},
 }
 
 
 @pytest.mark.parametrize("view", VIEWS)
 def test_every_column_has_a_name_that_needs_no_quotes(one, view):
     table = VIEWS[view]
-    seconds = second_names(table)
-    names = [seconds.get(column.name, column.name) for column in TABLES[table]]
+    seconds = TABLES[table].second_names
+    names = [seconds.get(column.name, column.name) for column in TABLES[table].columns]
     for form in (
         "SELECT {list} FROM {view}",
         "SELECT {each} FROM {view}",
@@ -217,15 +215,16 @@ def test_every_column_has_a_name_that_needs_no_quotes(one, view):
 
 @pytest.mark.parametrize("table", MODELS)
 def test_what_entities_are_needs_no_quotes_either(one, table):
-    one.sql(f"SELECT {', '.join(MODELS[table])} FROM {model_name(table)}")
+    names = ", ".join(column.name for column in MODELS[table].model)
+    one.sql(f"SELECT {names} FROM {MODELS[table].model_view}")
 
 
 def test_the_contacts_have_second_names():
-    assert set(second_names("contacts")) >= {"by", "ny"}
-    assert second_names("contacts")["by"] == "point_b_y"
-    assert second_names("contacts")["nz"] == "normal_z"
-    others = [table for table in RECORDABLE if table != "contacts"]
-    assert not any(map(second_names, others))
+    second_names = TABLES["contacts"].second_names
+    assert set(second_names) >= {"by", "ny"}
+    assert second_names["by"] == "point_b_y"
+    assert second_names["nz"] == "normal_z"
+    assert not any(TABLES[table].second_names for table in RECORDABLE if table != "contacts")
 
 
 @pytest.mark.parametrize("name", [r.name for r in RELATIONS.values() if not r.alias_of])

@@ -12,7 +12,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.geometry.poses import compose, cross, multiply, rotate, rotation_matrices
-from ssduck.recording.spec import RECORDABLE
+from ssduck.schema import RECORDABLE
 
 ALL = Recording(tables=RECORDABLE)
 POSES = Recording()

@@ -11,14 +11,16 @@ import ssduck
 from ssduck import Recording
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
+from ssduck.recording.stores.base import TickStore
+from ssduck.schema import recorded_tables
 
 
-class Store:
-    """Keeps what it is given, when it may."""
-
-    keeps = False
+class Store(TickStore):
+    """Stores the rows that it is given, when it may."""
 
     def __init__(self) -> None:
+        self.recording = Recording()
+        self.tables = recorded_tables(self.recording.tables)
         self.failures = 0
         self.rows: list[dict[str, Any]] = []
 
@@ -127,4 +129,4 @@ def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World)
         for rows in kept:
             ticks = rows["tick"].to_pylist()
             assert ticks == [tick for tick in range(ticks[0], ticks[-1] + 1) for _ in range(3)]
-        assert len(ss._database._recorders.running[0].rings["entities"]._lent) < 30
+        assert len(ss._database._recorders.running[0].buffers["entities"]._lent) < 30

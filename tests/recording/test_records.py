@@ -25,7 +25,7 @@ from ssduck.errors import (
     SqlError,
     UnsupportedError,
 )
-from ssduck.recording.spec import RECORDABLE
+from ssduck.schema import RECORDABLE
 from tests.support.timing import HANGS
 from tools import kill
 
@@ -343,10 +343,10 @@ def folder(tmp_path_factory):
 def test_others_read_the_folder_as_it_is(folder, table):
     place = folder / table
     scanned = duckdb.sql(f"SELECT * FROM '{str(place).replace(chr(39), chr(39) * 2)}/**/*.parquet'")
-    columns = [column.name for column in ssduck.schema.TABLES[table]]
+    columns = ssduck.schema.TABLES[table].names
     assert scanned.columns == [*columns, "episode", "world"]
     kept = {"real": "DOUBLE", "integer": "BIGINT", "text": "VARCHAR", "flag": "BOOLEAN"}
-    types = [kept[column.type] for column in ssduck.schema.TABLES[table]]
+    types = [kept[column.type] for column in ssduck.schema.TABLES[table].columns]
     assert [str(type) for type in scanned.types[:-2]] == types
     assert [str(type) for type in scanned.types[-2:]] == ["BIGINT", "VARCHAR"]
     counts = {}
@@ -904,7 +904,7 @@ import resource, signal, sys
 import pybullet, ssduck
 from ssduck import Recording
 from ssduck.errors import SelectScriptError
-from ssduck.recording.spec import RECORDABLE
+from ssduck.schema import RECORDABLE
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 kind, path = sys.argv[1:]

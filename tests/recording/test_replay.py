@@ -11,7 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import EvaluationError, UnsupportedError
-from ssduck.recording.spec import RECORDABLE
+from ssduck.schema import RECORDABLE
 from tools import replay
 
 

@@ -13,7 +13,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import EvaluationError, SelectScriptError, SqlError
-from ssduck.recording.spec import RECORDABLE
+from ssduck.schema import RECORDABLE
 
 ALL = Recording(tables=RECORDABLE)
 # Of episode 0 and 1: how far the centres of two balls of radius 0.5 are apart, and the gap.

@@ -226,7 +226,7 @@ def test_a_tick_waits_when_both_are_full(
     thread.join(0.3)
     assert thread.is_alive()
     recorder = _recorder(recorded)
-    assert (len(recorder.ticks), recorder.rings["ticks"].count) == (2 * RING, RING)
+    assert (len(recorder.ticks), recorder.buffers["ticks"].count) == (2 * RING, RING)
     assert len(recorder._storing) == 1
     gate.opened.set()
     thread.join(60)

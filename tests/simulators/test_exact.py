@@ -18,7 +18,8 @@ import ssduck
 from ssduck.geometry.height_fields import height_field
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry
-from ssduck.recording.spec import RECORDABLE, Recording
+from ssduck.recording.spec import Recording
+from ssduck.schema import RECORDABLE
 
 LIBRARY = Path(pybullet_data.getDataPath())
 TETRA = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.123456789012345, 0.2, 1.0]]

@@ -17,8 +17,10 @@ import ssduck
 from ssduck.geometry.poses import flat_rotation_matrices, multiply, rotation_matrices
 from ssduck.interpreter import query_runner as queries
 from ssduck.recording.replay import batch_queries as many_ticks
-from ssduck.recording.stores.duckdb import NEAR_COLUMNS, POSE, PairRequest, near_rows
-from ssduck.recording.stores.memory import _near_of_two
+from ssduck.recording.stores.base import PAIR_COLUMNS, PairRequest
+from ssduck.recording.stores.history_sql import near_rows
+from ssduck.recording.stores.memory import _near_pair
+from ssduck.schema import POSE
 from ssduck.sql.relations.relation import BOX
 
 
@@ -181,9 +183,9 @@ def test_two_entities_picked_out_of_memory_are_those_of_sql(
 ) -> None:
     rows = pa.concat_tables(parts)
     asked = PairRequest(*ends, *pair, apart)
-    found, wanted = _near_of_two(rows, asked), near_rows(writer, None, asked, rows)
-    assert tuple(found.column_names) == tuple(wanted.column_names) == NEAR_COLUMNS
-    for name in NEAR_COLUMNS:
+    found, wanted = _near_pair(rows, asked), near_rows(writer, None, asked, rows)
+    assert tuple(found.column_names) == tuple(wanted.column_names) == PAIR_COLUMNS
+    for name in PAIR_COLUMNS:
         assert np.array_equal(
             np.asarray(found[name].to_numpy(), dtype=float),
             np.asarray(wanted[name].to_numpy(), dtype=float),

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.schema import MASSES
+from ssduck.schema import MASSES, ON_DEMAND, TABLES
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
-# Tables that are worked out of poses.
-_AS_READ = frozenset(("links", "joints", "shapes"))
+# Tables that are read from what stands for a simulator; the others are copied from the record.
+_READ = frozenset(name for name in ON_DEMAND if TABLES[name].key)
+_ENTITY_REALS = TABLES["entities"].tick_columns.reals
 
 
 class PastWorld(World):
@@ -28,7 +29,8 @@ class PastWorld(World):
         record = moment.record
         self._begin(posed, snapshot, record.world.name, record.world.camera)
         self._record = record
-        self._recorded = snapshot.tables["entities"].reals("time", "zmax").copy()
+        entities = snapshot.tables["entities"]
+        self._recorded = entities.block[entities.places(_ENTITY_REALS)].copy()
 
     @property
     def origin(self) -> World:
@@ -39,7 +41,7 @@ class PastWorld(World):
         super()._take()
         # Other tables are worked out of poses; this one is to the last digit as it was.
         entities = self.snapshot.tables["entities"]
-        entities.reals("time", "zmax")[:] = self._recorded
+        entities.block[entities.places(_ENTITY_REALS)] = self._recorded
         entities.written()
 
     def ask(self, tables: Iterable[str]) -> None:
@@ -47,7 +49,7 @@ class PastWorld(World):
         wanted = frozenset(tables)
         if MASSES in wanted:
             self._record.warn_of_masses()
-        super().ask(_AS_READ & wanted)
+        super().ask(_READ & wanted)
 
     def shapes(self) -> ShapeQueries:
         """The shapes of this tick, to be compared."""

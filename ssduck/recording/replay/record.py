@@ -28,7 +28,9 @@ from ssduck.recording.replay.batch_queries import LinkPosesOverTicks as LinkFram
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
-from ssduck.recording.stores.duckdb import POSE, PairRequest, not_recorded
+from ssduck.recording.spec import not_recorded
+from ssduck.recording.stores.base import PairRequest
+from ssduck.schema import ON_DEMAND, POSE, TABLES
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity, RecordedTick
 from ssduck.world.layout import EntityInfo, margins_of
@@ -312,9 +314,12 @@ def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
 
 def _untold(record: Record) -> dict[str, str]:
     """Tables whose rows nobody knows at a past tick, and why."""
-    tables = ("joints", "contacts", "sensings")
     world = record.world.name
-    return {table: not_recorded(table, world) for table in tables if table not in record.tables}
+    return {
+        table: not_recorded(table, world)
+        for table in ON_DEMAND - record.tables
+        if not TABLES[table].follows_from_poses
+    }
 
 
 def _numbers(column: pa.ChunkedArray) -> Array:

@@ -11,7 +11,7 @@ from ssduck import validation
 from ssduck.errors import EvaluationError
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, place_at
-from ssduck.recording.stores.duckdb import TickArchive
+from ssduck.recording.stores.base import TickArchive
 from ssduck.simulators.scenes import Camera
 from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.world import World

@@ -9,18 +9,18 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import rotation_matrices
-from ssduck.recording.buffers import FRAMES, STORED
 from ssduck.recording.replay.row_cache import RowCache
-from ssduck.recording.stores.duckdb import POSE
+from ssduck.schema import FRAMES, ON_DEMAND, POSE, TABLES
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
 
 _NAN = float("nan")
-# Tables that nobody but a simulator knows.
-_AS_RECORDED = frozenset(("contacts", "sensings"))
-_REALS = STORED["entities"].names_of_reals("entities")
+# Tables that only a simulator knows; their rows are copied from the record.
+_COPIED = frozenset(name for name in ON_DEMAND if not TABLES[name].key)
+_STATE = (*POSE, "vx", "vy", "vz", "wx", "wy", "wz")
+_ENTITY_REALS = TABLES["entities"].tick_columns.reals
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +80,9 @@ class SnapshotRestorer:
         by_id = np.argsort(rows["id"])
         listed = [member.id for member in placing.template.members]
         order = by_id[np.searchsorted(rows["id"][by_id], listed)]
-        reals = np.array([rows[name] for name in _REALS])[:, order]
-        states = np.concatenate((reals[1:14].T, self._states_of_links(tick)))
+        reals = np.array([rows[name] for name in _ENTITY_REALS])[:, order]
+        own_states = np.array([rows[name] for name in _STATE])[:, order].T
+        states = np.concatenate((own_states, self._states_of_links(tick)))
         states[placing.bases[:, 0], 7:] = states[placing.bases[:, 1], 7:]
         absent = {
             name: frozenset(
@@ -104,9 +105,10 @@ class SnapshotRestorer:
         snapshot.go_to(tick)
         snapshot.take(posed, members)
         # To the last digit as it was.
-        snapshot.tables["entities"].reals("time", "zmax")[:] = reals
-        snapshot.tables["entities"].written()
-        for table in _AS_RECORDED & self._tables:
+        entities = snapshot.tables["entities"]
+        entities.block[entities.places(_ENTITY_REALS)] = reals
+        entities.written()
+        for table in _COPIED & self._tables:
             told = self._rows.rows(table, tick)
             snapshot.tables[table].fill(len(told["tick"]), told)
         return posed
@@ -140,9 +142,8 @@ class SnapshotRestorer:
         """Of the links of bodies that have several: pose and velocities, (n, 13)."""
         rows = self._rows.rows(self._links, tick)
         keys = np.array([rows[name] for name in ("entity", "link")])
-        names = (*POSE, "vx", "vy", "vz", "wx", "wy", "wz")
         unknown = np.full(len(rows["tick"]), _NAN)
-        reals = [rows.get(name, unknown) for name in names]
+        reals = [rows.get(name, unknown) for name in _STATE]
         return np.array(reals)[:, np.lexsort(keys[::-1])].T
 
     def _joints(self, tick: int, layout: TableLayout) -> dict[Body, Array]:

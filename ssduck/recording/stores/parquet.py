@@ -22,11 +22,11 @@ from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import WHENEVER, Cut
-from ssduck.recording.buffers import FRAMES
 from ssduck.recording.episode import Episode
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import KEYS, MODELS, ShapeNumbers, models_of, told_of
+from ssduck.recording.static_tables import ShapeNumbers, model_rows, with_model
+from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     FORMAT,
@@ -36,7 +36,7 @@ from ssduck.recording.stores.parquet_layout import (
     check_about,
     part_name,
 )
-from ssduck.schema import TABLES
+from ssduck.schema import MODELS, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 
 if TYPE_CHECKING:
@@ -48,8 +48,10 @@ PART_TICKS = 2400
 _NAME_MAX = 255
 
 
-class ParquetWriter:
-    """Writes an episode of a world into a folder (`ssduck.recording.recorder.RowStore`).
+class ParquetStore(TickStore):
+    """An episode of a world that is written into a folder of Parquet files.
+
+    Its rows are read when the folder is opened (`ssduck.recording.stores.parquet_archive`).
 
     Args:
         path: the folder; it is made if it is not there.
@@ -60,12 +62,10 @@ class ParquetWriter:
         RecordError: there is a folder with something else in it, or it cannot be written.
     """
 
-    keeps = False
-
     def __init__(self, path: str | Path, world: str, recording: Recording) -> None:
         self.path = Path(path)
-        frames = () if "links" in recording.tables else (FRAMES,)
-        self.tables = ("ticks", *recording.tables, *frames)
+        self.recording = recording
+        self.tables = recorded_tables(recording.tables)
         self.run = _begun(self.path, world, self.tables, recording)
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
@@ -74,7 +74,7 @@ class ParquetWriter:
 
     def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
         """Keep what entities are, all or none of it."""
-        models = models_of(members, numbers, self._geometries)
+        models = model_rows(members, numbers, self._geometries)
         for table in sorted(models, key=lambda table: table == "entities"):
             self._write(f"models/{table}", self._told, models[table])
         for table, rows in models.items():
@@ -116,18 +116,17 @@ class ParquetWriter:
 
     def _whole(self, table: str, rows: pa.Table, entities: pa.Table) -> pa.Table:
         """The rows with what is fixed, as the table has them."""
-        if table == FRAMES:
+        if table not in TABLES:  # the poses of links are for ssduck alone
             return rows
-        if table not in KEYS:
-            return rows.select([column.name for column in TABLES[table]])
+        names = TABLES[table].names
+        if not TABLES[table].model:
+            return rows.select(names)
         if table == "links":
             rows = _ordered(pa.concat_tables([rows, self._bodies_as_links(rows, entities)]))
-        names = [column.name for column in TABLES[table]]
-        flags = [name for name in ("enabled", "visible") if name in rows.column_names]
-        for name in flags:
+        for name in TABLES[table].tick_columns.flags:
             place = rows.column_names.index(name)
             rows = rows.set_column(place, name, rows[name].cast(pa.bool_()))
-        return told_of(table, rows, self._models[table], names)
+        return with_model(table, rows, self._models[table], names)
 
     def _bodies_as_links(self, links: pa.Table, entities: pa.Table) -> pa.Table:
         """The links of bodies that have one: they are as the body."""
@@ -153,16 +152,8 @@ class ParquetWriter:
             ) from error
 
     def drop_before(self, tick: int) -> int:  # noqa: ARG002
-        """Drop nothing: a folder keeps all."""
+        """Drops nothing: a folder keeps all ticks."""
         return 0
-
-    def fetch(self, table: str, first: int, last: int) -> pa.Table:  # noqa: ARG002
-        """Refuse: what is in a folder is read by opening it."""
-        raise RecordError(f"{table}: open {self.path} to read what is recorded there")
-
-    def near(self, asked: Any, waiting: pa.Table | None) -> pa.Table:  # noqa: ARG002
-        """Refuse, as `fetch`."""
-        raise RecordError(f"open {self.path} to read what is recorded there")
 
 
 def _ordered(links: pa.Table) -> pa.Table:
@@ -194,7 +185,7 @@ class ParquetRecording:
     """
 
     def __init__(
-        self, world: World, recorder: Recorder, folder: ParquetWriter, recorders: list[Recorder]
+        self, world: World, recorder: Recorder, folder: ParquetStore, recorders: list[Recorder]
     ) -> None:
         self._world = world
         self._recorder = recorder

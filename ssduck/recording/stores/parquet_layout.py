@@ -33,8 +33,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, warn
-from ssduck.recording.buffers import FRAMES, TickBuffer
+from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
+from ssduck.schema import RECORDABLE
 
 FORMAT = "ssduck record"
 VERSION = 1
@@ -219,7 +220,7 @@ class FolderRun:
             self.world,
             self.number,
             started=self._told["started"],
-            tables=[table for table in self.tables if table not in ("ticks", FRAMES)],
+            tables=[table for table in self.tables if table in RECORDABLE],
             every=self.recording.get("every", 1),
             entities=None if entities is None else tuple(entities),
             ticks=ticks,

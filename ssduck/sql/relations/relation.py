@@ -35,7 +35,7 @@ ValueType: TypeAlias = Literal[
 class Parameter:
     """A parameter of a relation; optional ones come last.
 
-    They come together or not at all, but where a relation has a formula for the first one alone.
+    Either all optional ones are given or none, unless there is a formula for the first one alone.
     """
 
     name: str
@@ -47,6 +47,13 @@ class Parameter:
 @dataclass(frozen=True)
 class Relation:
     """A function of entities that runs as SQL.
+
+    >>> box = Parameter("object", "entity", "an entity")
+    >>> height = Relation("height", (box,), "real", "object.zmax - object.zmin", "Its height.")
+    >>> height.usage
+    'height(object) -> float'
+    >>> height.macro()
+    'CREATE OR REPLACE TEMP MACRO "height" (object) AS (object.zmax - object.zmin)'
 
     Attributes:
         name: its name in SelectScript and in SQL.
@@ -179,7 +186,7 @@ class Relation:
         return result | ({MARGINS} if uses_margins else frozenset())
 
     def _checked(self, tree: exp.Expr, schema: str) -> exp.Expr:
-        """A formula of rows that users give: they may be of another run, or changed."""
+        """A formula for rows of users' SQL: these may be of another run, or changed."""
         rows = [p.name for p in self.parameters if p.type in ("entity", "place")]
         if tree.find(exp.Placeholder) is not None:
             return _with_checked_ticks(in_schema(tree, schema), schema)
@@ -198,7 +205,7 @@ class Relation:
         return exp.case().when(exp.or_(*another), failing).else_(result)
 
     def _at_tick_of_rows(self, tree: exp.Expr, schema: str, rows: Sequence[str]) -> exp.Expr:
-        """A formula of what is looked up: now, or at the tick of rows that were recorded."""
+        """A formula that looks things up at the current tick, or at the tick of recorded rows."""
         if not self.recorded_formula:
             return tree
         first, *others = (exp.column("tick", table=row) for row in rows)
@@ -224,7 +231,7 @@ class Relation:
         return f"CREATE OR REPLACE {place} {_overloads(self, schema)}"
 
     def comment(self, schema: str | None = None) -> str:
-        """The statement that lets DuckDB's own list of functions say what the macro does.
+        """The statement that describes the macro in DuckDB's own list of functions.
 
         Args:
             schema: whose macro it is; without one, that for all.
@@ -236,7 +243,7 @@ class Relation:
         )
 
     def macro_body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
-        """A formula as a macro has it, in the schema that it looks things up in."""
+        """The body of a macro, with the schema in which it looks things up."""
         if not self.tables:
             return tree
         if schema is not None:
@@ -249,7 +256,7 @@ class Relation:
 
 
 def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
-    """Relations by their names; each second name is of a relation that differs in that only.
+    """Relations by their names; an alias is a relation that differs only in its name.
 
     Raises:
         ValueError: two have the same name.
@@ -276,7 +283,7 @@ CHECKED_TICK_UDF = "narrow tick"
 
 
 def _with_checked_ticks(formula: exp.Expr, schema: str) -> exp.Expr:
-    """A formula whose calls of the narrow phase look at whose rows they are about."""
+    """A formula whose calls of the narrow phase check that rows are of the world, and unchanged."""
 
     def checked(part: exp.Expr) -> exp.Expr:
         if not (isinstance(part, exp.Column) and part.name == "tick"):
@@ -295,7 +302,7 @@ LENIENT_PREFIX = "any "
 
 
 def _lenient_joints(tree: exp.Expr) -> exp.Expr:
-    """A formula for raw SQL, whose conditions come in no order: see `joints`."""
+    """A formula for raw SQL, whose conditions have no order: see `joints`."""
 
     def renamed(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Anonymous) and part.name.startswith("joints "):
