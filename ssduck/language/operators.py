@@ -110,7 +110,7 @@ def _is_endless(sign: str, left: Any, right: Any) -> bool:
 
 
 def check_size(value: Any, span: SourceSpan) -> None:
-    """Refuse a list of lists of lists that would take for ever to print or to compare.
+    """Rejects a nested list that would take forever to print or to compare.
 
     Raises:
         EvaluationError: it has more than `MOST_ELEMENTS`, all the way down.

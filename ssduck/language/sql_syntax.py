@@ -231,7 +231,7 @@ class SqlForms(Cursor):
     # -- clauses --------------------------------------------------------------------------
 
     def takes_distinct(self) -> bool:
-        """Take DISTINCT behind SELECT, where it is no name, and no call without a blank."""
+        """Takes DISTINCT after SELECT, unless it is a name or a call."""
         word, token = self.token, self.ahead()
         if word is None or token is None or not self.at_word("DISTINCT"):
             return False
@@ -311,7 +311,7 @@ class SqlForms(Cursor):
     # -- doubts ---------------------------------------------------------------------------
 
     def doubt(self, span: SourceSpan, message: str) -> None:
-        """Note what is probably a mistake."""
+        """Notes a probable mistake."""
         self.doubts.append(Suspicion(span, message))
 
     def note_condition(self, node: Node | None) -> None:

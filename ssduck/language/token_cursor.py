@@ -89,21 +89,21 @@ class Cursor:
         return is_word(self.token, *words)
 
     def take(self, kind: TokenType) -> Token | None:
-        """Take the current token if it is of that type."""
+        """Takes the current token if it is of that type."""
         if not self.at(kind):
             return None
         self.index += 1
         return self.tokens[self.index - 1]
 
     def take_words(self, *words: str) -> bool:
-        """Take a run of keywords (`GROUP BY`), or nothing."""
+        """Takes a sequence of keywords (`GROUP BY`), or nothing."""
         if all(is_word(self.ahead(offset), word) for offset, word in enumerate(words)):
             self.index += len(words)
             return True
         return False
 
     def expect(self, kind: TokenType, what: str) -> Token:
-        """Take a token of that type, which a message calls so.
+        """Takes a token of that type; `what` names it in the message if there is none.
 
         Raises:
             ParseError: something else comes next.
@@ -114,7 +114,7 @@ class Cursor:
         return taken
 
     def expect_word(self, word: str) -> None:
-        """Take a keyword.
+        """Takes a keyword.
 
         Raises:
             ParseError: something else comes next.
@@ -123,7 +123,7 @@ class Cursor:
             self.fail(f"expected {word}")
 
     def expect_name(self, what: str) -> Token:
-        """Take a name, which a message calls so.
+        """Takes a name; `what` names it in the message if there is none.
 
         Raises:
             ParseError: something else comes next.
@@ -133,7 +133,7 @@ class Cursor:
         return self.expect(TokenType.VAR, what)
 
     def expect_own_name(self, what: str) -> Token:
-        """Take a name that can be given to something."""
+        """Takes a name that a program may define."""
         if self.at_word("TRUE", "FALSE", "THIS"):
             self.fail(f"expected {what} (True, False and this are words of the language)")
         return self.expect_name(what)
@@ -160,7 +160,7 @@ class Cursor:
         return tuple(parts)
 
     def descend(self) -> None:
-        """Go one level deeper.
+        """Goes one nesting level deeper.
 
         Raises:
             ParseError: that is too deep.
@@ -172,7 +172,7 @@ class Cursor:
             )
 
     def fail(self, message: str) -> NoReturn:
-        """Complain of the current token.
+        """Raises the error for the current token.
 
         Raises:
             ParseError: always; with what to write instead of a word of SQL.

@@ -1,4 +1,4 @@
-"""Rows on their way to a store: full rings, and the thread that stores them while ticks go on."""
+"""Rows on their way to a store: full buffers, and the thread that stores them while ticks go on."""
 
 from __future__ import annotations
 

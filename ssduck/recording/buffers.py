@@ -18,7 +18,7 @@ from ssduck.geometry.arrays import Array
 from ssduck.schema import RECORDED
 
 # So many rows of a table wait at most to be stored.
-RING_ROWS = 1 << 17
+MOST_BUFFERED_ROWS = 1 << 17
 _LEAST_ROWS = 1024
 
 
@@ -90,7 +90,7 @@ class RowBuffer:
 
     def reserve(self, count: int, ticks: int) -> None:
         """Make room for some ticks of so many rows, beside what waits if it cannot be stored."""
-        wanted = max(min(count * ticks, RING_ROWS), count, _LEAST_ROWS)
+        wanted = max(min(count * ticks, MOST_BUFFERED_ROWS), count, _LEAST_ROWS)
         if self.takes(count) and wanted <= self.capacity:
             return
         waiting, before = slice(0, self.count), (self.integers, self.reals, self.flags)
@@ -134,7 +134,7 @@ class RowBuffer:
         return waiting
 
     def taken(self) -> pa.Table:
-        """What waits; the ring has nothing to do with it any more."""
+        """What waits; the buffer has nothing to do with it any more."""
         rows = self.rows()
         if 2 * self.count < self.capacity:
             rows = rows.take(pa.array(np.arange(self.count)))

@@ -1,4 +1,4 @@
-"""Writing what is kept of a world to a folder of Parquet files."""
+"""Exports the recorded ticks of a world to a folder of Parquet files."""
 
 from __future__ import annotations
 

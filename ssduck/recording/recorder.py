@@ -1,9 +1,8 @@
-"""Keeping the ticks of a world as they come.
+"""Records the ticks of a world as they come.
 
-A `Recorder` is told of each tick and copies its rows into rings (`ssduck.recording.buffers`). When
-a ring is full, all of them are given to a store together, so that what is stored ends with a whole
-tick. A store that takes its time gets them in a thread (`ssduck.recording.background_writer`),
-while the rings are filled anew.
+A `Recorder` copies the rows of each tick into buffers (`ssduck.recording.buffers`). When one is
+full, all of them go to a store together, so that the stored rows end with a whole tick. A store on a disk
+gets them in a thread (`ssduck.recording.background_writer`), while the buffers fill anew.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class Recorder:
         waits: so many ticks wait at most to be stored.
 
     Attributes:
-        rings: what waits to be stored, by table.
+        buffers: what waits to be stored, by table.
         ticks: those that are kept.
         members: the entities that they tell of, by id; of those that are gone, too.
         reweighed: the bodies whose masses are known to have changed since.
@@ -125,7 +124,7 @@ class Recorder:
         for table, count in counts.items():
             rows.copy(snapshot, table, self.buffers[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
-        if not snapshot.is_whole:  # where the ring has what is no number, the store has NULL
+        if not snapshot.is_whole:  # where the buffer has what is no number, the store has NULL
             failed = failed or self._tried(self.flush)
         if failed is not None:
             raise failed
@@ -154,7 +153,7 @@ class Recorder:
             self._storing.start()
 
     def _put(self) -> None:
-        """Empty the rings; what was in them waits in a batch."""
+        """Empty the buffers; what was in them waits in a batch."""
         if self.buffers["ticks"].count:
             self._storing.put({table: buffer.taken() for table, buffer in self.buffers.items()})
 

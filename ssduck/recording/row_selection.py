@@ -1,4 +1,4 @@
-"""Which rows of a tick's tables are kept, and copying them into rings."""
+"""Chooses the rows of a tick that are recorded, and copies them into buffers."""
 
 from __future__ import annotations
 
@@ -82,23 +82,23 @@ class RecordedRows:
         are_chosen = [np.isin(live[owner], self._ids) for owner in owners]
         return np.flatnonzero(np.logical_and.reduce(are_chosen))
 
-    def copy(self, snapshot: Snapshot, table: str, ring: RowBuffer, count: int) -> None:
-        """Copy the rows of a table, of which there are so many, into a ring."""
+    def copy(self, snapshot: Snapshot, table: str, buffer: RowBuffer, count: int) -> None:
+        """Copy the rows of a table, of which there are so many, into a buffer."""
         if table in self._picked or table == FRAMES:
-            ring.lay(self, count, lambda: self._fixed(snapshot, table))
-        run = ring.run(count)
-        ring.ticks[run] = snapshot.number
+            buffer.lay(self, count, lambda: self._fixed(snapshot, table))
+        run = buffer.run(count)
+        buffer.ticks[run] = snapshot.number
         if table == FRAMES:
-            self._copy_frames(snapshot, ring, run)
+            self._copy_frames(snapshot, buffer, run)
             return
         live: LiveTable = snapshot.tables[table]
         columns, picked = TABLES[table].tick_columns, self._selected(snapshot, table)
         reals = live.block[live.places(columns.reals)]
-        ring.reals[:, run] = reals if picked is None else reals[:, picked]
+        buffer.reals[:, run] = reals if picked is None else reals[:, picked]
         if table not in self._picked:
             for name in columns.integers[1:]:
                 column = live[name]
-                ring.integers[name][run] = column if picked is None else column[picked]
+                buffer.integers[name][run] = column if picked is None else column[picked]
 
     def _fixed(self, snapshot: Snapshot, table: str) -> dict[str, npt.NDArray[Any]]:
         """The columns of integers and flags, but for the ticks."""
@@ -112,16 +112,16 @@ class RecordedRows:
         fixed |= {name: live.flags(name) for name in columns.flags}
         return {n: values if picked is None else values[picked] for n, values in fixed.items()}
 
-    def _copy_frames(self, snapshot: Snapshot, ring: RowBuffer, run: slice) -> None:
-        ring.reals[0, run] = snapshot.time
+    def _copy_frames(self, snapshot: Snapshot, buffer: RowBuffer, run: slice) -> None:
+        buffer.reals[0, run] = snapshot.time
         first = run.start
         for own, (_, frames) in zip(self._frames, snapshot.parts, strict=True):
             if not len(own.places):
                 continue
             to = slice(first, first + len(own.places))
             first = to.stop
-            ring.reals[1:4, to] = frames.positions.take(own.places, axis=0).T
-            ring.reals[4:, to] = frames.states[:, 3:7].take(own.places, axis=0).T
+            buffer.reals[1:4, to] = frames.positions.take(own.places, axis=0).T
+            buffer.reals[4:, to] = frames.states[:, 3:7].take(own.places, axis=0).T
 
 
 @dataclass(frozen=True, eq=False)

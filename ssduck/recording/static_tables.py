@@ -1,4 +1,4 @@
-"""What entities are, as rows: what is the same at each recorded tick, there and back."""
+"""Turns entities into the rows of their models, and back: the columns that no tick changes."""
 
 from __future__ import annotations
 

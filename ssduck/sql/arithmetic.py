@@ -113,7 +113,7 @@ def _remainder(
 def _unless_zero(
     context: StatementContext, node: Binary, right: SqlValue, sql: exp.Expr, tag: SqlType
 ) -> exp.Expr:
-    """Fail where the divisor is 0; SQL would yield nothing there."""
+    """Makes the statement fail where the divisor is 0; SQL would yield NULL."""
     if isinstance(node.right, tree.Literal) and node.right.value:
         return exp.paren(sql)
     context.note_possible_failure()

@@ -39,7 +39,7 @@ class QueryTicks:
         self.present: set[str] = set()
 
     def join_entities(self, values: dict[str, SqlValue]) -> None:
-        """Take entities as they were at the tick of those that are of a recorded one.
+        """Joins the rows of handles at the tick of the entities that are of a recorded one.
 
         A handle goes with its world; in a query of the past it goes with that.
         """
@@ -99,7 +99,7 @@ class QueryTicks:
         return self.joined_entities[key].value
 
     def note_single_entity(self, alias: str, other: Callable[[], SqlValue]) -> None:
-        """Note that a source's element is one entity.
+        """Notes that a source's element is always one entity.
 
         Args:
             alias: of the source.

@@ -14,7 +14,7 @@ from ssduck.geometry import gjk
 from ssduck.geometry.batch import PairPredicate, box_depths
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.narrow_phase import MIN_DEPTH
-from ssduck.geometry.queries import FEW, ShapeQueries
+from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import MOST_IDS
@@ -341,7 +341,7 @@ def test_many_questions_are_answered_together():
     every = list(itertools.combinations(numbers, 2))
     meeting = [pair for pair in every if boxes_apart(tick, *pair) <= 0.05]
     unknown = [(149, 150), (151, 150)]
-    assert len(meeting) > 2 * FEW
+    assert len(meeting) > 2 * MIN_PAIRS_AT_ONCE
     for i, j in [*meeting, *unknown, *every[:200]]:
         assert shapes.collides(j, i, MIN_DEPTH) is alone.collides(i, j)
         near = alone.clearance(i, j)

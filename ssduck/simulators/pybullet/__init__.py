@@ -1,5 +1,5 @@
-"""PyBullet, behind the interface of `ssduck.simulators`.
+"""PyBullet behind the interface of `ssduck.simulators`.
 
-`backend` is the entry: it makes simulations, copies them and saves them. `simulator` runs one; the
-other modules read its bodies and set them. No other package of ssduck imports PyBullet.
+`backend` is the entry point: it makes, copies and saves simulations. `simulator` runs one, and
+reads its bodies through the modules beside it. Nothing else in ssduck imports PyBullet.
 """

@@ -1,4 +1,4 @@
-"""What PyBullet does for worlds: the functions of `ssduck.simulators.backends.Backend`."""
+"""The functions of `ssduck.simulators.backends.Backend` for PyBullet."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["attach", "excerpt", "load", "scene_of"]
 
 
 def load(scene: Scene) -> PyBulletSimulator:
-    """A new PyBullet simulation of a scene.
+    """Starts a PyBullet simulation of a scene.
 
     Raises:
         SceneError: a model cannot be loaded: file, key and reason.
@@ -42,11 +42,12 @@ def attach(
     kinds: Mapping[int, Kind] | None,
     shapes: ShapesByBody | None = None,
 ) -> PyBulletSimulator:
-    """The user's own client: its number, or an object that holds it as `_client`.
+    """Wraps the user's own client: its number, or an object that holds it as `_client`.
 
     Raises:
         SimulatorError: the client is not connected.
-        SelectScriptError: a number is no body's, a kind is none, or a shape cannot be.
+        SelectScriptError: a number is not that of a body, or a kind is unknown.
+        ArgumentError: a shape is not valid.
     """
     number = getattr(client, "_client", client)
     if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
@@ -77,6 +78,6 @@ def attach(
 def scene_of(
     simulator: Simulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
 ) -> Scene:
-    """The scene that a simulation is, without its sensors; writes its models into a folder."""
+    """Describes a simulation as a scene, without its sensors; writes its models into a folder."""
     assert isinstance(simulator, PyBulletSimulator)
     return saving.scene_of(simulator, originals, tick, folder)

@@ -1,7 +1,7 @@
-"""What a PyBullet body is made of: its links, its joints, and its shapes in their link frames.
+"""Describes PyBullet bodies: their links, their joints, and their shapes in the link frames.
 
-PyBullet tells of a shape where it is relative to the link's centre of mass; the pose of that in
-the link frame is `com`. It does not tell all: see `_Reader.shapes`.
+PyBullet returns the pose of a shape relative to the link's centre of mass. The pose of that in the
+link frame is `com`. PyBullet does not return all shapes; see `_Reader.shapes`.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ class BodyDescription:
     """A body as it was read.
 
     Attributes:
-        body: what it is made of.
+        body: its links, joints and shapes.
         com: poses of the links' centres of mass in the link frames, (links, 3) and (links, 4).
-        exact: whether all its shapes are what PyBullet uses; else boxes stand in for some.
-        link_margins: what PyBullet told of the margins of each link; nothing if it was not asked.
+        exact: whether all its shapes are those that PyBullet uses; else boxes stand in for some.
+        link_margins: the margin of each link; empty if PyBullet was not asked.
     """
 
     body: Body
@@ -79,27 +79,27 @@ def describe(
     saved: SavedShapes | None = None,
     given: GivenShapes | None = None,
 ) -> BodyDescription:
-    """Read a body.
+    """Reads a body.
 
     Args:
         client: the client that has it.
         handle: its number.
-        name: instead of its own.
-        kind: instead of what its joints say.
-        saved: the shapes that PyBullet does not tell, of this body and others.
+        name: replaces its own name.
+        kind: replaces the kind that follows from its joints.
+        saved: the shapes that PyBullet only saves, of this body and others.
         given: the shapes that the caller knows.
 
     Raises:
-        ArgumentError: a shape is given that it does not have.
+        ArgumentError: a shape is given that the body does not have.
     """
     saved = saved or SavedShapes(client, [handle])
     return _Reader(client, handle, saved, given or {}).described(name, kind)
 
 
 def joint_of(info: tuple[Any, ...]) -> Joint:
-    """A joint from what getJointInfo tells; a range of nothing is PyBullet's for no limits.
+    """A joint from the result of `getJointInfo`; PyBullet's empty range means no limits.
 
-    Its axis is in the frame of the link's centre of mass yet.
+    Its axis is still in the frame of the link's centre of mass.
     """
     lower, upper = float(info[8]), float(info[9])
     limited = lower <= upper
@@ -116,12 +116,12 @@ def joint_of(info: tuple[Any, ...]) -> Joint:
 
 
 def wxyz(orientations: Array) -> Array:
-    """PyBullet's quaternions (n, 4) as ssduck's."""
+    """Converts PyBullet's quaternions (n, 4) into those of ssduck."""
     return orientations[:, [3, 0, 1, 2]]
 
 
 def xyzw(orientations: Array) -> Array:
-    """Ssduck's quaternions (n, 4) as PyBullet's."""
+    """Converts ssduck's quaternions (n, 4) into those of PyBullet."""
     return orientations[:, [1, 2, 3, 0]]
 
 
@@ -132,7 +132,7 @@ def com_of(client: int, handle: int) -> Pose:
 
 
 def masses_of(client: int, body: Body) -> list[float]:
-    """The masses of a body's links as they are now; of a soft body, as they are known."""
+    """The present masses of a body's links; of a soft body, the described ones."""
     links = range(-1, len(body.links) - 1)
     dynamics = [pybullet.getDynamicsInfo(body.handle, link, client) for link in links]
     # What PyBullet says of a soft body is no number of kilograms.
@@ -227,8 +227,8 @@ class _Reader:
     def shapes(self, link: int) -> Iterator[PlacedGeometry]:
         """The collision shapes of a link in its link frame (link 0 is the base).
 
-        What the caller gave comes first, then what PyBullet tells, then what it saves. Where all
-        of these leave a shape unknown, the box of the link stands in for all of its shapes.
+        Shapes that the caller gave come first, then those that PyBullet returns, then those that it
+        saves. If one shape is still unknown, the box of the link stands in for all of its shapes.
 
         Raises:
             ArgumentError: a shape is given that the link does not have.

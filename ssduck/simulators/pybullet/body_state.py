@@ -1,4 +1,4 @@
-"""Where bodies of a PyBullet client are, and what they are like: read there, and set elsewhere."""
+"""The state and the dynamics of PyBullet bodies: read from one client, set in another."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _LIMITS = {"jointLowerLimit": 8, "jointUpperLimit": 9}
 
 @dataclass(frozen=True)
 class BodyState:
-    """Where a body is in a client, as PyBullet tells and takes it.
+    """The state of a body in PyBullet's terms.
 
     Attributes:
         base: position and orientation (x, y, z, w) of the base's centre of mass.
         twist: its velocity and angular velocity.
-        joints: positions and velocities of each joint, as many numbers as it has; None for what
-            is left as it is.
+        joints: positions and velocities of each joint, as many numbers as it has; None for a joint
+            that is left as it is.
     """
 
     base: tuple[tuple[float, ...], tuple[float, ...]]
@@ -56,7 +56,7 @@ def state_of(client: int, handle: int) -> BodyState:
 
 
 def set_state(client: int, handle: int, body: Body, state: BodyState) -> None:
-    """Put a body into a state; what is so already is left to the last bit."""
+    """Sets the state of a body; equal values are not set, so that they keep their last bit."""
     if state_of(client, handle).base != state.base:
         pybullet.resetBasePositionAndOrientation(handle, *state.base, client)
     if state_of(client, handle).twist != state.twist:
@@ -73,7 +73,7 @@ def set_state(client: int, handle: int, body: Body, state: BodyState) -> None:
 
 
 def contacts_of(client: int, handles: Mapping[int, int]) -> list[tuple[Any, ...]]:
-    """What contacts there are: the bodies by other numbers, the links, places to 1e-9 m."""
+    """The contacts, with other numbers for the bodies, the links, and points rounded to 1e-9 m."""
     found = [
         (handles[a], link_a, handles[b], link_b, *(round(x, 9) for x in (*at_a, *at_b)))
         for _, a, b, link_a, link_b, at_a, at_b, *_ in pybullet.getContactPoints(
@@ -84,7 +84,7 @@ def contacts_of(client: int, handles: Mapping[int, int]) -> list[tuple[Any, ...]
 
 
 def copy_dynamics(source: int, original: int, client: int, handle: int) -> None:
-    """Set of masses, inertias, friction and the like what differs."""
+    """Copies masses, inertias, friction and the like as far as they differ."""
     count = pybullet.getNumJoints(handle, client)
     for link in range(-1, count):
         own = pybullet.getDynamicsInfo(handle, link, client)
@@ -109,7 +109,7 @@ def copy_dynamics(source: int, original: int, client: int, handle: int) -> None:
 def copy_colours(
     wanted: Sequence[tuple[int, int, Sequence[float]]], client: int, handle: int
 ) -> None:
-    """Draw a body in these colours, each told with the link and the number of the shape."""
+    """Colours a body; each colour comes with the link and the index of the shape."""
     own_colours = {(link, shape): colour for link, shape, colour in visual_colours(client, handle)}
     for link, shape, colour in wanted:
         own = own_colours.get((link, shape))

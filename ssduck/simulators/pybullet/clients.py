@@ -13,14 +13,14 @@ from ssduck.simulators.pybullet.console import pybullet
 
 @contextmanager
 def new_client() -> Iterator[int]:
-    """A new client, that is disconnected again if what is done with it fails.
+    """Connects a new client, and disconnects it if the body of the `with` statement fails.
 
     Raises:
-        SimulatorError: there are as many as PyBullet can have.
+        SimulatorError: PyBullet has no room for another client.
     """
     client = _connected()
     if client < 0:
-        # Worlds that nobody has any more may wait to be collected, and hold theirs so long.
+        # Worlds that are no longer referenced hold their clients until they are collected.
         gc.collect()
         client = _connected()
     if client < 0:

@@ -1,10 +1,10 @@
-"""The collision margins of PyBullet's shapes: how far apart things are that rest on each other.
+"""The collision margins of PyBullet's shapes: the distance at which they already touch.
 
-Bullet grows hulls and the triangles of concave meshes by a margin, and takes what is so near for
-touching. Boxes and cylinders shrink by it first, spheres and capsules are nothing but margin,
-half-spaces have none: these rest where their surfaces meet. PyBullet gives one number for each
-link. Where the link is a compound, which it is if it has several shapes, or one that is not in
-the frame of its centre of mass, that is the compound's own margin, which does nothing.
+Bullet grows hulls and the triangles of concave meshes by a margin. Boxes and cylinders shrink by it
+first, spheres and capsules consist of margin, half-spaces have none: for these, contact begins at
+the surface. PyBullet returns one number for each link. If the link is a compound (it has several
+shapes, or one that is not in the frame of its centre of mass), the number is the compound's own
+margin, which has no effect.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.interface import Body
 from ssduck.simulators.pybullet.console import pybullet
 
-# What PyBullet gives hulls and compounds, and concave meshes that are made by a call, metres.
+# PyBullet's default for hulls, compounds, and concave meshes that are made by a call, metres.
 DEFAULT = 1e-3
 _PADDED = ("hull", "mesh")
-# So little is a shape turned or shifted that is in the frame of its centre of mass.
-_NOTHING = 1e-9
+# The tolerance for a shape in the frame of its link's centre of mass.
+_POSE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class KnownMargins:
-    """What PyBullet tells of the margins of a link.
+    """The margin of a link as PyBullet returns it.
 
     Attributes:
-        margin: its number, metres; None where it tells none.
-        is_compound: whether that is of a compound of the shapes.
-        is_of_file: whether a shape is of a mesh file; such a hull is a compound of its own.
+        margin: metres; None if PyBullet returns none.
+        is_compound: whether it is the margin of a compound of the shapes.
+        is_of_file: whether a shape comes from a mesh file; such a hull is a compound of its own.
     """
 
     margin: float | None
@@ -44,15 +44,15 @@ class KnownMargins:
 def known_margins(
     dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None
 ) -> KnownMargins:
-    """What PyBullet tells of the margins of a link.
+    """The margin of a link as PyBullet returns it.
 
     Args:
-        dynamics: of `getDynamicsInfo`.
-        entries: of `getCollisionShapeData`; None where it is not to be asked.
+        dynamics: the result of `getDynamicsInfo`.
+        entries: the result of `getCollisionShapeData`; None if that must not be called.
     """
     if entries is None:
         return KnownMargins(None)
-    off = [np.abs((*entry[5], *entry[6][:3])).max() > _NOTHING for entry in entries]
+    off = [np.abs((*entry[5], *entry[6][:3])).max() > _POSE_TOLERANCE for entry in entries]
     is_of_file = any(
         entry[2] == pybullet.GEOM_MESH and entry[4] not in (b"", b"unknown_file")
         for entry in entries
@@ -63,12 +63,12 @@ def known_margins(
 def margin_of(type: str, known: KnownMargins) -> float:
     """The margin of a shape, metres.
 
-    What `changeDynamics` sets does not reach the hulls of a mesh file in a compound. Of a compound
-    of hulls it cannot be told whether a margin of 0 was set; it is taken for not set.
+    `changeDynamics` does not reach the hulls of a mesh file in a compound. A margin of 0 of a
+    compound of hulls may be set or not; it counts as not set.
 
     Args:
         type: of its geometry.
-        known: what PyBullet tells of its link.
+        known: the margin of its link.
     """
     if type not in _PADDED:
         return 0.0
@@ -91,9 +91,9 @@ def margins_of(client: int, body: Body, known: Sequence[KnownMargins]) -> list[f
     """The margins of a body's shapes as they are now, metres.
 
     Args:
-        client: the client that has it.
+        client: the client that has the body.
         body: the body.
-        known: what was told of each of its links when it came; nothing where its margins stay.
+        known: the margins of its links when it came; empty if its margins do not change.
     """
     links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if known else set()
     now = {

@@ -1,4 +1,4 @@
-"""PyBullet, imported without a word, and its C code's messages kept off the terminal."""
+"""Imports PyBullet silently, and captures the output of its C code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def captured() -> Iterator[list[str]]:
-    """Catch what C code prints meanwhile; at the end the list holds the lines."""
+    """Captures the output of C code; at the end the list holds the lines."""
     lines: list[str] = []
     saved: dict[int, int] = {}
     with tempfile.TemporaryFile() as sink:
@@ -31,7 +31,7 @@ def captured() -> Iterator[list[str]]:
             lines += sink.read().decode(errors="replace").splitlines()
 
 
-with captured():  # it prints its build time
+with captured():  # PyBullet prints its build time
     import pybullet
 
 __all__ = ["captured", "pybullet"]

@@ -1,4 +1,4 @@
-"""Fixed constraints by which a link of a body holds another body, in a PyBullet client."""
+"""Fixed constraints between a link of a body and another body."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from ssduck.simulators.scenes import ConstraintSpec
 
 
 def add_fixed_constraint(client: int, on: tuple[int, int], to: int) -> None:
-    """Tie the base of a body to a link, as they are now, with a fixed constraint.
+    """Connects the base of a body to a link, as they are, by a fixed constraint.
 
     Args:
         client: the client.
-        on: the number of a body, and PyBullet's of its link; -1 is the base.
+        on: the number of a body, and PyBullet's index of its link; -1 is the base.
         to: the number of the other body.
     """
     # Constraints are between frames of centres of mass.

@@ -1,19 +1,21 @@
-"""Copies of bodies in a new PyBullet client: what `World.excerpt` is made of.
+"""Copies bodies into a new PyBullet client, for `World.excerpt`.
 
 A body that ssduck loaded from a file is loaded from it again, with the same flags and in the same
-order; any other gets a model that is written of what PyBullet, or a record, tells of it. Then
-what differs is set: dynamics, colours, poses and velocities, joints, motors, constraints.
+order. Any other body gets a model that is written from what PyBullet, or a record, knows of it.
+Then the copy gets what differs: dynamics, colours, poses and velocities, joints, motors,
+constraints.
 
-What PyBullet does, as measured with 3.2.7:
+Measured with PyBullet 3.2.7:
 
-- A copy at load is the same to the last bit, and stays so: nothing is set that is so already.
-- `saveBullet` and `restoreState` of a file carry over contacts from client to client if links
-  have one shape each. Of a pair of bodies the importer restores one manifold, and into it the
-  last one that the file has of that pair; bodies of several shapes have many. Such copies find
-  their contacts anew, which shifts the kitchen by less than 0.1 mm in 2 s, as does a velocity
-  that is 1e-15 m/s off.
-- PyBullet does not tell the targets of motors (those of ssduck's own are remembered), damping of
-  bodies, filters of collisions, and textures.
+- A copy of a body as loaded is equal to the last bit, and stays so; equal values are not set.
+- `saveBullet` and `restoreState` of a file transfer contacts between clients if links have one
+shape
+  each. The importer restores one contact manifold for each pair of bodies, with the last one that
+  the file has of the pair; bodies of several shapes have many. Copies of such bodies find their
+  contacts anew, which shifts the kitchen by less than 0.1 mm in 2 s, as does a velocity that is off
+  by 1e-15 m/s.
+- PyBullet does not return the targets of motors (ssduck remembers its own), the damping of bodies,
+  collision filters, or textures.
 """
 
 from __future__ import annotations
@@ -70,18 +72,18 @@ from ssduck.simulators.scenes import BodySpec, Scene
 def excerpt(
     source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> PyBulletSimulator:
-    """A new simulation of some bodies as they are at a tick.
+    """Starts a simulation of some bodies as they are at a tick.
 
     Args:
-        source: what runs them, or the world that the tick is of, now; None if nobody does any
-            more.
+        source: the simulator of the world that the tick belongs to, as it is now; None if nothing
+            runs that world any more.
         originals: the bodies, in load order.
-        tick: when that is.
+        tick: the time of the tick and its flags.
 
     Raises:
         SimulatorError: the source does not answer, or there is no room for another client.
         UnsupportedError: a body is soft.
-        SceneError: a model's file cannot be loaded any more.
+        SceneError: a model file can no longer be loaded.
     """
     live = source if isinstance(source, PyBulletSimulator) else None
     if live is not None and _may_carry_contacts(live, originals, tick):
@@ -92,13 +94,13 @@ def excerpt(
 
 
 class _NotCarriedError(Exception):
-    """Contacts were carried over to others than those that they are of."""
+    """The restored contacts are not those of the source."""
 
 
 def _may_carry_contacts(
     source: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> bool:
-    """Whether the contacts of a client could be restored in a copy of all of it."""
+    """Whether the contacts of a client can be restored in a copy of all its bodies."""
     if len(originals) < source.count() or tick.disabled:
         return False
     shapes = [Counter(shape.frame for shape in o.body.shapes) for o in originals]
@@ -110,12 +112,12 @@ class _Copier:
     """Fills a client with copies.
 
     Attributes:
-        source: what runs the originals now, if anything does.
+        source: the simulator that runs the originals now, if any.
         client: the new client.
-        tick: when it is.
-        loaded: what is known of the copies.
-        handles: the copies' numbers.
-        guessed: what is not as it is in the source: names by what is said of them.
+        tick: the time of the tick and its flags.
+        loaded: knowledge about the copies.
+        handles: the numbers of the copies.
+        guessed: the names of bodies that differ from the originals, by the difference.
     """
 
     source: PyBulletSimulator | None
@@ -126,10 +128,10 @@ class _Copier:
     guessed: dict[str, list[str]] = field(default_factory=dict)
 
     def copied(self, originals: Sequence[BodyToCopy], *, carry: bool = False) -> PyBulletSimulator:
-        """Copy them; with the contacts that the solver knows of, if they are all there are.
+        """Copies bodies; on request with the contacts of the solver, if these are all bodies.
 
         Raises:
-            _NotCarriedError: other contacts are there then.
+            _NotCarriedError: the restored contacts are not those of the source.
         """
         self.loaded.time = self.tick.time
         self._set_up()
@@ -144,7 +146,7 @@ class _Copier:
         return PyBulletSimulator(self.client, owned=True, loaded=self.loaded)
 
     def _set_up(self) -> None:
-        """Gravity, time step and solver are as in the source."""
+        """Copies gravity, time step and solver settings from the source."""
         timestep, gravity = Scene.timestep, Scene.gravity
         if self.source is not None:
             told = self.source.parameters()
@@ -185,7 +187,7 @@ class _Copier:
         self.loaded.held = {h: o for h, o in self.loaded.held.items() if h in kept}
 
     def _origin_of(self, body: Body) -> tuple[BodySpec | None, int]:
-        """The entry of a scene that a body was loaded from, if it still can be."""
+        """The scene entry that a body was loaded from, if it can be loaded again."""
         if self.source is None or self._known(body) is None:
             return None, 0
         origin = self.source.loaded.origins.get(body.handle)
@@ -197,7 +199,7 @@ class _Copier:
         return None if self.source is None else self.source.description_of(body)
 
     def _load_written(self, original: BodyToCopy, folder: Path, number: int) -> int:
-        """Load a body by a model that is written of what is known of it."""
+        """Loads a body from a model that is written from the knowledge about it."""
         known = self._known(original.body)
         if known is None:
             model = guessed_model(original.body, original.link_poses, original.joints)
@@ -223,7 +225,7 @@ class _Copier:
         return handle
 
     def _finish(self, original: BodyToCopy) -> bool:
-        """Let a loaded body be as the original is at the tick; tells whether it is so still."""
+        """Gives a copy the state of its original; returns whether that is the present state."""
         body, handle = original.body, self.handles[original.body]
         known = self._known(body)
         com = com_of(self.client, handle)
@@ -248,7 +250,7 @@ class _Copier:
         return as_now
 
     def _is_as_now(self, original: BodyToCopy) -> bool:
-        """Whether a body is in the source as it was at the tick, to the last digit."""
+        """Whether a body is now as it was at the tick, to the last bit."""
         body = original.body
         if self.source is None or self._known(body) is None:
             return False
@@ -266,7 +268,7 @@ class _Copier:
         return bool((np.isnan(original.joints) | (joints == original.joints)).all())
 
     def _told_state(self, original: BodyToCopy, com: tuple[Array, Array], handle: int) -> BodyState:
-        """A body's state as the tick tells of it."""
+        """The state of a body at the tick."""
         link_poses = original.link_poses
         base = np.array([0])
         link = link_poses.positions[:1], link_poses.states[:1, 3:7]
@@ -288,7 +290,7 @@ class _Copier:
         )
 
     def _joints_by_frames(self, original: BodyToCopy, handle: int) -> Array:
-        """Positions of joints that nobody has noted, from where the links are; at rest."""
+        """The positions of joints that are not recorded, computed from the links; at rest."""
         body = original.body
         what = "velocities" if self._known(body) is not None else "positions and velocities"
         self._guess(f"{what} of joints are not recorded; they rest where links are", original)
@@ -310,7 +312,7 @@ class _Copier:
         return joints
 
     def _hold(self, original: BodyToCopy, state: BodyState, handle: int) -> None:
-        """Let motors hold joints where they do, or where they are at a tick that was before."""
+        """Makes motors hold joints as in the source, or at the positions of an earlier tick."""
         body = original.body
         held: Mapping[int, float] = {}
         now: BodyState | None = None

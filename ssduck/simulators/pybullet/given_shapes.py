@@ -1,8 +1,8 @@
-"""Shapes that a caller knows of bodies whose shapes PyBullet does not tell.
+"""Shapes that the caller gives for bodies whose shapes PyBullet does not return.
 
-A key says which shapes: a body, for all of its base; (body, link), for all of a link; or (body,
-link, number), for one of them. Bodies and links are PyBullet's numbers: the base is link -1. A
-value is a mesh in the frame of the link, in metres, or a list of meshes.
+A key selects shapes: a body, for all shapes of its base; (body, link), for all of a link; or (body,
+link, index), for one of them. Bodies and links are PyBullet's numbers: the base is link -1. A value
+is a mesh in the link frame, in metres, or a list of meshes.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _MESHES = "a trimesh.Trimesh, (vertices, faces), the path of a mesh file, or a l
 def given_shapes(
     client: int, handles: Sequence[int], shapes: ShapesByBody | None
 ) -> dict[int, GivenShapes]:
-    """The shapes that a caller gave, by body.
+    """The given shapes, by body.
 
     Raises:
-        ArgumentError: a key is none, there is no such body or link, two keys say the same, or a
-            value is no mesh.
+        ArgumentError: a key is not valid, there is no such body or link, two keys select the same
+            shapes, or a value is not a mesh.
     """
     found: dict[int, dict[tuple[int, int | None], Sequence[Geometry]]] = {}
     for key, value in (shapes or {}).items():
@@ -50,7 +50,7 @@ def given_shapes(
 
 
 def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int | None]:
-    """The body, the link (the base is 0) and the number that a key says."""
+    """The body, the link (the base is 0) and the index of a key."""
     parts = key if isinstance(key, tuple) else (key,)
     if not 1 <= len(parts) <= 3 or not all(map(validation.is_integer, parts)):
         raise ArgumentError(f"shapes: {short_repr(key)} is no key: a key is {_KEYS}")

@@ -1,4 +1,4 @@
-"""What PyBullet, or a record, tells of bodies and constraints, as models and scenes say it."""
+"""Describes bodies and constraints, as PyBullet or a record knows them, as models and scenes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ELEMENTS = {
 
 
 def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
-    """What a model's file would say of a body.
+    """The model of a body.
 
     Raises:
         UnsupportedError: it is soft.
@@ -61,7 +61,7 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
 
 
 def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
-    """What contacts with a link are like; 0 and -1 are what PyBullet begins with."""
+    """The contact parameters of a link, without PyBullet's defaults, 0 and -1."""
     contact = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
     return {element: value for element, value in contact.items() if value not in (0.0, -1.0)} | {
         "lateral_friction": float(dynamic[1])
@@ -69,7 +69,7 @@ def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
 
 
 def guessed_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel:
-    """What a record tells of a body; its masses are in the middles of its shapes."""
+    """The model of a recorded body, with the masses at the centres of its shapes."""
     positions = positions_by_link(body, joints)
     com = np.array([_middle(body, link) for link in range(len(body.links))])
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
@@ -85,7 +85,7 @@ def guessed_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel
 
 
 def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
-    """Where joints are, by link; of what nobody knows, 0 or the limit next to it."""
+    """The positions of joints by link; an unknown one is 0, or the limit nearest to 0."""
     found = {}
     for joint, states in zip(body.joints, joints, strict=True):
         if joint.type in SCALAR_JOINTS:
@@ -95,7 +95,7 @@ def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
 
 
 def _middle(body: Body, link: int) -> Array:
-    """The middle of a link's shapes in its frame, by the volumes of their boxes."""
+    """The centre of a link's shapes in its frame, weighted by the volumes of their boxes."""
     shapes = [replace(shape, frame=0) for shape in body.shapes if shape.frame == link]
     if not shapes or any(shape.geometry.type == "plane" for shape in shapes):
         return np.zeros(3)
@@ -124,7 +124,7 @@ def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
 
 
 def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, End, End]]:
-    """The constraints of a client, with the links that each is between; -1, -1 is the world."""
+    """The constraints of a client with the links that they connect; -1, -1 is the world."""
     names = {number: name for name, number in CONSTRAINTS.items()}
     for index in range(pybullet.getNumConstraints(client)):
         number = pybullet.getConstraintUniqueId(index, physicsClientId=client)

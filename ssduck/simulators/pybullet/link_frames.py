@@ -1,7 +1,6 @@
-"""Where the link frames of PyBullet's bodies are, and how they move.
+"""Reads the poses and velocities of the link frames of PyBullet's bodies.
 
-PyBullet reports centres of mass; `ssduck.simulators.pybullet.simulator` tells how link frames
-follow.
+PyBullet reports centres of mass. `ssduck.simulators.pybullet.simulator` explains the conversion.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ from ssduck.simulators.pybullet.bodies import Pose
 from ssduck.simulators.pybullet.console import pybullet
 
 _flatten = chain.from_iterable
-# Of a link's state: pose of the centre of mass; and linear and angular velocity.
+# Parts of a link's state: the pose of the centre of mass; linear and angular velocity.
 _pose = itemgetter(0, 1)
 _pose_and_twist = itemgetter(0, 1, 6, 7)
 
 
 class LinkPosesReader:
-    """Reads the frames of a fixed list of bodies: the way is worked out once, used every tick.
+    """Reads the link poses of a fixed list of bodies; the constructor prepares the reading.
 
     Args:
         bodies: the bodies.
-        com: of each, where its links' centres of mass are in the links' frames.
+        com: for each body, the poses of its links' centres of mass in the link frames.
     """
 
     def __init__(self, bodies: Sequence[Body], com: Sequence[Pose]) -> None:
@@ -50,7 +49,7 @@ class LinkPosesReader:
         self._shifted = bool(positions.any())
 
     def read(self, client: int, with_velocities: bool) -> LinkPoses:
-        """All frames as they are now, body after body; velocities of links if they are wanted."""
+        """The poses of all links as they are now, body after body; with velocities if requested."""
         links = map(
             pybullet.getLinkStates,
             self._linked,
@@ -83,10 +82,10 @@ _UNKNOWN = (((np.nan,),),)
 
 
 def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
-    """How many numbers the answers have, and where each frame's 13 are, (frames, 13).
+    """The number of values in the answers, and the places of each link's 13 values, (links, 13).
 
     The answers are the bases' poses, the bases' velocities, the links' states with or without
-    velocities, and an unknown number; a pose is x y z and the quaternion x y z w.
+    velocities, and an unknown value. A pose is x y z and the quaternion x y z w.
     """
     bases = len(counts)
     total = int(counts.sum())
@@ -103,5 +102,5 @@ def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
 
 
 def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:
-    """The frames of one body as they are now."""
+    """The link poses of one body as they are now."""
     return LinkPosesReader([body], [com]).read(client, with_velocities=True)

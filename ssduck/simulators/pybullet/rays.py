@@ -1,9 +1,9 @@
-"""Rays in a PyBullet client.
+"""Casts rays in a PyBullet client.
 
-PyBullet tells the nearest hit of a ray, or all its hits one by one, in no order. A ray that meets
-the body that it is to pass through is therefore cast again for its other hits, until it has no
-more; casting on from behind the hit would miss what touches that body, for Bullet does not see a
-convex shape that a ray begins in.
+PyBullet returns the first hit of a ray, or all its hits one by one, in no order. So a ray that hits
+the body that it passes through is cast again for its other hits, until it has no more. Casting on
+from behind the hit would miss bodies that touch that body, because Bullet ignores a convex shape
+that a ray begins in.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import RayHits
 from ssduck.simulators.pybullet.console import pybullet
 
-# PyBullet refuses more rays than its maximum in one call, and of as many it tells nothing.
+# PyBullet refuses more rays than its maximum in one call, and returns nothing for the maximum.
 MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
 # Waking other threads takes longer than casting fewer rays than this.
 WORTH_THREADS = 50
@@ -27,7 +27,7 @@ _fraction = itemgetter(2)
 
 
 def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayHits:
-    """The nearest hit of each ray, but for hits of the body that it passes through."""
+    """The first hit of each ray, ignoring the body that it passes through."""
     bodies, fractions = _cast(client, starts, ends)
     blocked = np.flatnonzero((bodies == through) & (bodies >= 0))
     if blocked.size:
@@ -38,7 +38,7 @@ def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayH
 
 
 def _behind(client: int, starts: Array, ends: Array, through: Indices) -> tuple[Indices, Array]:
-    """The nearest of all hits but those of the bodies that the rays pass through."""
+    """The first of all hits, ignoring the bodies that the rays pass through."""
     bodies = np.full(len(starts), -1, dtype=np.intp)
     fractions = np.ones(len(starts))
     left = np.arange(len(starts))
@@ -55,7 +55,7 @@ def _behind(client: int, starts: Array, ends: Array, through: Indices) -> tuple[
 
 
 def _cast(client: int, starts: Array, ends: Array, number: int = -1) -> tuple[Indices, Array]:
-    """The bodies and the fractions of the nearest hits, or of those of that number."""
+    """The bodies and fractions of the first hits, or of the hits with an index."""
     total = len(starts)
     threads = 1 if total < WORTH_THREADS else _ALL_THREADS
     hits = [

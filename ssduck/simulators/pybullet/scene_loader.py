@@ -1,4 +1,4 @@
-"""Loading a scene's models into a PyBullet client."""
+"""Loads the models of a scene into a PyBullet client."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MARK = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
 
 @dataclass(frozen=True, eq=False)
 class SceneOrigin:
-    """Which entry of a scene a body was loaded from, and which of the bodies in its file it is."""
+    """The scene entry that a body was loaded from, and the body's index in the entry's file."""
 
     spec: BodySpec
     number: int
@@ -44,18 +44,18 @@ class SceneOrigin:
 
 @dataclass(eq=False)
 class LoadedBodies:
-    """What is known of the bodies that ssduck put into a client, by PyBullet body number.
+    """Knowledge about the bodies that ssduck loaded into a client, by PyBullet body number.
 
     Attributes:
-        names: as the scene says.
-        kinds: as the scene says.
-        origins: where bodies come from that were loaded from a file.
-        held: by links, where motors hold joints.
-        described: bodies of which it is known what they are made of.
-        disabled: bodies that are to take no part in collisions.
-        hidden: bodies that are not to be drawn.
-        time: that it is to begin with, s.
-        elastic: whether nothing is to lose energy.
+        names: the names in the scene.
+        kinds: the kinds in the scene.
+        origins: the scene entries of bodies that were loaded from a file.
+        held: the positions that motors hold, by link.
+        described: bodies that are described already.
+        disabled: bodies that begin without collisions.
+        hidden: bodies that begin hidden.
+        time: the initial simulated time, s.
+        elastic: whether nothing loses energy.
     """
 
     names: dict[int, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class LoadedBodies:
 
 
 def load_models(scene: Scene, client: int) -> LoadedBodies:
-    """Fill a new client with a scene.
+    """Fills a new client with a scene.
 
     Raises:
         SceneError: a model cannot be loaded, or a constraint cannot be made: file, key and reason.
@@ -92,7 +92,7 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
 
 
 def set_elastic(client: int) -> None:
-    """Let collisions lose no energy, whatever is loaded."""
+    """Makes the collisions of a client elastic."""
     pybullet.setPhysicsEngineParameter(
         # Slow contacts bounce, too, and none is pushed apart afterwards, which would speed it up.
         restitutionVelocityThreshold=0.0,
@@ -102,7 +102,7 @@ def set_elastic(client: int) -> None:
 
 
 def make_elastic(handle: int, client: int) -> None:
-    """Let a body lose no energy: neither where it meets something nor in between."""
+    """Makes a body elastic and frictionless, without damping."""
     for link in range(-1, pybullet.getNumJoints(handle, client)):
         pybullet.changeDynamics(
             handle,
@@ -121,26 +121,26 @@ def make_elastic(handle: int, client: int) -> None:
 
 
 def set_solver_settings(engine: Mapping[str, int], client: int) -> None:
-    """Set how the solver works, by the names of `Engine`; nothing that is so already."""
+    """Sets the solver, by the names of `Engine`; equal values are not set."""
     for name, value in engine.items():
         if solver_settings(client)[name] != value:
             pybullet.setPhysicsEngineParameter(physicsClientId=client, **{_ENGINE[name]: value})
 
 
 def solver_settings(client: int) -> dict[str, int]:
-    """How the solver works, by the names of `Engine`."""
+    """The settings of the solver, by the names of `Engine`."""
     told = pybullet.getPhysicsEngineParameters(client)
     return {name: int(told[called]) for name, called in _ENGINE.items()}
 
 
 def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
-    """Load an entry of a scene; gives the numbers of its bodies, of which a file may have some.
+    """Loads a scene entry and returns the numbers of its bodies; a file may hold several.
 
     Args:
         spec: the entry.
-        place: what errors say where it is.
-        loaded: is told of them.
-        client: where to.
+        place: its place in errors.
+        loaded: receives the bodies.
+        client: the client.
 
     Raises:
         SceneError: the model cannot be loaded: file, key and reason.
@@ -165,7 +165,7 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
 
 
 def load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
-    """Load a model file; an SDF or MJCF file may hold several bodies."""
+    """Loads a model file; an SDF or MJCF file may hold several bodies."""
     file = str(spec.model)
     suffix = spec.model.suffix.lower()
     with captured() as lines:
@@ -206,13 +206,13 @@ def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
 
 
 def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[int, float]:
-    """Set the initial joint states, and let motors hold joints with limits where they are.
+    """Sets the initial joint states, and makes motors hold joints with limits.
 
-    A joint that the scene does not set is at 0, or at its limit next to 0. Joints without
-    limits are wheels and the like; their motors hold them at velocity 0.
+    A joint that the scene does not set is at 0, or at its limit nearest to 0. Joints without limits
+    are wheels and the like; their motors hold velocity 0.
 
     Returns:
-        Where they are held, by link; none if PyBullet's own motors are left as they are.
+        The positions that are held, by link; empty if PyBullet's own motors are left as they are.
     """
     count = pybullet.getNumJoints(handle, client)
     joints = [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
@@ -235,13 +235,13 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
 
 
 def hold_joint(handle: int, joint: Joint, value: float, client: int) -> None:
-    """Let a joint's motor hold it there; one without limits is held at velocity 0."""
+    """Makes a joint's motor hold a position; velocity 0 for a joint without limits."""
     position = None if joint.lower is None else value
     set_motor(handle, joint.link, MotorTarget(position, 0.0, joint.max_effort or 0.0, None), client)
 
 
 def set_motor(handle: int, link: int, motor: MotorTarget, client: int) -> None:
-    """Let the motor of a link's joint act so from the next step on."""
+    """Sets the motor of a link's joint for the next steps."""
     bounds: dict[str, Any] = {} if motor.speed is None else {"maxVelocity": motor.speed}
     target: dict[str, Any] = (
         {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": motor.velocity}
@@ -254,7 +254,7 @@ def set_motor(handle: int, link: int, motor: MotorTarget, client: int) -> None:
 
 
 def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place: str) -> None:
-    """Complain of a joint that is not there, or cannot be put there."""
+    """Refuses a joint that does not exist or cannot be at a position."""
     known = {joint.name: joint for joint in joints}
     if name not in known:
         raise SceneError(f"{place} has no such joint", suggestions=nearest(name, known))
@@ -299,7 +299,7 @@ def _link_names(handle: int, client: int) -> list[str]:
 def make_constraint(
     spec: ConstraintSpec, on: tuple[int, int], to: tuple[int, int], client: int
 ) -> None:
-    """Make a constraint between two links, each a body's number and PyBullet's of the link."""
+    """Makes a constraint between two links, each a body number and PyBullet's link index."""
     number = pybullet.createConstraint(
         *on,
         *to,
@@ -339,6 +339,6 @@ def _range(joint: Joint) -> tuple[float, float]:
 
 
 def position_nearest_zero(joint: Joint) -> float:
-    """0, or a joint's limit next to it."""
+    """0, or the limit of a joint nearest to 0."""
     low, high = _range(joint)
     return min(max(0.0, low), high)

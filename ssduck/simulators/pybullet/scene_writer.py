@@ -1,4 +1,4 @@
-"""What a scene file says of a PyBullet client that ssduck filled, and the models that it needs."""
+"""Describes a PyBullet client that ssduck filled as a scene, and writes its models."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class _ModelWriter:
 
 
 def _needed(file: Path) -> list[Path] | None:
-    """The files that a URDF file names, from its folder; None if some lie elsewhere."""
+    """The files that a URDF file refers to, relative to its folder; None if some lie elsewhere."""
     try:
         root = ET.parse(file).getroot()  # noqa: S314  # PyBullet has read it
     except ET.ParseError:  # which PyBullet does not mind
@@ -167,5 +167,5 @@ def _needed(file: Path) -> list[Path] | None:
 
 
 def _file_name(name: str) -> str:
-    """A name with letters, digits, - and _ only."""
+    """A name with only letters, digits, - and _."""
     return re.sub(r"[^\w-]+", "_", name) or "body"

@@ -1,10 +1,9 @@
-"""PyBullet behind the interface of `ssduck.simulators.interface`.
+"""A PyBullet client as a `Simulator`.
 
-This module and its neighbours of the same prefix are the only ones that import pybullet.
-PyBullet reports the pose of a link's centre of mass; what leaves this module is the link
-frame: `X_W_link = X_W_com * inverse(X_link_com)`, X_link_com from `getDynamicsInfo`. Its
-quaternions are x, y, z, w. Its padded boxes are not used: shapes are read once and boxed
-exactly (ssduck.geometry.bounds).
+PyBullet reports the poses of the links' centres of mass; ssduck uses those of the link frames:
+`X_W_link = X_W_com * inverse(X_link_com)`, with X_link_com from `getDynamicsInfo`. PyBullet's
+quaternions are x, y, z, w. PyBullet's padded boxes are not used: shapes are read once and their
+boxes are computed exactly (`ssduck.geometry.bounds`).
 """
 
 from __future__ import annotations
@@ -51,11 +50,11 @@ from ssduck.simulators.scenes import Camera
 
 T = TypeVar("T")
 
-# What a camera's picture shows, metres: PyBullet's own bounds of a camera, about.
+# The depth range of sensors' images, metres: about that of PyBullet's own camera.
 NEAREST_DRAWN = 0.01
 FARTHEST_DRAWN = 100.0
 
-# Bullet's groups and masks of collisions: what cannot move meets all else but its like.
+# Bullet's collision groups and masks: fixed bodies collide with all bodies but fixed ones.
 _FREE, _FIXED = (1, -1), (2, -3)
 
 
@@ -64,17 +63,15 @@ class PyBulletSimulator:
 
     Args:
         client: the number of a connected client.
-        owned: whether ssduck made the client and disconnects it; else others may change it.
-        names: names of the bodies that are there now by PyBullet body number, instead of those
-            of the models.
-        kinds: kinds of these bodies, instead of robot for what has movable joints.
-        shapes: of these bodies, those that the caller knows.
-        loaded: what else is known of them if ssduck put them there.
+        owned: whether ssduck made the client and disconnects it; else the user may change it.
+        names: names of the present bodies by PyBullet body number, instead of those of the models.
+        kinds: kinds of these bodies, instead of robot for bodies with movable joints.
+        shapes: the shapes of these bodies that the caller knows.
+        loaded: what ssduck knows of bodies that it loaded.
 
     Attributes:
-        loaded: the same; where its motors hold joints is kept there.
-        clock: counts the simulated time: the steps that ssduck runs, and in a client of
-            the user's those that ticks tell of.
+        loaded: the same; updated with the positions that motors hold.
+        clock: counts the steps that ssduck runs; in a client of the user's, it follows the ticks.
     """
 
     backend = "pybullet"
@@ -91,14 +88,14 @@ class PyBulletSimulator:
     ) -> None:
         self.client = client
         self.is_external = not owned
-        # Of a client that ssduck filled.
+        # Empty for a client that ssduck did not fill.
         self.loaded = loaded or LoadedBodies()
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
         self._given = dict(shapes or {})
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
-        # Of hidden bodies: link, number among its visual shapes, colour.
+        # The colours of hidden bodies: link, index among its visual shapes, colour.
         self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
         self._known: dict[int, BodyDescription] = {}
         # Two worlds on one client must not take each other's tags for their own.
@@ -107,8 +104,8 @@ class PyBulletSimulator:
         self._described = False
         # Bodies that were removed since `describe` was called.
         self._removed: list[Body] = []
-        # Why the client is not to be asked any more. PyBullet gives the number of one that is
-        # gone to the next one, which is none of ours.
+        # The reason why the client must not be used any more. PyBullet reuses the number of a
+        # client that is gone.
         self._lost: str | None = None
         self._layout: tuple[tuple[Body, ...], LinkPosesReader] = ((), LinkPosesReader([], []))
         self.clock = Clock(self._clients_timestep(), self.loaded.time)
@@ -116,10 +113,10 @@ class PyBulletSimulator:
     # -- bodies ---------------------------------------------------------------------------
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """Bodies that came and went since the last call.
+        """The bodies that came and went since the last call.
 
-        PyBullet gives the number of a removed body to the next one at once, so every known
-        body carries a tag (user data, which goes with it) that tells the two apart.
+        PyBullet reuses the number of a removed body at once. So every known body carries a tag
+        (user data, which is removed with it) that tells the two apart.
         """
         if self._described and not self.is_external:
             gone, self._removed = self._removed, []
@@ -132,20 +129,20 @@ class PyBulletSimulator:
         kept = {h for h, tag in zip(handles, tags, strict=True) if known.get(h) == tag}
         unknown = [handle for handle in handles if handle not in kept]
         saved = SavedShapes(self.client, unknown)
-        with captured():  # PyBullet mutters about shapes that it does not tell
+        with captured():  # PyBullet prints warnings about shapes that it does not return
             new = self._call(lambda: {handle: self._read(handle, saved) for handle in unknown})
         _warn_of_guesses([one.body for one in new.values() if not one.exact])
         gone = [one.body for handle, one in self._known.items() if handle not in kept]
         self._forget(gone)
         self._known = {handle: self._known[handle] for handle in kept} | new
         self._listed = handles, self._call(lambda: self._tags_of(handles))
-        # They were said of the bodies of that time, not of later ones of the same numbers.
+        # They hold for the bodies of that time, not for later bodies with the same numbers.
         self._names, self._kinds, self._given, self._described = {}, {}, {}, True
         self._begin_absent()
         return [one.body for one in new.values()], gone
 
     def _begin_absent(self) -> None:
-        """Let bodies be what they begin as: without collisions, or not drawn."""
+        """Switches off the bodies that begin without collisions or hidden."""
         for handle in self.loaded.disabled:
             self.enable(self._known[handle].body, on=False)
         for handle in self.loaded.hidden:
@@ -153,9 +150,9 @@ class PyBulletSimulator:
         self.loaded.disabled, self.loaded.hidden = set(), set()
 
     def remove(self, body: Body) -> None:
-        """Take a body out of a client that ssduck made."""
+        """Removes a body from a client that ssduck made."""
         self._call(lambda: pybullet.removeBody(body.handle, self.client))
-        # What rested on it is to fall with the next step.
+        # Bodies that rested on it must fall with the next step.
         self._call(lambda: pybullet.performCollisionDetection(self.client))
         self._forget([body])
         del self._known[body.handle]
@@ -164,7 +161,7 @@ class PyBulletSimulator:
         self._removed.append(body)
 
     def description_of(self, body: Body) -> BodyDescription | None:
-        """What was read of a body, if the client has it still."""
+        """The description of a body, if the client still has the body."""
         known = self._known.get(body.handle)
         if known is None or known.body is not body or self._lost is not None:
             return None
@@ -177,11 +174,11 @@ class PyBulletSimulator:
         return known
 
     def count(self) -> int:
-        """How many bodies the client has now."""
+        """The number of bodies that the client has now."""
         return self._call(lambda: int(pybullet.getNumBodies(self.client)))
 
     def visual_colours(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
-        """What a body is drawn in, or would be: link, number among its visual shapes, colour."""
+        """The colours of a body, shown or hidden: link, index among its visual shapes, colour."""
         return self._colours.get(body) or self._call(
             lambda: visual_colours(self.client, body.handle)
         )
@@ -214,20 +211,20 @@ class PyBulletSimulator:
 
     @property
     def time(self) -> float:
-        """Simulated seconds, as the clock has counted them."""
+        """Simulated seconds, as counted by the clock."""
         return self.clock.time
 
     @property
     def timestep(self) -> float:
-        """Simulated seconds that the next step takes, as the client is set now."""
+        """The length of the next step, simulated seconds, as the client is set now."""
         return self._clients_timestep()
 
     def set_clock(self, clock: Clock) -> None:
-        """Go by another clock from now on."""
+        """Replaces the clock."""
         self.clock = clock
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
-        """All frames of these bodies as they are now, body after body."""
+        """The poses of all links of some bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
             self._layout = (
                 bodies,
@@ -236,7 +233,7 @@ class PyBulletSimulator:
         return self._call(lambda: self._layout[1].read(self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Position, velocity and effort of these bodies' joints, (joints, 3)."""
+        """Position, velocity and effort of the joints of some bodies, (joints, 3)."""
 
         def read() -> Iterator[tuple[float, float, float]]:
             for body in bodies:
@@ -248,7 +245,7 @@ class PyBulletSimulator:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The masses of these bodies' links as they are now; of what is gone, as they were."""
+        """The masses of the links of some bodies; of a body that is gone, the last ones."""
         there = self._are_there(bodies)
         client = self.client
         return self._call(
@@ -256,20 +253,20 @@ class PyBulletSimulator:
         )
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The collision margins of these bodies' shapes; of what is gone, as they were."""
+        """The collision margins of the shapes of some bodies; of one that is gone, the last."""
         told = {body: self._known[body.handle].link_margins for body in self._are_there(bodies)}
         return self._call(
             lambda: [margins_of(self.client, body, told.get(body, ())) for body in bodies]
         )
 
     def _are_there(self, bodies: Sequence[Body]) -> set[Body]:
-        """Those of the bodies that the client still has."""
+        """The bodies that the client still has."""
         tags = dict(zip(*self._listed, strict=True))
         now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
         return {b for b, tag in zip(bodies, now, strict=True) if tag == tags.get(b.handle)}
 
     def read_contacts(self) -> Iterable[Contact]:
-        """The points of the last step at which shapes meet; PyBullet's near misses left out."""
+        """The contact points of the last step, without PyBullet's points of separate shapes."""
         for entry in self._call(lambda: pybullet.getContactPoints(physicsClientId=self.client)):
             if entry[8] <= 0.0:
                 yield Contact(
@@ -286,18 +283,18 @@ class PyBulletSimulator:
                 )
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """The nearest body that each ray meets; see `ssduck.simulators.pybullet.rays`."""
+        """The first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
         return self._call(lambda: cast_rays(self.client, starts, ends, through))
 
     def step(self, count: int) -> None:
-        """Advance by that many steps."""
+        """Advances by a number of steps."""
         timestep = self._clients_timestep()
 
         def run() -> None:
             done = 0
             try:
                 for _ in range(count):
-                    # Ctrl-C is heard behind the call: what is counted before has been run.
+                    # Ctrl-C is handled after the call, so that a step is counted before it runs.
                     done += 1
                     pybullet.stepSimulation(self.client)
             finally:
@@ -306,16 +303,16 @@ class PyBulletSimulator:
         self._call(run)
 
     def _clients_timestep(self) -> float:
-        """Whoever made the client may set it at any time."""
+        """The client's time step, which the user may change at any time."""
         return float(self.parameters()["fixedTimeStep"])
 
     def parameters(self) -> dict[str, Any]:
-        """What PyBullet tells of gravity, time step and solver."""
+        """PyBullet's parameters of gravity, time step and solver."""
         told: dict[str, Any] = self._call(lambda: pybullet.getPhysicsEngineParameters(self.client))
         return told
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
-        """Put a body's base link frame there, at rest."""
+        """Puts the base link frame of a body at a pose, at rest."""
         com = self._known[body.handle].com
         place, turn = compose(position[None], orientation[None], com[0][:1], com[1][:1])
 
@@ -329,9 +326,9 @@ class PyBulletSimulator:
         self._call(put)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
-        """Set joints by the numbers of their links, at rest.
+        """Sets joints by the indices of their links, at rest.
 
-        The motors of a client that ssduck made go on holding, at the new positions.
+        The motors of a client that ssduck made hold the new positions.
         """
 
         def put() -> None:
@@ -345,7 +342,7 @@ class PyBulletSimulator:
         self._call(put)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        """Set motors of joints by the numbers of their links; they act in the next steps."""
+        """Sets motors of joints by the indices of their links for the next steps."""
 
         def put() -> None:
             for link, motor in motors.items():
@@ -354,11 +351,11 @@ class PyBulletSimulator:
         self._call(put)
 
     def has_constraint(self, body: Body, other: Body) -> bool:
-        """Whether a fixed constraint is between a link of a body and the base of another."""
+        """Whether a fixed constraint connects a link of a body to the base of another."""
         return bool(self._call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
-        """Make a fixed constraint between a link of a body and the base of another, as they are."""
+        """Adds a fixed constraint between a link of a body and the base of another, as they are."""
         self._call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
 
     def remove_constraint(self, body: Body, other: Body) -> None:
@@ -371,10 +368,10 @@ class PyBulletSimulator:
         self._call(remove)
 
     def enable(self, body: Body, on: bool) -> None:
-        """Let a body take part in collisions, or not.
+        """Switches the collisions of a body on or off.
 
-        PyBullet does not tell what it may collide with; afterwards it is what PyBullet begins
-        with.
+        PyBullet does not return collision filters. A body that is switched on again gets the
+        default ones.
         """
         if on == (body not in self.disabled):
             return
@@ -392,7 +389,7 @@ class PyBulletSimulator:
         self.disabled = self.disabled - {body} if on else self.disabled | {body}
 
     def show(self, body: Body, on: bool) -> None:
-        """Draw a body in the colours that it had, or do not."""
+        """Shows a body in the colours that it had, or hides it."""
         if on == (body not in self.hidden):
             return
         colours = self.visual_colours(body)
@@ -411,11 +408,11 @@ class PyBulletSimulator:
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        """A colour picture by PyBullet's software renderer, (height, width, 3)."""
+        """The colour image of a camera by PyBullet's software renderer, (height, width, 3)."""
         return self._drawn(width, height, *_seen(camera, width, height), shadow=shadow)
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """The number of the body that each pixel of that picture shows, -1 for none."""
+        """The number of the body in each pixel of that image, (height, width); -1 for none."""
         view, lens = _seen(camera, width, height)
         bodies = self._call(
             lambda: pybullet.getCameraImage(
@@ -430,7 +427,7 @@ class PyBulletSimulator:
         return np.asarray(bodies, dtype=np.intp).reshape(height, width)
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        """A colour picture by PyBullet's software renderer, without shadows."""
+        """The colour image of a camera on a body, by PyBullet's software renderer."""
         target = view.position + view.matrix[:, 0]
         seen = pybullet.computeViewMatrix(
             view.position.tolist(), target.tolist(), view.matrix[:, 2].tolist()
@@ -463,7 +460,7 @@ class PyBulletSimulator:
         return np.ascontiguousarray(pixels[:, :, :3])
 
     def close(self) -> None:
-        """Take the tags off the bodies, and disconnect the client if ssduck made it."""
+        """Removes the tags from the bodies, and disconnects the client if ssduck made it."""
         if self._lost is not None:
             return
         self._lost = "the world is closed"
@@ -476,7 +473,7 @@ class PyBulletSimulator:
             pybullet.disconnect(self.client)
 
     def _call(self, function: Callable[[], T]) -> T:
-        """Call PyBullet; its errors say which of ssduck's they are."""
+        """Calls PyBullet and converts its errors into those of ssduck."""
         if self._lost is not None:
             raise SimulatorError(f"{self._lost}; load or attach the world again")
         try:
@@ -489,9 +486,9 @@ class PyBulletSimulator:
 
 
 def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
-    """PyBullet's matrices of a camera's view and lens."""
+    """PyBullet's view and projection matrices of a camera."""
     view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
-    # A view much deeper than the scene leaves too little depth apart: shadows get rings.
+    # A view much deeper than the scene has too little depth resolution: shadows get rings.
     depth = 3.0 * math.dist(camera.eye, camera.target)
     return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
 
@@ -507,7 +504,7 @@ def _warn_of_guesses(bodies: Sequence[Body]) -> None:
 
 
 def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
-    """What a body is drawn in: link, number among its visual shapes, colour."""
+    """The colours of a body: link, index among its visual shapes, colour."""
     shapes: Counter[int] = Counter()
     colours = []
     for entry in pybullet.getVisualShapeData(handle, physicsClientId=client):
@@ -517,7 +514,7 @@ def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[fl
 
 
 def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:
-    """The force of friction on body A, along two directions across the normal."""
+    """The friction force on body A, along two directions normal to the contact normal."""
     (first, along), (second, beside) = (entry[10], entry[11]), (entry[12], entry[13])
     x, y, z = (first * a + second * b for a, b in zip(along, beside, strict=True))
     return x, y, z

@@ -1,7 +1,7 @@
-"""Models of bodies that have no file, or not any more: what is known of one, written as URDF.
+"""Writes URDF models of bodies that have no model file, or no longer have one.
 
-Loaded again with `URDF_USE_INERTIA_FROM_FILE`, primitives go on in PyBullet to the last digit as
-those of `createMultiBody` do; hulls get another margin there, and rest up to 1e-5 m off.
+Loaded again with `URDF_USE_INERTIA_FROM_FILE`, primitives behave in PyBullet exactly as those of
+`createMultiBody`. Hulls get another margin, and rest up to 1e-5 m off.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from ssduck.simulators.kinematics import moved_link_poses
 
 Numbers = Sequence[float]
 
-# What a joint without a limit of effort or velocity is given; PyBullet takes 0 for none.
+# The limit of a joint without a limit of effort or velocity; PyBullet takes 0 for none.
 _NONE = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """What is drawn of a link: a shape or a mesh's file, its pose in the link frame, its colour.
+    """A visual shape of a link.
 
     Attributes:
         link: its index; the base is 0.
-        geometry: the shape; None for a mesh of a file.
+        geometry: the form; None for a mesh of a file.
         file: of a mesh.
         scale: of a mesh, or 1s.
         position: in the link frame, metres.
@@ -53,17 +53,17 @@ class Visual:
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """A body as a model file tells of it.
+    """A body as a model file describes it.
 
     Attributes:
         body: its links, joints and shapes.
-        zero: of each joint, the pose of its link in the frame of the parent at position 0,
+        zero: for each joint, the pose of its link in the frame of the parent at position 0,
             (joints, 3) and (joints, 4).
         com: poses of the centres of mass in the link frames, (links, 3) and (links, 4).
-        inertias: about the axes of these, (links, 3), kg m²; None for what the shapes give.
+        inertias: about the axes of these, (links, 3), kg m²; None to compute them from the shapes.
         damping: of the joints.
-        contacts: of the links, what contacts with them are like, by PyBullet's elements.
-        drawn: what is drawn; None for the shapes.
+        contacts: contact parameters of the links, by PyBullet's elements.
+        drawn: the visual shapes; None for the collision shapes.
     """
 
     body: Body
@@ -81,9 +81,9 @@ def zero_poses(
     """The poses of links in their parents' frames at joint positions of 0.
 
     Args:
-        body: whose.
-        link_poses: where its links are.
-        positions: of its joints there, by link; of those that have one.
+        body: the body.
+        link_poses: the present poses of its links.
+        positions: the present positions of its joints, by link.
     """
     back = {link: -position for link, position in positions.items()}
     zero = moved_link_poses(body, link_poses, None, back)
@@ -94,7 +94,7 @@ def zero_poses(
 
 
 def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
-    """Write a model and the meshes that it needs into a folder; the URDF file is `stem.urdf`."""
+    """Writes a model and its meshes into a folder; the URDF file is `stem.urdf`."""
     robot = ET.Element("robot", name=model.body.name)
     meshes = _Meshes(folder, stem)
     names = unique_names(link.name for link in model.body.links)
@@ -183,7 +183,11 @@ def _add_geometry(
 
 
 def unique_names(names: Iterable[str]) -> list[str]:
-    """Names that a model can have: each but once, and none is empty."""
+    """Names that a model can have: distinct and not empty.
+
+    >>> unique_names(["leg", "leg", ""])
+    ['leg', 'leg_2', '_']
+    """
     found: dict[str, None] = {}
     for name in names:
         told = name or "_"
@@ -232,8 +236,8 @@ def _add_origin(element: ET.Element, position: Array, orientation: Array) -> Non
 def roll_pitch_yaw(orientation: Array) -> tuple[float, float, float]:
     """Roll, pitch and yaw, rad, of a quaternion w, x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll).
 
-    By arctangents only: the arcsine of PyBullet's own function loses half of the digits near a
-    pitch of 90°.
+    By arctangents only: the arcsine of PyBullet's function loses half of the digits near a pitch of
+    90°.
     """
     matrix = rotation_matrices(np.asarray(orientation, dtype=np.float64)[None])[0]
     level = math.hypot(matrix[0, 0], matrix[1, 0])
