@@ -93,8 +93,8 @@ class Schemas:
     def make_formulas(self, sql: str, names: Sequence[str]) -> None:
         """Creates the macros of relations without tables in schemas, if a statement calls them.
 
-        """Creates the macros of relations without tables in schemas, if SQL calls them.
-        call them, too.
+        All of them in all schemas would take longer than a statement. Views and macros in a file
+        may call them, too.
 
         Args:
             sql: the statement that is about to run.
