@@ -1,1 +1,1 @@
-"""Benchmarks: ratios against what a user would write otherwise, measured in one run."""
+"""Benchmarks: times of ssduck relative to alternatives without it, measured in one run."""

@@ -1,7 +1,8 @@
-"""`python -m benchmarks [NAME ...]`: print tables of times and ratios, in Markdown.
+"""Runs benchmarks and prints tables of times and ratios in Markdown.
 
-`python -m benchmarks pairs [OPTION ...]` and `time [OPTION ...]` are of their own: they take
-minutes, and options.
+`python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, language and
+adapters. All of them take one or two minutes. `python -m benchmarks pairs [OPTION ...]` and `python
+-m benchmarks time [OPTION ...]` take many minutes; `--help` lists their options.
 """
 
 from __future__ import annotations
@@ -10,14 +11,14 @@ import platform
 import sys
 
 from benchmarks import adapters, language, pairs, queries, recorded, ticks
-from benchmarks.timing import printed
+from benchmarks.timing import print_table
 
 TABLES = {"ticks": ticks, "queries": queries, "language": language, "adapters": adapters}
 LONG = {"pairs": pairs.main, "time": recorded.main}
 
 
 def main() -> None:
-    """Run the benchmarks that are named, or all."""
+    """Runs the named benchmarks, or all short ones."""
     print(f"Python {platform.python_version()}, {platform.machine()}\n")
     if sys.argv[1:] and sys.argv[1] in LONG:
         sys.exit(LONG[sys.argv[1]](sys.argv[2:]))
@@ -26,7 +27,7 @@ def main() -> None:
     if unknown:
         sys.exit(f"no benchmark {', '.join(unknown)}; there are {', '.join([*TABLES, *LONG])}")
     for name in names:
-        printed(TABLES[name].HEADER, TABLES[name].rows())
+        print_table(TABLES[name].HEADER, TABLES[name].rows())
 
 
 if __name__ == "__main__":

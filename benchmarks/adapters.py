@@ -1,12 +1,13 @@
-"""Grids of the shipped kitchen, against rays: what one would write with PyBullet alone.
+"""Measures grids of the shipped kitchen against ray casts, as one would write them in PyBullet.
 
-`occupancygrid` is compared with a ray a cell, straight down from above the scene to the height
-asked for, in batches as large as PyBullet takes them. The rays tell less: what is above the height
-hides what is at it, and a ray through the centre of a cell tells nothing of the rest of it.
-`sensorgrid` is compared with a ray from each sensor to each cell, in its field of view or not.
-Queries are compiled, and asked of a fresh tick each time; of the rays, only casting them counts.
+`python -m benchmarks adapters` takes about a minute. `occupancygrid` is compared with a ray for
+each cell, straight down from above the scene to the height of the grid, in batches of the largest
+size that PyBullet allows. Rays find less: things above the height hide those at it, and a ray
+through the centre of a cell misses the rest of it. `sensorgrid` is compared with a ray from each
+sensor to each cell, whether in the field of view or not. Queries are compiled and run on a fresh
+tick each time; of the rays, only the casting counts.
 
-A row more is an entry of `COMPARISONS`.
+To add a row, add an entry to `COMPARISONS`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 import pybullet
 
 import ssduck
-from benchmarks.timing import Way, minima, shown
+from benchmarks.timing import Way, minima, text_of
 
 # PyBullet refuses more rays in one call.
 MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
@@ -30,28 +31,28 @@ Loop: TypeAlias = Callable[[], object]
 
 @dataclass(frozen=True)
 class Comparison:
-    """A query, and what does as much, or less, without ssduck.
+    """A query and an alternative without ssduck that does as much or less.
 
     Attributes:
-        program: about `kitchen`.
-        other: what is called in its place, made of the world and of the query's result.
-        told: what that is.
+        program: a query about `kitchen`.
+        other: makes the alternative from the world and the result of the query.
+        label: a description of the alternative.
     """
 
     program: str
     other: Callable[[ssduck.World, Any], Loop]
-    told: str
+    label: str
 
 
 def rays_down(kitchen: ssduck.World, grid: Any) -> Loop:
-    """A ray through the centre of each cell, from 3 m above its height, or heights, down to it."""
+    """Returns a call that casts a ray for each cell, from 3 m above its height down to it."""
     z = grid.z[0] if isinstance(grid.z, tuple) else grid.z
     x, y = np.meshgrid(grid.centres(0), grid.centres(1), indexing="ij")
     return _batches(kitchen, _points(x, y, z + 3.0), _points(x, y, z))
 
 
 def rays_from_sensors(kitchen: ssduck.World, grid: Any) -> Loop:
-    """A ray from each sensor to the centre of each cell, whatever it sees."""
+    """Returns a call that casts a ray from each sensor to each cell, in view or not."""
     x, y = np.meshgrid(grid.centres(0), grid.centres(1), indexing="ij")
     ends = _points(x, y, grid.z)
     places = [kitchen[name].position for name in grid.sensors]
@@ -95,13 +96,13 @@ COMPARISONS = {
 
 
 def rows() -> Iterator[tuple[str, ...]]:
-    """One row a comparison: the cells, ssduck, the other, the ratio."""
+    """Yields a row for each comparison: the cells, ssduck, the alternative, the ratio."""
     yield environment()
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen").step(240)
         for name, comparison in COMPARISONS.items():
             compiled = ss.compile(comparison.program)
-            result = ss.eval(compiled)  # plans are made once
+            result = ss.eval(compiled)  # the first call plans the query
             ways = {
                 "ours": Way(partial(ss.eval, compiled), kitchen.tick),
                 "other": Way(comparison.other(kitchen, result)),
@@ -109,11 +110,18 @@ def rows() -> Iterator[tuple[str, ...]]:
             times = minima(ways, ROUNDS, MOST_SECONDS)
             cells = f"{result.cells.size:,}" if hasattr(result, "cells") else ""
             ratio = f"{times['ours'] / times['other']:.2g}"
-            yield name, cells, shown(times["ours"]), comparison.told, shown(times["other"]), ratio
+            yield (
+                name,
+                cells,
+                text_of(times["ours"]),
+                comparison.label,
+                text_of(times["other"]),
+                ratio,
+            )
 
 
 def environment() -> tuple[str, ...]:
-    """A copy of the whole kitchen by a query, against loading the scene anew."""
+    """Returns the row of a copy of the kitchen by a query, against loading the scene."""
     with ssduck.load("kitchen") as ss:
         compiled = ss.compile(f"{ALL} environment;")
         ways = {
@@ -122,8 +130,8 @@ def environment() -> tuple[str, ...]:
         }
         times = minima(ways, ROUNDS, MOST_SECONDS)
     ratio = f"{times['ours'] / times['other']:.2g}"
-    told = shown(times["ours"]), "loading the scene", shown(times["other"])
-    return "environment", "", *told, ratio
+    cells = text_of(times["ours"]), "loading the scene", text_of(times["other"])
+    return "environment", "", *cells, ratio
 
 
 HEADER = ("behind AS", "cells", "ssduck", "against", "which takes", "ratio")

@@ -1,9 +1,9 @@
-"""Programs that compute, against the same in Python: four colours, the Towers of Hanoi.
+"""Measures programs that compute against Python: four colours, the Towers of Hanoi.
 
-`loop` is what one would write without the language: a loop over all combinations of colours,
-and a search for each form of the towers (`benchmarks.problems`), with the same results. `row
-by row` is the evaluator that queries are compared with, `Interpreter(row_by_row=True)`. Ratios
-are those of ssduck's time to theirs. What takes more than a second is run once; twelve regions
+`python -m benchmarks language` takes about a minute. `loop` is the same in plain Python: a loop
+over all combinations of colours, and a search for each form of the towers (`benchmarks.problems`),
+with equal results. `row by row` is the evaluation without SQL, `Interpreter(row_by_row=True)`.
+Ratios divide ssduck's time by theirs. Ways that take more than a second run once; twelve regions
 row by row would take minutes and are left out.
 """
 
@@ -16,21 +16,21 @@ from typing import TypeAlias
 
 import ssduck
 from benchmarks import problems
-from benchmarks.timing import medians, shown
+from benchmarks.timing import medians, text_of
 
 Ways: TypeAlias = dict[str, Callable[[], object]]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A program, the same in Python, and how often each is timed.
+    """A program, the same in Python, and the numbers of timed calls.
 
     Attributes:
-        program: the text.
+        program: the program.
         loop: the same in Python.
-        rounds: how often ssduck and the loop take turns.
-        rows_rounds: how often the row-by-row evaluator is timed; 0 leaves it out. If it is as
-            often as the others, they all take turns.
+        rounds: the number of calls of ssduck and of the loop, in turns.
+        rows_rounds: the number of calls of the row-by-row evaluator; 0 leaves it out. If it equals
+            `rounds`, all three take turns.
     """
 
     program: str
@@ -57,34 +57,42 @@ PROBLEMS = {
 
 
 def interpreter(*, row_by_row: bool = False) -> ssduck.Interpreter:
-    """An interpreter with the function that the towers need."""
+    """Returns an interpreter with the function of the towers."""
     ss = ssduck.Interpreter(row_by_row=row_by_row)
     ss.add_function("move", problems.move)
     return ss
 
 
 def rows() -> Iterator[tuple[str, ...]]:
-    """One row a problem: ssduck, the loop, the row-by-row evaluator, ratios."""
+    """Yields a row for each problem: ssduck, the loop, the row-by-row evaluator, ratios."""
     with interpreter() as ss, interpreter(row_by_row=True) as by_row:
         for name, problem in PROBLEMS.items():
-            compiled, same = ss.compile(problem.program), by_row.compile(problem.program)
-            ss.eval(compiled)  # plans are made once
+            compiled, row_by_row_program = (
+                ss.compile(problem.program),
+                by_row.compile(problem.program),
+            )
+            ss.eval(compiled)  # the first call plans the queries
             ways: Ways = {"ours": partial(ss.eval, compiled), "loop": problem.loop}
-            slow: Ways = {"rows": partial(by_row.eval, same)}
+            row_by_row_way: Ways = {"rows": partial(by_row.eval, row_by_row_program)}
             if problem.rows_rounds == problem.rounds:
-                times = medians(ways | slow, problem.rounds)
+                times = medians(ways | row_by_row_way, problem.rounds)
             else:
                 times = medians(ways, problem.rounds)
-                times |= medians(slow, problem.rows_rounds) if problem.rows_rounds else {}
-            yield (name, shown(times["ours"]), *_beside(times, "loop"), *_beside(times, "rows"))
+                times |= medians(row_by_row_way, problem.rows_rounds) if problem.rows_rounds else {}
+            yield (
+                name,
+                text_of(times["ours"]),
+                *_time_and_ratio(times, "loop"),
+                *_time_and_ratio(times, "rows"),
+            )
 
 
-def _beside(times: dict[str, float], way: str) -> tuple[str, str]:
-    """The time of another way, and the ratio of ssduck's to it."""
+def _time_and_ratio(times: dict[str, float], way: str) -> tuple[str, str]:
+    """Returns the time of another way, and the ratio of ssduck's time to it."""
     if way not in times:
         return "", ""
     ratio = times["ours"] / times[way]
-    return shown(times[way]), f"{ratio:.2f}" if ratio >= 0.1 else f"{ratio:.2g}"
+    return text_of(times[way]), f"{ratio:.2f}" if ratio >= 0.1 else f"{ratio:.2g}"
 
 
 HEADER = ("a program", "ssduck", "loop", "ratio", "row by row", "ratio")

@@ -1,10 +1,13 @@
-"""All pairs that collide, by ssduck at a fresh tick, and by FCL, PyBullet and coal.
+"""Measures finding all pairs that collide, by ssduck at a fresh tick, FCL, PyBullet and coal.
 
-ssduck's tick is taken and its tables are read beforehand; every tick has all bodies shifted by
-the same way. The others have their shapes and poses made beforehand; see `benchmarks.peers`. What
-all of them find is compared. Where another finds something else, `benchmarks.referee` says who is
-right, or that a pair that ssduck calls touching within `TOUCHING` may be; it is a failure if that
-is not ssduck.
+`python -m benchmarks pairs [OPTION ...]` takes many minutes, most of them for the scenes of 10,000
+bodies; `--sizes 50 300` takes a few. `--help` lists the options.
+
+The tick of ssduck is taken and its tables are read beforehand; each tick shifts all bodies by the
+same vector. The other libraries have their shapes and poses made beforehand; see
+`benchmarks.peers`. The pairs of all of them are compared. If another way finds different pairs,
+`benchmarks.referee` decides which is right, or whether a pair that ssduck calls touching within
+`TOUCHING` may be touching. It is a failure if ssduck is not right.
 """
 
 from __future__ import annotations
@@ -20,19 +23,27 @@ import numpy as np
 import pybullet
 
 import ssduck
-from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, PIECES, Crowd, bodies_of, crowd
 from benchmarks.peers import COLLIDES, Coal, Fcl, Pairs, coal_or_none, pybullet_loop
+from benchmarks.random_scenes import (
+    FORMS,
+    KINDS,
+    NEIGHBOURS,
+    PIECES,
+    RandomScene,
+    bodies_of,
+    random_scene,
+)
 from benchmarks.referee import may_touch, verdict
-from benchmarks.timing import Way, minima, printed, shown
+from benchmarks.timing import Way, minima, print_table, text_of
 from ssduck.geometry.queries import Statistics
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 SIZES = (50, 300, 1000, 3000, 10000)
-# More bodies are too many to ask FCL, or PyBullet, about all of their pairs.
+# The largest scenes in which FCL and PyBullet test all pairs in a loop.
 LOOPED, CLOSEST = 1000, 300
-# Then so many are asked about with all others, and the time is scaled.
+# In larger scenes, this number of bodies is tested with all others, and the time is scaled.
 SAMPLED = 20
-# What is at most as deep, or as far apart, metres, may be called either.
+# Pairs of at most this depth or distance, metres, may count as either.
 TOUCHING = 1e-5
 
 PROGRAM = (
@@ -50,32 +61,32 @@ _GAPS = """
 
 
 class Ours:
-    """A crowd in a world of ssduck's.
+    """A random scene in a world of ssduck.
 
     Attributes:
         world: the world.
         ss: the interpreter.
-        asked: what the narrow phase was asked at a fresh tick, by the way.
+        statistics: the work of the narrow phase at a fresh tick, by the way.
     """
 
-    def __init__(self, crowd: Crowd, client: int, bodies: Sequence[int]) -> None:
+    def __init__(self, scene: RandomScene, client: int, bodies: Sequence[int]) -> None:
         names = {body: f"b{number}" for number, body in enumerate(bodies)}
         self._numbers = {name: number for number, name in enumerate(names.values())}
-        self._crowd, self._client, self._bodies = crowd, client, bodies
+        self._scene, self._client, self._bodies = scene, client, bodies
         self.world = ssduck.World(PyBulletSimulator(client, owned=True, names=names))
         self.ss = ssduck.Interpreter()
         self.ss.add_variable("world", self.world)
         self._compiled = self.ss.compile(PROGRAM)
         self._ticks = 0
         self._before = Statistics(0, 0)
-        self.asked: dict[str, Statistics] = {}
+        self.statistics: dict[str, Statistics] = {}
 
     def tick(self) -> None:
-        """A tick of which nothing is asked yet: all bodies are shifted by the same."""
+        """Shifts all bodies by the same vector and takes a tick."""
         self._ticks += 1
         shift = np.array([0.25, 0.125, 0.0]) * (self._ticks % 8)
-        places = (self._crowd.positions + shift).tolist()
-        turns = self._crowd.orientations.tolist()
+        places = (self._scene.positions + shift).tolist()
+        turns = self._scene.orientations.tolist()
         for body, place, turn in zip(self._bodies, places, turns, strict=True):
             pybullet.resetBasePositionAndOrientation(body, place, turn, self._client)
         self.world.tick()
@@ -83,31 +94,31 @@ class Ours:
         self._before = self.ss.statistics()["world"]
 
     def ask(self) -> list[str]:
-        """Ask in SelectScript."""
+        """Runs the SelectScript query."""
         found: list[str] = self.ss.eval(self._compiled)
-        self._note("ours")
+        self._record_statistics("ours")
         return found
 
     def ask_sql(self) -> list[tuple[str, str]]:
-        """Ask in SQL."""
+        """Runs the SQL query."""
         found: list[tuple[str, str]] = self.ss.sql(SQL).fetchall()
-        self._note("sql")
+        self._record_statistics("sql")
         return found
 
-    def _note(self, way: str) -> None:
-        """Note once what it took since the tick: a call more would take minutes of some worlds."""
-        if way not in self.asked:
+    def _record_statistics(self, way: str) -> None:
+        """Records the work since the tick once; another call would take minutes in some scenes."""
+        if way not in self.statistics:
             after, before = self.ss.statistics()["world"], self._before
             pairs, calls = after.pairs - before.pairs, after.calls - before.calls
-            self.asked[way] = Statistics(pairs, calls)
+            self.statistics[way] = Statistics(pairs, calls)
 
     def pairs(self, names: list[str]) -> Pairs:
-        """The pairs that names stand for, one behind the other."""
+        """Returns the pairs of a flat list of names."""
         numbers = [self._numbers[name] for name in names]
         return [(i, j) for i, j in zip(numbers[::2], numbers[1::2], strict=True) if i < j]
 
     def gaps(self, pairs: Pairs) -> list[float]:
-        """How far apart pairs in ascending order are, metres; less than 0 is how deep."""
+        """Returns the distances of pairs in ascending order, metres; depths are negative."""
         one, other = ([f"b{number}" for number in side] for side in zip(*pairs, strict=True))
         found = self.ss.sql(_GAPS, {"one": one, "other": other}).fetchall()
         return [gap for (gap,) in found]
@@ -118,12 +129,12 @@ class Ours:
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """What another way finds that ssduck does not, and the other way round.
+    """The pairs that only one of ssduck and another way finds.
 
     Attributes:
-        touching: how many pairs, of those that ssduck calls touching.
-        other: the rest.
-        failures: of both, where the referee does not say what ssduck does.
+        touching: the number of such pairs that ssduck calls touching.
+        other: the number of the others.
+        failures: the pairs in which the referee does not agree with ssduck.
     """
 
     touching: int
@@ -135,54 +146,54 @@ class Difference:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """What was measured of a crowd.
+class Measurement:
+    """The measurements of a random scene.
 
     Attributes:
-        form: of the crowd.
-        kind: of the crowd.
-        crowd: itself.
-        found: how many pairs collide.
-        times: by the way, seconds.
-        scaled: the ways of which a sample was timed.
-        asked: what the narrow phase is asked, in SelectScript and in SQL.
-        differences: by the way.
+        form: the form of the scene.
+        kind: the kind of the shapes.
+        scene: the scene.
+        found: the number of pairs that collide.
+        times: the times of the ways, seconds.
+        scaled: the ways of which only a sample was timed.
+        statistics: the work of the narrow phase, in SelectScript and in SQL.
+        differences: the differences from ssduck, by the way.
     """
 
     form: str
     kind: str
-    crowd: Crowd
+    scene: RandomScene
     found: int
     times: dict[str, float]
     scaled: frozenset[str]
-    asked: dict[str, Statistics]
+    statistics: dict[str, Statistics]
     differences: dict[str, Difference]
 
     @property
     def name(self) -> str:
-        """What it is called in tables."""
+        """The label in tables."""
         return f"{self.form}, {self.kind}"
 
     def ratio(self, way: str, other: str) -> float:
-        """How long one way takes, in times of another."""
+        """Returns the time of a way relative to another."""
         return self.times[way] / self.times[other]
 
-    def growth(self, before: Measured | None) -> float:
-        """The exponent of ssduck's time from a smaller crowd to this one."""
+    def growth(self, before: Measurement | None) -> float:
+        """Returns the exponent of the growth of ssduck's time from a smaller scene."""
         if before is None:
             return math.nan
-        sizes = len(self.crowd) / len(before.crowd)
+        sizes = len(self.scene) / len(before.scene)
         return math.log(self.times["ours"] / before.times["ours"]) / math.log(sizes)
 
-    def shown(self, way: str) -> str:
-        """A time as tables have it."""
+    def text_of(self, way: str) -> str:
+        """Returns the text of a time in tables."""
         if way not in self.times:
             return "not installed"
-        return ("≈ " if way in self.scaled else "") + shown(self.times[way])
+        return ("≈ " if way in self.scaled else "") + text_of(self.times[way])
 
 
 class Sample:
-    """The pairs that a loop is timed on: all, or those of some bodies with all others."""
+    """The pairs on which a loop is timed: all, or those of some bodies with all others."""
 
     def __init__(self, count: int, most: int) -> None:
         self.is_whole = count <= most
@@ -196,19 +207,19 @@ class Sample:
 
 
 class Contest:
-    """A crowd, and all that find its pairs."""
+    """A random scene and all the ways to find its pairs."""
 
-    def __init__(self, crowd: Crowd, client: int, bodies: Sequence[int]) -> None:
-        self.crowd = crowd
-        self.ours = Ours(crowd, client, bodies)
+    def __init__(self, scene: RandomScene, client: int, bodies: Sequence[int]) -> None:
+        self.scene = scene
+        self.ours = Ours(scene, client, bodies)
         self.closest = pybullet_loop(client, bodies)
-        self.fcl = Fcl(crowd)
+        self.fcl = Fcl(scene)
         coal = coal_or_none()
-        self.coal = None if coal is None else Coal(coal, crowd)
-        self.some, self.few = Sample(len(crowd), LOOPED), Sample(len(crowd), CLOSEST)
+        self.coal = None if coal is None else Coal(coal, scene)
+        self.some, self.few = Sample(len(scene), LOOPED), Sample(len(scene), CLOSEST)
 
     def times(self, rounds: int, most: float) -> dict[str, float]:
-        """How long each way takes, seconds."""
+        """Returns the time of each way, seconds."""
         ours = self.ours
         ways = {
             "ours": Way(ours.ask, before=ours.tick),
@@ -226,36 +237,36 @@ class Contest:
         return times
 
     def differences(self, found: set[tuple[int, int]]) -> dict[str, Difference]:
-        """How what the other ways find differs from what ssduck does."""
+        """Returns how the pairs of the other ways differ from those of ssduck."""
         names = [name for pair in self.ours.ask_sql() for name in pair]
         others = {
             "again": self.ours.pairs(self.ours.ask()),
             "sql": self.ours.pairs(names),
             "manager": self.fcl.managed(),
-            "pybullet": self.closest([(i, j) for i, j in self.crowd.met.tolist()]),
+            "pybullet": self.closest([(i, j) for i, j in self.scene.met.tolist()]),
         }
         if self.coal is not None:
             others["coal"] = self.coal.managed()
         differing = {way: found.symmetric_difference(pairs) for way, pairs in others.items()}
         looped = self.fcl.loop(self.some.pairs)
         differing["loop"] = found.intersection(self.some.pairs).symmetric_difference(looped)
-        return {way: self._judged(sorted(pairs), found) for way, pairs in differing.items()}
+        return {way: self._judge(sorted(pairs), found) for way, pairs in differing.items()}
 
-    def _judged(self, pairs: Pairs, found: set[tuple[int, int]]) -> Difference:
-        """Who is right about the pairs that only one of two has."""
+    def _judge(self, pairs: Pairs, found: set[tuple[int, int]]) -> Difference:
+        """Judges the pairs that only one of two ways finds."""
         gaps = dict(zip(pairs, self.ours.gaps(pairs), strict=True)) if pairs else {}
         touching = [pair for pair in pairs if abs(gaps[pair]) <= TOUCHING]
-        wrong = [pair for pair in touching if not may_touch(self.crowd, *pair, 2 * TOUCHING)]
+        wrong = [pair for pair in touching if not may_touch(self.scene, *pair, 2 * TOUCHING)]
         left = [pair for pair in pairs if abs(gaps[pair]) > TOUCHING]
-        wrong += [p for p in left if verdict(self.crowd, *p, COLLIDES) is not (p in found)]
+        wrong += [p for p in left if verdict(self.scene, *p, COLLIDES) is not (p in found)]
         return Difference(len(touching), len(left), wrong)
 
 
-def measured(form: str, kind: str, count: int, rounds: int, most: float) -> Measured:
-    """Time all ways of one crowd, and compare what they find."""
-    made = crowd(form, kind, count)
-    with bodies_of(made) as (client, bodies):
-        contest = Contest(made, client, bodies)
+def measure(form: str, kind: str, count: int, rounds: int, most: float) -> Measurement:
+    """Times all ways in one scene and compares their pairs."""
+    scene = random_scene(form, kind, count)
+    with bodies_of(scene) as (client, bodies):
+        contest = Contest(scene, client, bodies)
         ours = contest.ours
         try:
             times = contest.times(rounds, most)
@@ -265,7 +276,7 @@ def measured(form: str, kind: str, count: int, rounds: int, most: float) -> Meas
             ours.ss.close()
     samples = {"loop": contest.some, "pybullet": contest.few}
     scaled = frozenset(way for way, sample in samples.items() if not sample.is_whole)
-    return Measured(form, kind, made, len(found), times, scaled, ours.asked, differences)
+    return Measurement(form, kind, scene, len(found), times, scaled, ours.statistics, differences)
 
 
 # -- tables -------------------------------------------------------------------------------------
@@ -302,8 +313,8 @@ NOTES = f"""\
 The least of several times of each way, in turns. `ssduck` and `in SQL`: at a fresh tick whose
 tables are read; `again`: the same program in the same tick. `≈`: the time of {SAMPLED} bodies with
 all others, scaled to all pairs (FCL's loop beyond {LOOPED:,} bodies, PyBullet's beyond {CLOSEST}).
-`growth`: the exponent from the size before, from 300 bodies up. A kind has {PIECES} shapes; a crowd
-has the room, found by bisection, in which a body's box meets {NEIGHBOURS:g} others.
+`growth`: the exponent from the size before, from 300 bodies up. A kind has {PIECES} shapes; a scene
+has the size, found by bisection, at which a body's box meets {NEIGHBOURS:g} others.
 """
 MEANINGS = f"""\
 `boxes met`: others that a body's box meets, mean. `compared`: pairs of shapes that were compared
@@ -313,13 +324,13 @@ nothing else is said below.
 """
 
 
-def _cells(one: Measured, before: Measured | None) -> tuple[str, ...]:
-    """A row of the table of times."""
-    growth = one.growth(before if before and len(before.crowd) >= 300 else None)
+def _cells(one: Measurement, before: Measurement | None) -> tuple[str, ...]:
+    """Returns a row of the table of times."""
+    growth = one.growth(before if before and len(before.scene) >= 300 else None)
     return (
         one.name,
-        f"{len(one.crowd):,}",
-        *map(one.shown, WAYS),
+        f"{len(one.scene):,}",
+        *map(one.text_of, WAYS),
         _share(one.ratio("ours", "loop")),
         f"{one.ratio('ours', 'manager'):.2f}",
         f"{one.ratio('again', 'manager'):.2f}",
@@ -331,17 +342,17 @@ def _share(ratio: float) -> str:
     return f"1/{1 / ratio:.0f}" if ratio < 0.1 else f"{ratio:.2f}"
 
 
-def _counts(one: Measured) -> tuple[str, ...]:
-    """A row of the table of counts."""
-    given = [str(one.differences[way]) for way in ("sql", "loop", "manager", "pybullet")]
+def _counts(one: Measurement) -> tuple[str, ...]:
+    """Returns a row of the table of counts."""
+    different = [str(one.differences[way]) for way in ("sql", "loop", "manager", "pybullet")]
     return (
         one.name,
-        f"{len(one.crowd):,}",
-        f"{one.crowd.neighbours:.2f}",
-        f"{len(one.crowd.met):,}",
+        f"{len(one.scene):,}",
+        f"{one.scene.neighbours:.2f}",
+        f"{len(one.scene.met):,}",
         f"{one.found:,}",
-        *(f"{one.asked[way].calls:,}" for way in ("ours", "sql")),
-        *given,
+        *(f"{one.statistics[way].calls:,}" for way in ("ours", "sql")),
+        *different,
         str(one.differences.get("coal", "not installed")),
     )
 
@@ -349,35 +360,35 @@ def _counts(one: Measured) -> tuple[str, ...]:
 # -- budgets ------------------------------------------------------------------------------------
 
 
-def budgets(results: Sequence[Measured]) -> Iterator[str]:
-    """A line a budget: whether it is met, the worst figure, and of what that is."""
-    sizes = sorted({len(one.crowd) for one in results})
+def budgets(results: Sequence[Measurement]) -> Iterator[str]:
+    """Yields a line for each budget: whether it is met, and the worst figure."""
+    sizes = sorted({len(one.scene) for one in results})
     for size, share in ((1000, 20), (10000, 100)):
-        of = [one for one in results if len(one.crowd) == size]
-        figures = {_of(one): one.ratio("ours", "loop") for one in of}
+        selected = [one for one in results if len(one.scene) == size]
+        figures = {_label(one): one.ratio("ours", "loop") for one in selected}
         yield _line(f"at {size:,} bodies at most 1/{share} of FCL's loop", figures, 1 / share)
     for size in sizes:
-        of = [one for one in results if len(one.crowd) == size]
-        figures = {_of(one): one.ratio("ours", "manager") for one in of}
+        selected = [one for one in results if len(one.scene) == size]
+        figures = {_label(one): one.ratio("ours", "manager") for one in selected}
         yield _line(f"at {size:,} bodies at most 1.5 of FCL's tree", figures, 1.5)
-        figures = {_of(one): one.ratio("again", "manager") for one in of}
+        figures = {_label(one): one.ratio("again", "manager") for one in selected}
         yield _line(f"again at {size:,} bodies at most 1/3 of FCL's tree", figures, 1 / 3)
         exponents = {
-            f"{_of(before)} to {len(one.crowd):,}": one.growth(before)
+            f"{_label(before)} to {len(one.scene):,}": one.growth(before)
             for before, one in pairwise(results)
-            if before.name == one.name and len(before.crowd) >= 300
+            if before.name == one.name and len(before.scene) >= 300
         }
     yield _line("growth at most n^1.3 from 300 bodies up", exponents, 1.3)
 
 
-def _of(one: Measured) -> str:
-    return f"{one.name}, {len(one.crowd):,}"
+def _label(one: Measurement) -> str:
+    return f"{one.name}, {len(one.scene):,}"
 
 
 def _line(what: str, figures: dict[str, float], most: float) -> str:
     if not figures:
         return f"not measured: {what}"
-    worst = max(figures, key=lambda of: figures[of])
+    worst = max(figures, key=figures.__getitem__)
     answer = "met" if figures[worst] <= most else "not met"
     return f"{answer}: {what}: {_share(figures[worst])} ({worst})"
 
@@ -387,28 +398,28 @@ def _line(what: str, figures: dict[str, float], most: float) -> str:
 
 def run(
     forms: Sequence[str], kinds: Sequence[str], sizes: Sequence[int], rounds: int, most: float
-) -> list[Measured]:
-    """Measure, and print the table of times."""
-    results: list[Measured] = []
+) -> list[Measurement]:
+    """Measures the scenes and prints the table of times."""
+    results: list[Measurement] = []
 
     def rows() -> Iterator[tuple[str, ...]]:
         for form in forms:
             for kind in kinds:
                 before = None
                 for size in sorted(sizes):
-                    results.append(measured(form, kind, size, rounds, most))
+                    results.append(measure(form, kind, size, rounds, most))
                     yield _cells(results[-1], before)
                     before = results[-1]
 
-    printed(HEADER, rows())
+    print_table(HEADER, rows())
     return results
 
 
-def failures(results: Sequence[Measured]) -> list[str]:
-    """What is wrong, a line each: ssduck is not right, or says two things."""
+def failures(results: Sequence[Measurement]) -> list[str]:
+    """Returns a line for each error: ssduck is not right, or contradicts itself."""
     return [
-        f"{_of(one)}: {WAYS[way]} and ssduck differ in pairs, {difference}; of these ssduck is not "
-        f"known to be right in {len(difference.failures)}: {difference.failures[:5]}"
+        f"{_label(one)}: {WAYS[way]} and ssduck differ in pairs, {difference}; of these ssduck is "
+        f"not known to be right in {len(difference.failures)}: {difference.failures[:5]}"
         for one in results
         for way, difference in one.differences.items()
         if difference.failures
@@ -417,18 +428,18 @@ def failures(results: Sequence[Measured]) -> list[str]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run what is asked for; 1 if ssduck is not right about a pair."""
+    """Runs the requested scenes; returns 1 if ssduck is not right about a pair."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks pairs")
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--forms", nargs="+", choices=FORMS, default=FORMS)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--rounds", type=int, default=25, help="how often each way is timed")
     parser.add_argument("--seconds", type=float, default=0.8, help="a way is not timed again after")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     print(NOTES)
-    results = run(given.forms, given.kinds, given.sizes, given.rounds, given.seconds)
+    results = run(options.forms, options.kinds, options.sizes, options.rounds, options.seconds)
     print(MEANINGS)
-    printed(COUNTS, map(_counts, results))
+    print_table(COUNTS, map(_counts, results))
     print("\n".join(budgets(results)))
     wrong = failures(results)
     print("".join(f"\nDISAGREEMENT: {line}" for line in wrong))

@@ -1,8 +1,7 @@
-"""Other ways to find all pairs of a crowd that collide: FCL, PyBullet, and coal.
+"""Finds all pairs of a scene that collide by other libraries: FCL, PyBullet and coal.
 
-Each is made of the crowd beforehand, and is then timed as it would be used at every tick: it is
-given the bodies' poses anew, which are made beforehand, too, and tells the pairs. A pair is
-(i, j), i < j.
+A part of `benchmarks.pairs`, which times them. Objects and poses are made beforehand; the timed
+part is that of every tick: setting the poses and finding the pairs. A pair is (i, j), i < j.
 """
 
 from __future__ import annotations
@@ -16,22 +15,22 @@ import numpy as np
 import pybullet
 from scipy.spatial import ConvexHull
 
-from benchmarks.crowds import Crowd, Piece
+from benchmarks.random_scenes import Piece, RandomScene
 from ssduck.geometry.arrays import Array, Triangles
 
 Pairs: TypeAlias = list[tuple[int, int]]
-# What is deeper, metres, collides, as ssduck has it.
+# Deeper pairs, metres, collide, as in ssduck.
 COLLIDES = 1e-6
 
 
 def coal_or_none() -> ModuleType | None:
-    """The package, where it is installed."""
+    """Returns the package coal, or None if it is not installed."""
     try:
         import coal
     except ImportError:
         return None
-    found: ModuleType = coal
-    return found
+    package: ModuleType = coal
+    return package
 
 
 def _sorted(i: int, j: int) -> tuple[int, int]:
@@ -39,7 +38,7 @@ def _sorted(i: int, j: int) -> tuple[int, int]:
 
 
 def _surface(points: Array) -> tuple[Array, Triangles]:
-    """The corners of a hull, and its triangles, turned outward."""
+    """Returns the corners of a hull and its triangles, oriented outward."""
     hull = ConvexHull(points)
     number = np.zeros(len(points), np.int32)
     number[hull.vertices] = np.arange(len(hull.vertices))
@@ -51,26 +50,26 @@ def _surface(points: Array) -> tuple[Array, Triangles]:
 
 
 class Fcl:
-    """Python-fcl's objects, pair by pair in a loop, or in a tree of boxes."""
+    """Tests pairs by python-fcl, one by one in a loop or in a tree of boxes."""
 
-    def __init__(self, crowd: Crowd) -> None:
-        # A geometry for each body: its contacts tell of geometries only.
-        self._geometries = [_of_fcl(crowd.piece(body)) for body in range(len(crowd))]
+    def __init__(self, scene: RandomScene) -> None:
+        # A geometry for each body, as contacts only name geometries.
+        self._geometries = [_of_fcl(scene.piece(body)) for body in range(len(scene))]
         self._numbers = {id(geometry): n for n, geometry in enumerate(self._geometries)}
-        turns = [np.roll(turn, 1) for turn in crowd.orientations]
-        self._poses = list(map(fcl.Transform, turns, crowd.positions))
+        quaternions = [np.roll(turn, 1) for turn in scene.orientations]
+        self._poses = list(map(fcl.Transform, quaternions, scene.positions))
         self._objects = list(map(fcl.CollisionObject, self._geometries, self._poses))
         self._manager = fcl.DynamicAABBTreeCollisionManager()
         self._manager.registerObjects(self._objects)
         self._manager.setup()
 
     def place(self) -> None:
-        """Give all objects their poses."""
+        """Sets the poses of all objects."""
         for one, pose in zip(self._objects, self._poses, strict=True):
             one.setTransform(pose)
 
     def loop(self, pairs: Iterable[tuple[int, int]]) -> Pairs:
-        """Those of some pairs that collide, each asked about by itself."""
+        """Returns the pairs that collide of some pairs, each tested by itself."""
         objects, collide, request = self._objects, fcl.collide, fcl.CollisionRequest()
         return [
             (i, j)
@@ -79,7 +78,7 @@ class Fcl:
         ]
 
     def managed(self) -> Pairs:
-        """All pairs that collide, of those whose boxes the tree finds to meet."""
+        """Returns all pairs that collide, by the tree of boxes."""
         self.place()
         self._manager.update()
         data = fcl.CollisionData(request=fcl.CollisionRequest())
@@ -89,7 +88,7 @@ class Fcl:
 
 
 def _collide(one: Any, other: Any, data: Any) -> bool:
-    """What the tree calls: it notes a contact, and goes on."""
+    """The callback of the tree: records contacts and continues."""
     fcl.collide(one, other, data.request, data.result)
     return False
 
@@ -108,33 +107,33 @@ def _of_fcl(piece: Piece) -> Any:
 
 
 class Coal:
-    """Coal's tree, with the callback that it comes with: it collects contacts without Python."""
+    """Tests pairs by the tree of coal and its own callback, which collects contacts in C++."""
 
-    def __init__(self, coal: ModuleType, crowd: Crowd) -> None:
+    def __init__(self, coal: ModuleType, scene: RandomScene) -> None:
         self._coal = coal
-        kinds = [_of_coal(coal, piece) for piece in crowd.pieces]
+        kinds = [_of_coal(coal, piece) for piece in scene.pieces]
         # A geometry for each body, as above.
-        geometries = [type(kinds[piece])(kinds[piece]) for piece in crowd.of.tolist()]
+        geometries = [type(kinds[piece])(kinds[piece]) for piece in scene.of.tolist()]
         self._numbers = {geometry.id(): n for n, geometry in enumerate(geometries)}
-        matrices = map(crowd.matrix, range(len(crowd)))
-        self._poses = list(map(coal.Transform3s, matrices, crowd.positions))
+        matrices = map(scene.matrix, range(len(scene)))
+        self._poses = list(map(coal.Transform3s, matrices, scene.positions))
         self._objects = list(map(coal.CollisionObject, geometries, self._poses))
         self._manager = coal.DynamicAABBTreeCollisionManager()
         for one in self._objects:
             self._manager.registerObject(one)
         self._manager.setup()
-        self._most = len(crowd.met) + 1
+        self._most = len(scene.met) + 1
 
     def managed(self) -> Pairs:
-        """All pairs that collide."""
+        """Returns all pairs that collide."""
         for one, pose in zip(self._objects, self._poses, strict=True):
             one.setTransform(pose)
             one.computeAABB()
         self._manager.update()
-        found = self._coal.CollisionCallBackDefault()
-        found.data.request.num_max_contacts = self._most
-        self._manager.collide(found)
-        number, contacts = self._numbers, found.data.result.getContacts()
+        callback = self._coal.CollisionCallBackDefault()
+        callback.data.request.num_max_contacts = self._most
+        self._manager.collide(callback)
+        number, contacts = self._numbers, callback.data.result.getContacts()
         return [_sorted(number[c.o1.id()], number[c.o2.id()]) for c in contacts]
 
 
@@ -153,18 +152,21 @@ def _of_coal(coal: ModuleType, piece: Piece) -> Any:
 def pybullet_loop(
     client: int, bodies: Sequence[int]
 ) -> Callable[[Iterable[tuple[int, int]]], Pairs]:
-    """Asks PyBullet about the nearest points of some pairs, one by one.
+    """Returns a loop that finds the pairs that collide by PyBullet's closest points.
 
-    The bodies are where they are: it is given no poses. Of what is deeper than `COLLIDES` it has
-    a point of less than minus that distance.
+    The bodies keep their poses. A pair is deeper than `COLLIDES` if a closest point has a distance
+    of less than minus that.
     """
-    ask = pybullet.getClosestPoints
+    closest_points = pybullet.getClosestPoints
 
     def loop(pairs: Iterable[tuple[int, int]]) -> Pairs:
         return [
             (i, j)
             for i, j in pairs
-            if any(p[8] < -COLLIDES for p in ask(bodies[i], bodies[j], 0.0, physicsClientId=client))
+            if any(
+                p[8] < -COLLIDES
+                for p in closest_points(bodies[i], bodies[j], 0.0, physicsClientId=client)
+            )
         ]
 
     return loop

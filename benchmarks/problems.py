@@ -1,7 +1,7 @@
-"""Two old benchmarks of SelectScript: four colours on a map, and the Towers of Hanoi.
+"""Defines two benchmarks of SelectScript: four colours on a map, and the Towers of Hanoi.
 
-Each problem is a program, and the same as a plain Python loop that gives the same value. The
-maps are invented.
+A part of `benchmarks.language`, which measures them. Each problem is a program and a plain Python
+function with the same value. The maps are invented.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any, TypeAlias
 # -- four colours -----------------------------------------------------------------------------
 
 COLOURS = ["red", "green", "blue", "yellow"]
-# Each region with those before it that it borders. They can be drawn one after the other, each
-# in a gap between those that it borders, so the map is planar.
+# Each region with its neighbours among the regions before it. Each can be drawn in a gap between
+# these neighbours, so the map is planar.
 SMALL = {
     "coast": (),
     "marsh": ("coast",),
@@ -39,18 +39,18 @@ Map: TypeAlias = dict[str, tuple[str, ...]]
 
 
 def borders(regions: Map) -> list[tuple[str, str]]:
-    """The pairs of regions that border each other."""
+    """Returns the pairs of neighbouring regions."""
     return [(other, region) for region, others in regions.items() for other in others]
 
 
 def flat(regions: Map) -> str:
-    """The colourings as one query, a source a region, a condition a border."""
+    """Returns a query for the colourings: a source for each region, a condition for each border."""
     conditions = " AND ".join(f"{a}.this != {b}.this" for a, b in borders(regions))
     return f"colours = {COLOURS}; {_selected(regions)} WHERE {conditions};"
 
 
 def nested(regions: Map) -> str:
-    """The colourings with the borders in a list, asked by a query in WHERE."""
+    """Returns the same query with the borders in a list and a subquery in WHERE."""
     pairs = ", ".join(f"[{a}.this, {b}.this]" for a, b in borders(regions))
     alike = "SELECT n.this FROM n=neighbours WHERE n.this[0] == n.this[1] AS list"
     return (

@@ -1,7 +1,7 @@
-"""A compiled query on the kitchen, against the same SQL sent to DuckDB by hand.
+"""Measures compiled queries on the kitchen against the same SQL sent to DuckDB by hand.
 
-By hand means what a user of DuckDB would write: `connection.execute(sql, parameters).fetchall()`
-on the same tables. A Python loop over the entities' columns, already fetched, is shown as well.
+`python -m benchmarks queries` takes some seconds. SQL by hand is the call of a user of DuckDB,
+`connection.execute(sql, parameters).fetchall()`, on the same tables.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import ssduck
-from benchmarks.timing import medians, shown
+from benchmarks.timing import medians, text_of
 from ssduck.language.tree import Query
 
 QUESTIONS = {
@@ -26,7 +26,7 @@ QUESTIONS = {
 
 
 def by_hand(ss: ssduck.Interpreter, program: str) -> Callable[[], object]:
-    """The SQL that a program becomes, sent to the same connection by hand."""
+    """Returns a call that sends the SQL of a program to the same connection."""
     database = ss._database
     (query,) = ss.compile(program).tree.statements
     assert isinstance(query, Query)
@@ -39,7 +39,7 @@ def by_hand(ss: ssduck.Interpreter, program: str) -> Callable[[], object]:
 
 
 def rows() -> Iterator[tuple[str, str, str, str]]:
-    """One row a question: compiled, by hand, ratio."""
+    """Yields a row for each question: the compiled query, SQL by hand, the ratio."""
     with ssduck.load("kitchen") as ss:
         ss.eval("table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;")
         for name, program in QUESTIONS.items():
@@ -47,7 +47,7 @@ def rows() -> Iterator[tuple[str, str, str, str]]:
             hand = by_hand(ss, program)
             times = medians({"ssduck": partial(ss.eval, compiled), "hand": hand})
             ratio = f"{times['ssduck'] / times['hand']:.2f}"
-            yield (name, shown(times["ssduck"]), shown(times["hand"]), ratio)
+            yield (name, text_of(times["ssduck"]), text_of(times["hand"]), ratio)
 
 
 HEADER = ("a compiled query", "ssduck", "SQL by hand", "ratio")

@@ -1,8 +1,9 @@
-"""What it costs to keep every tick of a world, and to ask about what was kept.
+"""Measures the cost of recording every tick of a world, and of queries about the history.
 
-`python -m benchmarks time [OPTION ...]` prints five tables: what recording adds to a tick, how much
-memory it takes, a relation over a long run against the same SQL by hand, the narrow phase over a
-run against FCL, and the opening of a record against DuckDB's `read_parquet`.
+`python -m benchmarks time [OPTION ...]` takes many minutes; `--only` selects tables, and `--help`
+lists the other options. It prints five tables: the time that recording adds to a tick; the memory
+of a record; a relation over a long run, against the same SQL by hand; the narrow phase over a run,
+against FCL; and opening a record, against `read_parquet` of DuckDB.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import pybullet
 
 import ssduck
 from benchmarks.ticks import kitchen
-from benchmarks.timing import Way, minima, printed, shown, shown_finely
+from benchmarks.timing import Way, minima, print_table, text_in_microseconds, text_of
 from ssduck import Recording
 from ssduck.geometry.arrays import Array
 from ssduck.recording.background_writer import BackgroundWriter
@@ -38,17 +39,17 @@ from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 Scene: TypeAlias = Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]
 Numbers: TypeAlias = npt.NDArray[Any]
-# Of a long run: a table, a gripper, a cup, and things that move about.
+# The entities of a long run: a table, a gripper, a cup, and other moving boxes.
 ENTITIES = 40
 TIMESTEP = 1 / 240
-# Of a naive history: what differs from tick to tick as doubles, and the tick and the id.
+# Bytes of a row in a naive history: the changing columns as doubles, the tick and the id.
 NAIVE = 22 * 8
 _MEGABYTE = 1e6
 
 
 @contextmanager
 def boxes(count: int) -> Iterator[tuple[ssduck.World, int]]:
-    """Boxes that turn in free fall, some beside each other; the first is called `table`."""
+    """Yields a world of turning boxes in free fall and its client; the first is the `table`."""
     client = pybullet.connect(pybullet.DIRECT)
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], physicsClientId=client
@@ -66,7 +67,7 @@ def boxes(count: int) -> Iterator[tuple[ssduck.World, int]]:
 
 
 def _recorder(ss: ssduck.Interpreter) -> Recorder:
-    """What keeps the ticks of an interpreter's only world."""
+    """Returns the recorder of an interpreter's only world."""
     return ss._database._recorders.running[0]
 
 
@@ -76,7 +77,7 @@ COST = ("keeping a tick", "in", "tick", "with it", "ratio", "processor")
 
 
 def costs(sizes: Sequence[int], ticks: int, rounds: int) -> Iterator[tuple[str, ...]]:
-    """What recording adds to a tick, the storing of those that wait included."""
+    """Yields the time that recording adds to a tick, including the storing of waiting ticks."""
     scenes: dict[str, Scene] = {f"{size:,} boxes": partial(boxes, size) for size in sizes}
     for name, scene in {**scenes, "kitchen": kitchen}.items():
         for place in ("memory", "a file"):
@@ -84,34 +85,37 @@ def costs(sizes: Sequence[int], ticks: int, rounds: int) -> Iterator[tuple[str, 
                 plain, _ = stack.enter_context(scene())
                 world, _ = stack.enter_context(scene())
                 path = ":memory:" if place == "memory" else f"{folder}/run.duckdb"
-                # As long as the memory that older ticks had is used again.
-                kept = Recording(ticks=1200) if place == "memory" else Recording()
-                ss = stack.enter_context(ssduck.Interpreter(path, recording=kept))
+                # Long enough that the memory of dropped ticks is used again.
+                recording = Recording(ticks=1200) if place == "memory" else Recording()
+                ss = stack.enter_context(ssduck.Interpreter(path, recording=recording))
                 ss.add_variable("world", world)
-                _ticked(world, 3 * ticks if place == "memory" else 0)
+                _take_ticks(world, 3 * ticks if place == "memory" else 0)
                 storing = _recorder(ss)._storing
                 ways = {
-                    "plain": Way(partial(_ticked, plain, ticks), before=storing.wait),
-                    "kept": Way(partial(_ticked, world, ticks), partial(_begun, world, storing)),
+                    "plain": Way(partial(_take_ticks, plain, ticks), before=storing.wait),
+                    "kept": Way(
+                        partial(_take_ticks, world, ticks),
+                        partial(_wait_for_storing, world, storing),
+                    ),
                 }
                 wall, processor = _in_turns(ways, rounds)
             yield (
                 name,
                 place,
-                shown(wall["plain"] / ticks),
-                shown(wall["kept"] / ticks),
+                text_of(wall["plain"] / ticks),
+                text_of(wall["kept"] / ticks),
                 f"{wall['kept'] / wall['plain']:.2f}",
                 f"{processor['kept'] / processor['plain']:.2f}",
             )
 
 
-def _ticked(world: ssduck.World, ticks: int) -> None:
+def _take_ticks(world: ssduck.World, ticks: int) -> None:
     for _ in range(ticks):
         world.tick()
 
 
-def _begun(world: ssduck.World, storing: BackgroundWriter) -> None:
-    """Take ticks until some are being stored, as at the end of what is timed."""
+def _wait_for_storing(world: ssduck.World, storing: BackgroundWriter) -> None:
+    """Takes ticks until some are being stored, as at the end of the timed part."""
     for _ in range(RING_TICKS + 1):
         if storing.is_busy:
             break
@@ -119,7 +123,7 @@ def _begun(world: ssduck.World, storing: BackgroundWriter) -> None:
 
 
 def _in_turns(ways: Mapping[str, Way], rounds: int) -> tuple[dict[str, float], dict[str, float]]:
-    """The median time of each way, and of processor time in all threads, s."""
+    """Returns the median wall time and processor time (all threads) of each way, s."""
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
     gc.collect()
     gc.disable()
@@ -129,12 +133,12 @@ def _in_turns(ways: Mapping[str, Way], rounds: int) -> tuple[dict[str, float], d
                 way.before()
                 wall, processor = time.perf_counter(), time.process_time()
                 way.call()
-                taken = time.perf_counter() - wall, time.process_time() - processor
-                times[name].append(taken)
+                elapsed = time.perf_counter() - wall, time.process_time() - processor
+                times[name].append(elapsed)
     finally:
         gc.enable()
     wall_times, processor_times = (
-        {name: statistics.median(pair[which] for pair in found) for name, found in times.items()}
+        {name: statistics.median(pair[which] for pair in result) for name, result in times.items()}
         for which in (0, 1)
     )
     return wall_times, processor_times
@@ -145,21 +149,21 @@ def _in_turns(ways: Mapping[str, Way], rounds: int) -> tuple[dict[str, float], d
 BYTES = ("bytes an entity and tick", "what is kept", "memory", "file", "Parquet", "naive")
 
 
-def sizes_of(boxes_count: int, ticks: int) -> Iterator[tuple[str, ...]]:
-    """How many bytes an entity takes a tick."""
+def bytes_per_row(boxes_count: int, ticks: int) -> Iterator[tuple[str, ...]]:
+    """Yields the bytes for an entity at a tick."""
     scenes: dict[str, Scene] = {
         f"{boxes_count} boxes, all moving": partial(boxes, boxes_count),
         "kitchen": kitchen,
     }
     for name, scene in scenes.items():
-        for kept, recording in (
+        for label, recording in (
             ("all", Recording()),
             ("what changed", Recording(changed=True)),
         ):
-            found = [
+            result = [
                 _bytes(scene, recording, ticks, path) for path in (":memory:", "run.duckdb", "run")
             ]
-            yield (name, kept, *(f"{each:.0f}" for each in found), f"{NAIVE}")
+            yield (name, label, *(f"{each:.0f}" for each in result), f"{NAIVE}")
 
 
 def _bytes(scene: Scene, recording: Recording, ticks: int, path: str) -> float:
@@ -183,7 +187,7 @@ def _bytes(scene: Scene, recording: Recording, ticks: int, path: str) -> float:
 
 
 def _used(ss: ssduck.Interpreter, place: Path) -> int:
-    """Bytes of a file, of all files in a folder, or of what is kept in memory."""
+    """Returns the bytes of a file, of the files in a folder, or of a history in memory."""
     if place.is_file():
         return place.stat().st_size
     if place.name == "run":
@@ -197,9 +201,9 @@ def _used(ss: ssduck.Interpreter, place: Path) -> int:
 
 
 def fill(ss: ssduck.Interpreter, world: ssduck.World, ticks: int, step: int = 6000) -> None:
-    """Keep ticks that were never simulated: things go about, some of them over the table."""
+    """Stores ticks that were never simulated: boxes move, some of them over the table."""
     recorder = _recorder(ss)
-    world.ask(("shapes", "links"))  # later it would be a tick of its own
+    world.ask(("shapes", "links"))  # later this would take another tick
     ss.flush()
     ids = np.array([member.id for member in world.snapshot.members])
     first = world.snapshot.number + 1
@@ -216,7 +220,7 @@ def fill(ss: ssduck.Interpreter, world: ssduck.World, ticks: int, step: int = 60
         recorder._store.add(rows)
         for number, at in zip(numbers.tolist(), times.tolist(), strict=True):
             recorder.ticks.append(number, at)
-    world.snapshot.number = first + ticks - 1  # windows end with the world's own tick
+    world.snapshot.number = first + ticks - 1  # time ranges end with the current tick
 
 
 def _entities(numbers: Numbers, times: Numbers, ids: Numbers) -> pa.Table:
@@ -231,7 +235,7 @@ def _entities(numbers: Numbers, times: Numbers, ids: Numbers) -> pa.Table:
     reals[8:10] = -2 * speed * np.sin(angle), 2.6 * speed * np.cos(1.3 * angle)
     still = n == 0
     reals[1:8, still] = np.array([[0, 0, 0.4, 1, 0, 0, 0]]).T
-    # The gripper goes with the cup, at 5 mm to 5 cm.
+    # The gripper follows the cup at 5 mm to 5 cm.
     cup, gripper = n == 2, n == 1
     reals[1:14, gripper] = reals[1:14, cup]
     reals[3, gripper] += 0.6275 + 0.0225 * np.cos(9 * times)
@@ -251,7 +255,7 @@ def _table(
 
 @contextmanager
 def long_run(ticks: int) -> Iterator[ssduck.Interpreter]:
-    """An interpreter on a run of many ticks, `lab`; `table`, `gripper` and `cup` are handles."""
+    """Yields an interpreter with a long run `lab` and its handles `table`, `gripper`, `cup`."""
     with boxes(ENTITIES) as (world, _), ssduck.Interpreter(recording=Recording()) as ss:
         ss.add_variable("lab", world)
         for name in ("table", "gripper", "cup"):
@@ -272,25 +276,25 @@ _BY_HAND = """
 
 
 def over(ss: ssduck.Interpreter, rounds: int) -> Iterator[tuple[str, ...]]:
-    """`above` over all ticks of a run.
+    """Yields the times of `above` over all ticks of a run.
 
     Raises:
         AssertionError: the answers differ.
     """
     ((rows,),) = ss.sql("SELECT count(tick) FROM lab.entities_history").fetchall()
-    asked = {
+    queries = {
         "above, each 1,000th tick": (ABOVE, "b.tick % 1000 = 0"),
         "above, and high up": (HIGH, "b.z > 0.7999"),
     }
-    for name, (program, condition) in asked.items():
+    for name, (program, condition) in queries.items():
         ours = partial(ss.eval, ss.compile(f"{program} AS list;"))
         hand = partial(ss._database.connection.rows, _BY_HAND.format(condition))
-        found, expected = _pairs(ours()), sorted(hand())
-        if found != expected:
-            raise AssertionError(f"{name}: {str(found)[:200]} is not {str(expected)[:200]}")
+        result, expected = _pairs(ours()), sorted(hand())
+        if result != expected:
+            raise AssertionError(f"{name}: {str(result)[:200]} is not {str(expected)[:200]}")
         times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, most=60.0)
         ratio = f"{times['ours'] / times['hand']:.2f}"
-        yield name, f"{rows:,}", f"{len(found):,}", *map(shown, times.values()), ratio
+        yield name, f"{rows:,}", f"{len(result):,}", *map(text_of, times.values()), ratio
 
 
 def _pairs(flat: list[Any]) -> list[tuple[Any, Any]]:
@@ -311,34 +315,41 @@ NEAR = (
 
 
 def near(sizes: Sequence[int], rounds: int) -> Iterator[tuple[str, ...]]:
-    """`near` of two boxes at every tick, against FCL's distance of the same at the same places.
+    """Yields the times of `near` of two boxes at every tick, against FCL's distance of them.
 
     Raises:
         AssertionError: the answers differ.
     """
     for ticks in sizes:
-        taken: dict[str, list[float]] = {"ours": [], "bare": [], "set": []}
-        for _ in range(rounds):  # a run that was asked about is known
+        times: dict[str, list[float]] = {"ours": [], "bare": [], "set": []}
+        for _ in range(rounds):  # a second query of the same run would reuse results
             with long_run(ticks) as ss:
                 ours = minima({"ours": Way(partial(ss.eval, NEARBY))}, 1, most=60.0)
                 pairs = ss.statistics()["lab"].pairs
-                found = len(ss.eval(NEARBY))
+                result = len(ss.eval(NEARBY))
                 poses = ss.sql(
                     "SELECT x, y, z, qw, qx, qy, qz FROM lab.entities_history "
                     "WHERE name IN ('gripper', 'cup') AND tick > 1 ORDER BY tick, name"
                 ).fetchall()
-            hands = {name: Way(loop) for name, loop in _by_fcl(np.array(poses), found).items()}
+            hands = {name: Way(loop) for name, loop in _by_fcl(np.array(poses), result).items()}
             for name, seconds in {**ours, **minima(hands, 3, most=30.0)}.items():
-                taken[name].append(seconds)
-        each = min(taken["ours"]) / max(pairs, 1)
-        # The loops ask FCL at each tick, of boxes that are far apart, too.
-        bare, posed = (min(taken[name]) / (len(poses) / 2) for name in ("bare", "set"))
-        told = (shown_finely(each), shown_finely(bare), f"{each / bare:.2f}")
-        yield "near", f"{ticks:,}", f"{pairs:,}", *told, shown_finely(posed), f"{each / posed:.2f}"
+                times[name].append(seconds)
+        each = min(times["ours"]) / max(pairs, 1)
+        # The loops call FCL at each tick, also for boxes that are far apart.
+        bare, posed = (min(times[name]) / (len(poses) / 2) for name in ("bare", "set"))
+        texts = (text_in_microseconds(each), text_in_microseconds(bare), f"{each / bare:.2f}")
+        yield (
+            "near",
+            f"{ticks:,}",
+            f"{pairs:,}",
+            *texts,
+            text_in_microseconds(posed),
+            f"{each / posed:.2f}",
+        )
 
 
-def _by_fcl(poses: Array, found: int) -> dict[str, Callable[[], object]]:
-    """Loops over the poses (2 n, 7) of a cup and a gripper: of transforms, and of numbers."""
+def _by_fcl(poses: Array, result: int) -> dict[str, Callable[[], object]]:
+    """Returns loops over poses (2 n, 7) of cup and gripper: as transforms and as numbers."""
     box = fcl.Box(0.2, 0.4, 0.6)
     cup, gripper = fcl.CollisionObject(box), fcl.CollisionObject(box)
     places, turns = poses[:, :3].copy(), poses[:, 3:].copy()
@@ -360,8 +371,8 @@ def _by_fcl(poses: Array, found: int) -> dict[str, Callable[[], object]]:
             near += is_near(one, fcl.Transform(turns[k + 1], places[k + 1]))
         return near
 
-    if abs(bare() - found) > 1:
-        raise AssertionError(f"near at {found} ticks, FCL: {bare()}")
+    if abs(bare() - result) > 1:
+        raise AssertionError(f"near at {result} ticks, FCL: {bare()}")
     return {"bare": bare, "set": posed}
 
 
@@ -371,7 +382,7 @@ OPENED = ("a record in a folder", "MB", "files", "ssduck", "by hand", "ratio")
 
 
 def opened(megabytes: float, rounds: int) -> Iterator[tuple[str, ...]]:
-    """Opening a record, and asking about one second of it, or one tick, for the first time."""
+    """Yields the times of opening a record, and of a first query about a second or a tick."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "run"
         # About 100 bytes a row.
@@ -384,7 +395,7 @@ def opened(megabytes: float, rounds: int) -> Iterator[tuple[str, ...]]:
         rows = f"SELECT tick, name FROM read_parquet('{place}/entities/**/*.parquet')"
         last = f"(SELECT max(time) FROM read_parquet('{place}/ticks/**/*.parquet'))"
         tick = f"time > {middle!r} - {TIMESTEP} + 1e-9 AND time <= {middle!r} + 1e-9"
-        asked = {
+        queries = {
             "opening": ("", f"SELECT count(*) FROM ({rows})"),
             "opening, then the last second": (
                 "SELECT tick(this), id(this) FROM lab{-1.0} WHERE z(this) > 0.5 AS list;",
@@ -395,13 +406,13 @@ def opened(megabytes: float, rounds: int) -> Iterator[tuple[str, ...]]:
                 f"{rows} WHERE {tick} AND z > 0.5",
             ),
         }
-        for name, (program, by_hand) in asked.items():
+        for name, (program, by_hand) in queries.items():
             ours, hand = partial(_open, place, program), partial(_read, by_hand)
             if program and _pairs(ours()) != sorted(hand()):
                 raise AssertionError(f"{name}: {str(ours())[:200]} is not {str(hand())[:200]}")
             times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, most=30.0)
             ratio = f"{times['ours'] / times['hand']:.2f}"
-            yield name, f"{size:.0f}", f"{files}", *map(shown, times.values()), ratio
+            yield name, f"{size:.0f}", f"{files}", *map(text_of, times.values()), ratio
 
 
 def _open(place: Path, program: str) -> Any:
@@ -421,7 +432,7 @@ PARTS = ("cost", "bytes", "over", "near", "opened")
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print the tables."""
+    """Prints the requested tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks time")
     parser.add_argument("--sizes", type=int, nargs="+", default=(40, 300, 1000), help="of worlds")
     parser.add_argument("--ticks", type=int, default=2400, help="that are kept each time")
@@ -432,16 +443,16 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS, help="which tables")
     parser.add_argument("--gigabytes", type=float, default=0.1, help="of the record")
     parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
-    given = parser.parse_args(arguments)
-    if "cost" in given.only:
-        printed(COST, costs(given.sizes, max(given.ticks // 2, 1), given.rounds))
-    if "bytes" in given.only:
-        printed(BYTES, sizes_of(ENTITIES, 4 * given.ticks))
-    if "over" in given.only:
-        with long_run(given.long) as ss:
-            printed(OVER, over(ss, given.rounds))
-    if "near" in given.only:
-        printed(NEAR, near(given.near, given.rounds))
-    if "opened" in given.only:
-        printed(OPENED, opened(1e3 * given.gigabytes, given.rounds))
+    options = parser.parse_args(arguments)
+    if "cost" in options.only:
+        print_table(COST, costs(options.sizes, max(options.ticks // 2, 1), options.rounds))
+    if "bytes" in options.only:
+        print_table(BYTES, bytes_per_row(ENTITIES, 4 * options.ticks))
+    if "over" in options.only:
+        with long_run(options.long) as ss:
+            print_table(OVER, over(ss, options.rounds))
+    if "near" in options.only:
+        print_table(NEAR, near(options.near, options.rounds))
+    if "opened" in options.only:
+        print_table(OPENED, opened(1e3 * options.gigabytes, options.rounds))
     return 0

@@ -1,8 +1,8 @@
-"""Taking a tick, against bare Python loops over PyBullet's getters.
+"""Measures taking a tick against bare Python loops over PyBullet's getters.
 
-Two loops are measured. `all getters` asks what a user must ask to know what a tick knows: pose,
-velocity and box of every body and link. `the tick's own` makes exactly the calls that the tick
-makes (no boxes; not those bodies that cannot move), and does nothing with the results.
+`python -m benchmarks ticks` takes some seconds. There are two loops: `all getters` reads all that a
+tick contains: pose, velocity and box of every body and link. `the tick's own` makes exactly the
+calls of the tick (no boxes; movable bodies only) and ignores the results.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from contextlib import AbstractContextManager, contextmanager
 import pybullet
 
 import ssduck
-from benchmarks.timing import medians, shown
+from benchmarks.timing import medians, text_of
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import find_scene
 
 
 def bodies(client: int) -> list[int]:
-    """The numbers of a client's bodies."""
+    """Returns the numbers of the bodies of a client."""
     count = pybullet.getNumBodies(client)
     return [pybullet.getBodyUniqueId(index, client) for index in range(count)]
 
 
 def all_getters(client: int) -> Callable[[], object]:
-    """The loop of a user: pose, velocity and box of every body and link."""
+    """Returns a loop over pose, velocity and box of every body and link."""
     links = {body: list(range(pybullet.getNumJoints(body, client))) for body in bodies(client)}
 
     def loop() -> object:
@@ -45,7 +45,7 @@ def all_getters(client: int) -> Callable[[], object]:
 
 
 def own_getters(client: int, moving: set[int]) -> Callable[[], object]:
-    """The calls that the tick itself makes."""
+    """Returns a loop of the calls that the tick itself makes."""
     links = {body: list(range(pybullet.getNumJoints(body, client))) for body in moving}
 
     def loop() -> object:
@@ -62,7 +62,7 @@ def own_getters(client: int, moving: set[int]) -> Callable[[], object]:
 
 @contextmanager
 def kitchen() -> Iterator[tuple[ssduck.World, int]]:
-    """The shipped kitchen, settled."""
+    """Yields the shipped kitchen at rest, and its client."""
     world = ssduck.World.load(find_scene("kitchen")).step(240)
     yield world, world._simulator.client  # type: ignore[attr-defined]
     world.close()
@@ -70,7 +70,7 @@ def kitchen() -> Iterator[tuple[ssduck.World, int]]:
 
 @contextmanager
 def boxes(count: int, *, owned: bool) -> Iterator[tuple[ssduck.World, int]]:
-    """Falling boxes in a world of ssduck's, or in a client that ssduck is attached to."""
+    """Yields a world of falling boxes and its client, to which ssduck may be attached only."""
     client = pybullet.connect(pybullet.DIRECT)
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.3], physicsClientId=client
@@ -83,9 +83,9 @@ def boxes(count: int, *, owned: bool) -> Iterator[tuple[ssduck.World, int]]:
 
 
 def movable(world: ssduck.World) -> set[int]:
-    """The PyBullet numbers of the bodies that can move."""
-    found = (member.body for member in world.snapshot.members)
-    return {body.handle for body in found if body is not None and body.movable}
+    """Returns the PyBullet numbers of the movable bodies."""
+    member_bodies = (member.body for member in world.snapshot.members)
+    return {body.handle for body in member_bodies if body is not None and body.movable}
 
 
 SCENES: dict[str, Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]] = {
@@ -96,7 +96,7 @@ SCENES: dict[str, Callable[[], AbstractContextManager[tuple[ssduck.World, int]]]
 
 
 def rows() -> Iterator[tuple[str, str, str, str, str, str]]:
-    """One row a scene: tick, both loops, and the ratios of the tick to them."""
+    """Yields a row for each scene: the tick, both loops, and the ratios of the tick to them."""
     for name, scene in SCENES.items():
         with scene() as (world, client):
             ways = {
@@ -107,10 +107,10 @@ def rows() -> Iterator[tuple[str, str, str, str, str, str]]:
             times = medians(ways, 300 if name == "kitchen" else 100)
         yield (
             name,
-            shown(times["tick"]),
-            shown(times["all"]),
+            text_of(times["tick"]),
+            text_of(times["all"]),
             f"{times['tick'] / times['all']:.2f}",
-            shown(times["own"]),
+            text_of(times["own"]),
             f"{times['tick'] / times['own']:.2f}",
         )
 

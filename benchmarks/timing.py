@@ -1,7 +1,7 @@
-"""Timing two or more ways of doing the same thing, in turn, in one process; printing tables.
+"""Times alternative ways to do the same thing in one process, and prints tables.
 
-The ways take turns, so that a machine that slows down slows all of them; what is told of each
-is the median, or the least where a call is long, and ratios are those of the same.
+The ways take turns, so that a slower machine slows all of them. The result is the median time of
+each, or the minimum where a call is long; ratios are those of these results.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 
 def medians(ways: Mapping[str, Callable[[], object]], rounds: int = 300) -> dict[str, float]:
-    """The median time of a call of each way, seconds.
+    """Returns the median time of a call of each way, seconds.
 
     Args:
-        ways: what is called, by name.
-        rounds: how often each is called, after a tenth as many calls that do not count.
+        ways: the calls by name.
+        rounds: the number of calls of each way, after a tenth as many to warm up.
     """
     times: dict[str, list[float]] = {name: [] for name in ways}
     with _uncollected():
@@ -33,19 +33,19 @@ def medians(ways: Mapping[str, Callable[[], object]], rounds: int = 300) -> dict
 
 @dataclass(frozen=True)
 class Way:
-    """What is timed, and what is done before each call, which does not count."""
+    """A call to time, and a preparation before each call that is not timed."""
 
     call: Callable[[], object]
     before: Callable[[], object] = lambda: None
 
 
 def minima(ways: Mapping[str, Way], rounds: int, most: float) -> dict[str, float]:
-    """The least time of a call of each way, seconds.
+    """Returns the minimal time of a call of each way, seconds.
 
     Args:
-        ways: what is called, by name.
-        rounds: how often each is called.
-        most: seconds; a way whose calls have taken more is not called again.
+        ways: the calls by name.
+        rounds: the number of calls of each way.
+        most: the time, s, after which a way is not called again.
     """
     times: dict[str, list[float]] = {name: [] for name in ways}
     with _uncollected():
@@ -59,7 +59,7 @@ def minima(ways: Mapping[str, Way], rounds: int, most: float) -> dict[str, float
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Without Python's collector of garbage, which comes when it likes."""
+    """Disables Python's garbage collector, which would run at random times."""
     gc.collect()
     gc.disable()
     try:
@@ -74,20 +74,20 @@ def _timed(call: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def shown(seconds: float) -> str:
-    """A time with its unit."""
+def text_of(seconds: float) -> str:
+    """Returns a time with its unit."""
     if seconds >= 1:
         return f"{seconds:.1f} s"
     return f"{seconds * 1e3:.2f} ms" if seconds >= 1e-3 else f"{seconds * 1e6:.0f} µs"
 
 
-def shown_finely(seconds: float) -> str:
-    """A time of some microseconds."""
+def text_in_microseconds(seconds: float) -> str:
+    """Returns a time in microseconds with a decimal."""
     return f"{seconds * 1e6:.1f} µs"
 
 
-def printed(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
-    """Print a Markdown table, a row as soon as it is measured."""
+def print_table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
+    """Prints a Markdown table, each row as soon as it is measured."""
     print("| " + " | ".join(header) + " |")
     print("|" + "---|" * len(header))
     for row in rows:

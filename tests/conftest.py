@@ -9,6 +9,7 @@ order: it keeps its files in `tmp_path` and closes what it opens.
 
 from __future__ import annotations
 
+import signal
 import tomllib
 from pathlib import Path
 
@@ -21,6 +22,12 @@ DATA = Path(__file__).parent / "data"
 # The machines that run the tests are slow and shared; a failing example is found again.
 settings.register_profile("ssduck", deadline=None, derandomize=True)
 settings.load_profile("ssduck")
+
+
+def pytest_configure():
+    """Let Ctrl-C reach the processes of tests, which a background job of a shell would ignore."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

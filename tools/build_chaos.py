@@ -1,8 +1,11 @@
-"""Write the scene of bodies that fly about: `python -m tools.build_chaos [--check]`.
+"""Writes the scene `chaos`, bodies that fly about in a box.
 
-Everything below `scenes/chaos` comes from this file, as in SelectScript's demonstration of its
-dialect for ODE: bodies of random kinds in a closed box, without gravity, losing no energy. A
-fixed seed says what each one is, and how it begins. Metres, kilograms, m/s, rad/s.
+`python -m tools.build_chaos` writes all files of `scenes/chaos` in a second or two; `--check` only
+compares them, with exit status 1 if a file differs.
+
+As in SelectScript's demonstration of its dialect for ODE, bodies of random kinds move in a closed
+box without gravity and without losing energy. A fixed seed determines their kinds and initial
+states. Metres, kilograms, m/s, rad/s.
 """
 
 from __future__ import annotations
@@ -58,7 +61,7 @@ def side(name: str, colour: str, low: Vec, high: Vec, *, drawn: bool = True) -> 
 
 
 def sides() -> Iterator[Model]:
-    """Six sides; those that a viewer looks through are not drawn."""
+    """Six sides; those towards the viewer are invisible."""
     a, b = HALF, HALF + 0.2
     yield side("side_west", "ice", (-b, -b, -b), (-a, b, b))
     yield side("side_east", "ice", (a, -b, -b), (b, b, b), drawn=False)

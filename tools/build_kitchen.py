@@ -1,18 +1,18 @@
-"""Write the kitchen scene: `python tools/build_kitchen.py [--check]`.
+"""Writes the scene `kitchen`: the URDFs, their meshes and `scene.toml`.
 
-Everything below `scenes/kitchen` comes from this file: the URDFs, their meshes and `scene.toml`.
-With `--check` nothing is written, and the exit status is 1 if a file there differs.
+`python tools/build_kitchen.py` writes all files of `scenes/kitchen` in a second or two; `--check`
+only compares them, with exit status 1 if a file differs.
 
-Metres, kilograms, radians; z is up. A model is drawn in its own link frame, which the scene then
-places in the world; quaternions are w, x, y, z. The kitchen's frame is the world's: its floor is
-at z = 0.157, its back wall at large y, its left wall at small x, and it is open towards the
-viewer. Boxes and outlines are those of the kitchen in the SelectScript tutorial, whose printed
-figures follow from them; what fills these boxes was made for this project.
+Metres, kilograms, radians; z is up. A model is defined in its own link frame, which the scene
+places in the world; quaternions are w, x, y, z. The frame of the kitchen is that of the world: its
+floor is at z = 0.157, its back wall at large y, its left wall at small x, and it is open towards
+the viewer. Boxes and outlines are those of the kitchen in the SelectScript tutorial, whose printed
+figures follow from them; the shapes in these boxes were made for this project.
 
-Every shape both collides and is drawn. PyBullet takes each `o` group of a mesh as one convex
-hull, so a mesh is a list of convex pieces, and hollow things are put together from several.
-PyBullet lets hulls (and its many-sided cylinders) float 1 mm above what they rest on, so that is
-the gap left under what stands on hulls: then nothing moves when the simulation starts.
+Every shape both collides and is visible. PyBullet treats each `o` group of a mesh as a convex
+hull, so a mesh is a list of convex pieces, and hollow things consist of several. PyBullet lets
+hulls (and its many-sided cylinders) float 1 mm above their support. The scene leaves this gap
+under things on hulls, so that nothing moves when the simulation starts.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def profile(points: Sequence[Span], x0: float, x1: float) -> Piece:
 
 @dataclass(frozen=True)
 class Shape:
-    """What collides and is drawn: box, cylinder, sphere, capsule of a `size`, mesh of `pieces`."""
+    """A visible shape that collides: a primitive of a `size` or a mesh of `pieces`."""
 
     colour: str
     kind: str
@@ -149,7 +149,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a group of boxes is drawn: shifted, and turned about z."""
+    """The frame of a group of boxes: a translation and a rotation about z."""
 
     x: float = 0.0
     y: float = 0.0
@@ -348,7 +348,7 @@ def upper_cabinets() -> Iterator[Shape]:
 
 
 def mats() -> Iterator[Shape]:
-    """What stands higher than the worktop stands on a tray or mat that ends just below it."""
+    """Trays and mats under things that stand above the worktop."""
     yield box("walnut", (-1.40, -0.78, WORKTOP), (-1.07, -0.31, 0.97161989 - GAP))
     yield box("walnut", (-1.51, 0.76, WORKTOP), (-1.19, 1.12, 0.96890336 - GAP))
     yield box("oak", (-0.61, 2.00, WORKTOP), (-0.40, 2.52, 0.96400444 - GAP))
@@ -659,7 +659,7 @@ def knife_block() -> Model:
 
 
 def stretch(pieces: Sequence[Piece], y0: float, z1: float) -> list[Piece]:
-    """Stretch pieces a little, so that they end at this y (below) and z (above)."""
+    """Stretches pieces a little, so that they end at this y (below) and z (above)."""
     points = np.vstack([p.vertices for p in pieces])
     (y_low, z_low), (y_high, z_high) = points[:, 1:].min(axis=0), points[:, 1:].max(axis=0)
     out = []
@@ -1180,7 +1180,7 @@ def scene_text(heading: str, bodies: Iterable[Body], sensors: Iterable[Sensor]) 
 
 
 def files(scene: str, models: Iterable[Model]) -> dict[Path, str]:
-    """What is in a scene's folder: `scene.toml`, of that text, and models."""
+    """Returns the files of a scene by path: `scene.toml` with its text, and the models."""
     texts = {Path("scene.toml"): scene}
     for model in models:
         texts[Path(f"{model.name}.urdf")] = urdf_text(model)
@@ -1191,7 +1191,7 @@ def files(scene: str, models: Iterable[Model]) -> dict[Path, str]:
 
 
 def write(name: str, texts: dict[Path, str]) -> int:
-    """Write the folder of a scene, or compare it with what is there; the exit status."""
+    """Writes the folder of a scene, or compares it with the files; returns the exit status."""
     parser = argparse.ArgumentParser(description=f"Write the scene {name}.")
     parser.add_argument("--check", action="store_true", help="only report files that differ")
     check = parser.parse_args().check

@@ -1,6 +1,7 @@
-"""Let the robot clean up tables with cups in random places, and count how often it does.
+"""Checks how often the robot clears a table with cups in random places.
 
-python -m tools.cleanup 20 --seed 1
+`python -m tools.cleanup COUNT [--seed N]` runs the demonstration `cleanup` once for each seed from
+N on; the exit status is 1 if a table was not cleared. A table takes minutes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ REACHED = 0.15
 
 
 def scatter(world: World, rng: np.random.Generator) -> list[tuple[float, float]]:
-    """Put the cups in random places of the part of the table that the job is about."""
+    """Puts the cups at random places within the part of the table that is to be cleared."""
     low, high = (np.array(corner) for corner in world["table"].aabb)
     robot = np.array(world["barrett_4918"].position)
     plates = [np.array(e.position[:2]) for e in world if e.name.startswith("plate")]

@@ -1,8 +1,7 @@
-"""Draw the pictures of docs/reference/result-forms.md: `python tools/draw_forms.py [FOLDER]`.
+"""Draws the pictures of docs/reference/result-forms.md.
 
-The folder is docs/images by default.
-
-All are of the shipped kitchen. Those of grids are their own, `grid.image()`, the pixels enlarged.
+`python tools/draw_forms.py [FOLDER]` writes them to docs/images or to another folder, in less than
+a minute. All show the shipped kitchen. Pictures of grids are enlarged ones of `grid.image()`.
 """
 
 from __future__ import annotations
@@ -105,7 +104,7 @@ def sub_scene(ss: ssduck.Interpreter) -> Image.Image:
 
 
 def cloud(ss: ssduck.Interpreter) -> Image.Image:
-    """Points from the side and from above a little, in a colour an entity."""
+    """Draws points, with a colour for each entity, from the side and slightly from above."""
     table = "table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;"
     near = "SELECT obj FROM kitchen WHERE distance(table, this) < 1.3 AND volume(this) < 1"
     found = ss.eval(f"{table} {near} AND NOT isSensor(this) AS points(0.02);")
@@ -120,7 +119,7 @@ def cloud(ss: ssduck.Interpreter) -> Image.Image:
 
 
 def network(ss: ssduck.Interpreter) -> Image.Image:
-    """What is above what, drawn by networkx and matplotlib."""
+    """The graph of `above`, drawn by networkx and matplotlib."""
     import matplotlib as mpl
 
     mpl.use("Agg")

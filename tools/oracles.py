@@ -1,9 +1,11 @@
-"""Compare the narrow phase with oracles: `python -m tools.oracles [COUNT] [--seed N] [--write]`.
+"""Checks the narrow phase against oracles: closed forms and other libraries.
 
-Random pairs of all combinations of shapes, half of them with parallel edges and faces that meet.
-What is decided of many convex pairs at once is compared with the gaps. Prints the worst error of
-each combination; the exit status is 1 if one is beyond its bound.
-`--write` writes docs/reference/shapes.md, the table of what is supported how well.
+`python -m tools.oracles [COUNT] [--seed N]` prints the worst error of each combination of shapes;
+the exit status is 1 if one exceeds its bound. `--write` also writes docs/reference/shapes.md, the
+table of combinations and errors. 100,000 pairs take many minutes.
+
+The pairs are random, of all combinations of shapes; half of them have parallel edges and touching
+faces. The decisions for many convex pairs at once are compared with the distances.
 """
 
 from __future__ import annotations
@@ -99,7 +101,7 @@ def how(kinds: tuple[str, str]) -> str:
 
 
 def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], Worst]:
-    """The worst of some pairs of a combination."""
+    """Returns the worst errors of some pairs of a combination."""
     kinds, first, count = task
     worst = Worst()
     two, gaps = [], []
@@ -128,14 +130,14 @@ def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], W
 
 
 def shapes_of(seed: int) -> list[Any]:
-    """Something hollow, and things in its hole."""
+    """Returns a hollow shape and shapes in its hole."""
     scene: Any = hollows.scene
     shapes: list[Any] = scene(seed)
     return shapes
 
 
 def in_holes(task: tuple[int, int]) -> Worst:
-    """The worst of some scenes of things in holes, each of three pairs with what is hollow."""
+    """Returns the worst errors of scenes with three shapes in a hole each."""
     first, count = task
     worst = Worst()
     for seed in range(first, first + count):
@@ -151,7 +153,7 @@ def in_holes(task: tuple[int, int]) -> Worst:
 
 
 def differences(a: Any, b: Any, gap: float, seed: int) -> Iterator[float]:
-    """How much the gap is another if the shapes are swapped, or moved together."""
+    """Returns the changes of the distance if the shapes are swapped or moved together."""
     swapped = pairs.gap(b, a).distance
     yield 0.0 if swapped == gap else abs(swapped - gap)
     random = np.random.default_rng(seed + 1)

@@ -1,6 +1,7 @@
-"""`python -m tools.write_cases`: write the SQL of the language's cases anew, and their results.
+"""Rewrites the SQL and the results in the test cases of the language, tests/data/language.toml.
 
-Read the difference before it is kept: the tests compare with what stands in the file.
+`python -m tools.write_cases` takes some seconds. Review the difference before committing it: the
+tests compare with the file.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ PREPARATION = """
 
 
 def height(entity: ssduck.Entity) -> float:
-    """The height of an entity's box."""
+    """Returns the height of an entity's box."""
     return entity.aabb[1][2] - entity.aabb[0][2]
 
 
 def prepared() -> ssduck.Interpreter:
-    """The kitchen with the variables and functions that the cases use."""
+    """Returns an interpreter with the kitchen, variables and functions of the cases."""
     ss = ssduck.load("kitchen")
     ss.add_function("tall", lambda entity: height(entity) > 1.0)
     ss.add_function("height", height)
@@ -39,13 +40,13 @@ def prepared() -> ssduck.Interpreter:
 
 
 def cases() -> list[dict[str, str]]:
-    """The cases: what they are of, the program, its SQL in one line, its value."""
+    """Returns the cases: title, program, SQL in one line, value."""
     found: list[dict[str, str]] = tomllib.loads(CASES.read_text(encoding="utf-8"))["case"]
     return found
 
 
 def sql_of(ss: ssduck.Interpreter, program: str) -> str:
-    """What a program becomes, in one line."""
+    """Returns the SQL of a program in one line."""
     return " ".join(ss.explain(program).split())
 
 
@@ -55,7 +56,7 @@ def _written(case: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Write the file."""
+    """Writes the file."""
     queries.FEW_ROWS = 0
     with prepared() as ss:
         for case in (known := cases()):

@@ -1,8 +1,8 @@
-"""Write the manual's pages that come from the code: `python tools/write_reference.py [--check]`.
+"""Writes the generated pages of the manual.
 
-`docs/reference/relations.md` comes from the registry of relations and functions,
-`docs/reference/tables.md` from the declarations of the tables. With `--check` nothing is written,
-and the exit status is 1 if a page differs.
+`python tools/write_reference.py` takes some seconds: it writes `docs/reference/relations.md` from
+the registry of relations and functions, and `docs/reference/tables.md` from the declarations of
+tables. `--check` only compares them, with exit status 1 if a page differs.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ those of link frames, not of centres of mass.
 
 
 def relation_lines(relation: Relation) -> Iterator[str]:
-    """The entry of a relation."""
+    """Returns the entry of a relation."""
     yield f"\n### `{relation.usage}`\n"
     unit = f" Unit: {relation.unit}." if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
@@ -209,7 +209,7 @@ def relation_lines(relation: Relation) -> Iterator[str]:
 
 
 def relations_page() -> str:
-    """The page of the relations, the plain functions and the result forms."""
+    """Returns the page of the relations, the plain functions and the result forms."""
     lines = [RELATIONS_HEAD.rstrip()]
     for relation in RELATIONS.values():
         if not relation.alias_of:
@@ -226,7 +226,7 @@ def relations_page() -> str:
 
 
 def merged(columns: tuple[Column, ...]) -> Iterator[tuple[str, str, str]]:
-    """Neighbouring columns of one meaning as one row."""
+    """Merges neighbouring columns of one meaning into one row."""
     for (kind, comment), group in groupby(columns, lambda c: (c.type, c.comment)):
         same = list(group)
         seconds = " ".join(column.second_name for column in same if column.second_name)
@@ -235,7 +235,7 @@ def merged(columns: tuple[Column, ...]) -> Iterator[tuple[str, str, str]]:
 
 
 def tables_page() -> str:
-    """The page of the tables."""
+    """Returns the page of the tables."""
     lines = [TABLES_HEAD.rstrip()]
     for table in TABLES.values():
         lines += [

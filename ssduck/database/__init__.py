@@ -12,12 +12,12 @@ from ssduck.lazy import exports
 if TYPE_CHECKING:
     from ssduck.database.database import Database
     from ssduck.database.statement import Statement
-    from ssduck.database.values import tag_of, to_sql
+    from ssduck.database.values import sql_type_of, to_sql
 
 __all__ = [
     "Database",
     "Statement",
-    "tag_of",
+    "sql_type_of",
     "to_sql",
 ]
 
@@ -26,6 +26,6 @@ __getattr__, __dir__ = exports(
     {
         "database": ("Database",),
         "statement": ("Statement",),
-        "values": ("tag_of", "to_sql"),
+        "values": ("sql_type_of", "to_sql"),
     },
 )

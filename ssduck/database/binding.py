@@ -1,4 +1,4 @@
-"""A world in a database, and what is kept of it there."""
+"""A world that is bound to a database, and its history there."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
 Poses: TypeAlias = dict[int, tuple[float | None, ...]]
-# So many of them are kept, about, to compare rows with.
+# The approximate number of poses that are cached.
 MOST_POSES = 100_000
 _NO_SHAPES = (
     "the shapes of {!r} are known of its tick {} only: its ticks are not recorded, so that rows of "
@@ -36,17 +36,17 @@ _NO_SHAPES = (
 
 
 @dataclass(frozen=True)
-class WorldRecording:
-    """The history of a world: who keeps it, where, and how it is told.
+class WorldHistory:
+    """The recorded ticks of a world.
 
     Attributes:
-        history: where it is stored.
-        record: tells it.
-        recorder: keeps it; None if it is only read.
-        shown: the rows that DuckDB is shown where they are, by table.
+        store: the store that holds them.
+        record: the record, which reads them.
+        recorder: the recorder that adds ticks; None if they are only read.
+        shown: the rows that DuckDB reads in place, by table.
     """
 
-    history: TickArchive
+    store: TickArchive
     record: Record
     recorder: Recorder | None = None
     shown: tuple[Mapping[str, VisibleRows], ...] = ()
@@ -54,31 +54,31 @@ class WorldRecording:
 
 @dataclass
 class BoundWorld:
-    """A world in this database.
+    """A world that is bound to a database.
 
     Attributes:
-        reference: gives the world; None when nobody else has it any more.
-        key: what its buffers are called among DuckDB's temporary views.
-        schemas: its names here; the first is the one that ssduck's own statements use.
-        versions: those of the tables that DuckDB has been shown.
-        planned_margins: the margins, metres, that DuckDB's plans go by.
-        kept: its history; None if its ticks are not recorded.
-        held: the world, if it has a name of the user's: it is not to go.
+        reference: a weak reference to the world; it gives None when no one else holds the world.
+        key: the prefix of its buffers' names among DuckDB's temporary views.
+        schemas: its names; ssduck's own statements use the first.
+        versions: the versions of the tables that DuckDB has registered.
+        planned_margins: the margins, m, that DuckDB's plans assume.
+        history: its recorded ticks; None if they are not recorded.
+        held: the world, if the user named it, so that it stays.
     """
 
     reference: weakref.ref[World]
     key: str
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
-    kept: WorldRecording | None = None
+    history: WorldHistory | None = None
     held: World | None = None
     planned_margins: float = 0.0
     _poses: OrderedDict[int, Poses] = field(default_factory=OrderedDict)
-    _repadded: set[str] = field(default_factory=set)
+    _changed_margins: set[str] = field(default_factory=set)
 
     @property
     def world(self) -> World:
-        """The world, while somebody has it."""
+        """The world, while anyone holds it."""
         world = self.reference()
         if world is None:
             raise EvaluationError(f"the world {', '.join(self.schemas)} is gone")
@@ -87,13 +87,13 @@ class BoundWorld:
     def check_row(
         self, run: int | None, tick: int, id: int, pose: tuple[float | None, ...]
     ) -> None:
-        """Complain of a row of entities that is of another run, or was changed.
+        """Checks that a row of entities is as it was recorded in this world.
 
         Args:
             run: the number of the row's run.
-            tick: its tick.
-            id: of the entity.
-            pose: its x, y, z, qw, qx, qy, qz; None for what is not known.
+            tick: the number of its tick.
+            id: the id of the entity.
+            pose: its x, y, z (m), qw, qx, qy, qz; None for an unknown number.
 
         Raises:
             EvaluationError: the run is not that of this world, the pose not that of the tick, or
@@ -116,28 +116,29 @@ class BoundWorld:
         if known != pose:
             raise EvaluationError(
                 f"a row (id {id}, tick {tick}) is not as it was recorded: its pose is "
-                f"{_listed(pose)}, and was {_listed(known)}; relations of shapes are of what "
+                f"{_pose_text(pose)}, and was {_pose_text(known)}; relations of shapes are of what "
                 f"was: ask what_if for {self.world.name!r} with other poses"
             )
 
     def _poses_at(self, tick: int) -> Poses:
-        """The poses of the entities at a tick, as their rows tell them, by id."""
+        """Returns the poses of the entities at a tick, by id, from a cache if possible."""
         if tick not in self._poses:
-            told = self._told_poses(tick)
+            told = self._read_poses(tick)
             while self._poses and (len(self._poses) + 1) * len(told) > MOST_POSES:
                 self._poses.popitem(last=False)
             self._poses[tick] = told
         return self._poses[tick]
 
-    def _told_poses(self, tick: int) -> Poses:
+    def _read_poses(self, tick: int) -> Poses:
+        """Returns the poses of the entities at a tick, by id."""
         snapshot = self.world.snapshot
         if tick == snapshot.number:
             table = snapshot.tables["entities"]
             ids, columns = table["id"], table.reals("x", "qz")
-        elif self.kept is None:
+        elif self.history is None:
             raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
         else:
-            rows = self.kept.record.rows("entities", tick)
+            rows = self.history.record.rows("entities", tick)
             ids, columns = rows["id"], np.array([rows[name] for name in POSE])
         told = columns.T.tolist()
         if np.isnan(columns).any():
@@ -145,59 +146,60 @@ class BoundWorld:
         return dict(zip(ids.tolist(), map(tuple, told), strict=True))
 
     def buffers(self) -> list[tuple[str, str, LiveTable | VisibleRows]]:
-        """What DuckDB is to be shown: of which table, under which name, and the rows."""
+        """Returns the rows that DuckDB reads in place, each with its table and its name."""
         found: list[tuple[str, str, LiveTable | VisibleRows]] = [
             (table, self.live(table), live) for table, live in self.world.snapshot.tables.items()
         ]
-        for part, tables in enumerate(self.kept.shown if self.kept is not None else ()):
+        for part, tables in enumerate(self.history.shown if self.history is not None else ()):
             for table, rows in tables.items():
                 found.append((RECORDED[table].history_view, self.waiting(table)[part], rows))
         return found
 
     def live(self, table: str) -> str:
-        """What a table's buffers are called among DuckDB's temporary views."""
+        """Returns the name of a table's buffers among DuckDB's temporary views."""
         return f"{self.key}: {table}"
 
     def waiting(self, table: str) -> list[str]:
-        """What the rows are called that are not stored, among DuckDB's temporary views."""
-        parts = len(self.kept.shown) if self.kept is not None else 0
+        """Returns the names of the rows that are not stored yet, among DuckDB's temporary views."""
+        parts = len(self.history.shown) if self.history is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
 
     def shapes(self, tick: int | None, ids: Sequence[int] | None) -> ShapeQueries:
-        """The shapes at a tick, those of some entities at least, or at the present one.
+        """Returns the shapes at a tick.
 
         Args:
-            tick: its number; None for the present one.
-            ids: of the entities; None for all.
+            tick: the number of the tick; None for the present one.
+            ids: the ids of entities whose shapes are needed; None for all.
 
         Raises:
             EvaluationError: the tick is not recorded.
+            UnsupportedError: the world is not recorded.
         """
         snapshot = self.world.snapshot
         if tick is None or tick == snapshot.number:
             return snapshot.shapes()
-        if self.kept is None:
+        if self.history is None:
             raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
-        return self.kept.record.shapes(tick, ids)
+        return self.history.record.shapes(tick, ids)
 
     @property
     def margins(self) -> float:
-        """How far apart shapes may be that touch by their margins, metres, at any of its ticks."""
+        """The largest distance, m, of shapes that touch by their collision margins, at any tick."""
         now = self.world.snapshot.margins
-        return now if self.kept is None else max(now, self.kept.record.margins)
+        return now if self.history is None else max(now, self.history.record.margins)
 
     def note_margins(self, tick: int | None) -> None:
-        """Warn, once of each entity, where recorded ticks go by other margins than there are now.
+        """Warns, once of each entity, if recorded ticks have other margins than the present one.
 
         Args:
-            tick: the one that is asked for; None for the present one.
+            tick: the number of the tick; None for the present one.
         """
         snapshot = self.world.snapshot
         if tick is None or tick == snapshot.number:
             return
-        new = [name for name in snapshot.repadded if name not in self._repadded]
+        new = [name for name in snapshot.repadded if name not in self._changed_margins]
         if new:
-            self._repadded.update(new)
+            self._changed_margins.update(new)
             warn(
                 f"{self.world.name!r}: the collision margins of {joined_names(new)} were changed; "
                 "recorded ticks go by those that a body came with, so that on, touching and "
@@ -205,7 +207,7 @@ class BoundWorld:
             )
 
     def joints(self, tick: int, id: int) -> EntityJoints:
-        """The joints of an entity at a tick.
+        """Returns the joints of an entity at a tick.
 
         Raises:
             UnsupportedError: they are not recorded.
@@ -216,16 +218,16 @@ class BoundWorld:
             own: Mapping[str, Any] = {name: rows[name] for name in ("entity", "position")}
         else:
             own = self._recorded("joints", tick)
-            assert self.kept is not None
-            member = self.kept.record.members[id]
+            assert self.history is not None
+            member = self.history.record.members[id]
         joints = () if member.body is None else member.body.joints
         return EntityJoints(member.name, joints, own["position"][own["entity"] == id].tolist())
 
     def joint_owners(self) -> dict[str, set[int]]:
-        """The ids of the entities that have a joint of each name, now or at a recorded tick."""
+        """Returns the ids of the entities that have a joint of each name, at any tick."""
         members = {member.id: member for member in self.world.snapshot.members}
-        if self.kept is not None:
-            members.update(self.kept.record.members)
+        if self.history is not None:
+            members.update(self.history.record.members)
         found: dict[str, set[int]] = {}
         for id, member in members.items():
             for joint in () if member.body is None else member.body.joints:
@@ -233,20 +235,20 @@ class BoundWorld:
         return found
 
     def _recorded(self, table: str, tick: int) -> Mapping[str, Any]:
-        """The columns of a table at a recorded tick.
+        """Returns the columns of a table at a recorded tick.
 
         Raises:
-            UnsupportedError: it is not recorded.
+            UnsupportedError: the table is not recorded.
         """
-        if self.kept is None:
+        if self.history is None:
             raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
-        record = self.kept.record
+        record = self.history.record
         if table not in record.tables:
             raise UnsupportedError(not_recorded(table, self.world.name))
         return record.rows(table, tick)
 
     def told(self, what: str, tick: int, a: int, b: int) -> list[float]:
-        """What contacts or sensors told at a recorded tick.
+        """Returns the values of contacts or sensors at a recorded tick.
 
         Raises:
             UnsupportedError: they are not recorded.
@@ -254,5 +256,5 @@ class BoundWorld:
         return TOLD[what](partial(self._recorded, tick=tick), a, b)
 
 
-def _listed(pose: Sequence[float | None]) -> str:
+def _pose_text(pose: Sequence[float | None]) -> str:
     return "[" + ", ".join("NULL" if number is None else f"{number:g}" for number in pose) + "]"

@@ -1,4 +1,4 @@
-"""How statements run in DuckDB: in time, told to the tracer, and their errors as ssduck's."""
+"""Runs statements in DuckDB: in time, traced, and with ssduck's errors."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ T = TypeVar("T")
 
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
-_REFUSALS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
-# Seconds after which a statement whose time is over is interrupted again.
-AGAIN = 0.02
-# So many rows are fetched one by one.
+_REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
+# The time between two interrupts of a statement whose time is up, s.
+INTERRUPT_INTERVAL = 0.02
+# So many rows are fetch one by one.
 _BY_ROW = 100
-# Of these types DuckDB gives the same values by column; of others, numpy has no such values.
+# The types whose values are the same by column; NumPy lacks those of other types.
 _BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
-# The name of a database that is in no file.
+# The path of a database in memory.
 MEMORY = ":memory:"
-# What an attached file with a record is called; no world can be.
+# The name of an attached file with a record; no world can have it.
 _ATTACHED = "ssduck record file"
 
 
@@ -55,13 +55,13 @@ class Connection:
     """A connection to DuckDB, which is closed when nothing refers to it.
 
     Args:
-        path: a DuckDB file, or `":memory:"`.
-        tracer: is told each statement before it runs.
-        limits: what SQL may use.
-        recorders: what waits in these is stored before it is closed.
+        path: the path of a DuckDB file, or `":memory:"`.
+        tracer: a function that is called with each statement before it runs.
+        limits: the limits of SQL.
+        recorders: the recorders whose waiting ticks are stored before it is closed.
 
     Attributes:
-        meter: how much of its limits the running program has used.
+        meter: the use of the running program's limits.
     """
 
     def __init__(
@@ -71,18 +71,18 @@ class Connection:
         limits: Limits,
         recorders: list[Recorder],
     ) -> None:
-        self._path = path if path == MEMORY else _place_of(path, is_written=True)
+        self._path = path if path == MEMORY else _absolute_path(path, is_written=True)
         try:
             self._connection = duckdb.connect(self._path)
         except duckdb.Error as error:
-            raise SqlError(_unopened(path, error)) from error
+            raise SqlError(_open_error_text(path, error)) from error
         # Left open until Python ends, it would print complaints there.
         self._finalizer = weakref.finalize(self, _finish, self._connection, recorders, os.getpid())
         self._tracer = tracer
         self.meter = UsageMeter(limits)
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
-        # What a function raised while SQL called it: DuckDB keeps but its words.
+        # The exception of a function that SQL called: DuckDB keeps its text only.
         self._raised: list[BaseException] = []
         # The data are small and the queries many: a second thread costs more than it gives.
         self.run("SET threads = 1")
@@ -97,7 +97,7 @@ class Connection:
             self.run("SET wal_autocheckpoint = '1TB'")  # see Writer.settle
 
     def confine(self) -> None:
-        """Let what comes do no more than the limits say."""
+        """Applies the limits of memory and files to all later statements."""
         limits = self.meter.limits
         if limits.memory is not None:
             memory = exp.Literal.string(f"{limits.memory}B").sql("duckdb")
@@ -110,49 +110,50 @@ class Connection:
 
     @property
     def is_file(self) -> bool:
-        """Whether it is to a file."""
+        """Whether the database is a file."""
         return self._path != MEMORY
 
     @property
     def is_open(self) -> bool:
-        """Whether it was not closed."""
+        """Whether the connection is open."""
         return self._finalizer.alive
 
     def close(self) -> None:
-        """Store what waits, and close it.
+        """Stores the waiting ticks, and closes the connection.
 
         Raises:
-            SqlError: what waits cannot be stored, for the disk is full, say; it is closed then.
+            SqlError: the ticks cannot be stored, as the disk is full, say; the connection is
+                closed.
         """
         self._finalizer()
 
     def writer(self) -> WriterConnection:
-        """A connection of its own, for what is kept of a world."""
+        """Returns a second connection to the same database, for recorded ticks."""
         return WriterConnection(self._connection, Path(self._path) if self.is_file else None)
 
     def attach(self, path: Path) -> str:
-        """Let a DuckDB file be read; tells what it is called here.
+        """Attaches a DuckDB file to be read, and returns its name.
 
         Raises:
             RecordError: it is no DuckDB file, or in use by another process.
         """
         try:
-            file = exp.Literal.string(_place_of(str(path))).sql("duckdb")
+            file = exp.Literal.string(_absolute_path(str(path))).sql("duckdb")
         except SqlError as error:
             raise RecordError(error.message) from error
         name = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
         try:
             self.run(f"ATTACH {file} AS {name} (READ_ONLY)")
         except SqlError as error:
-            raise RecordError(_unopened(str(path), error)) from error
+            raise RecordError(_open_error_text(str(path), error)) from error
         return _ATTACHED
 
-    def show(self, name: str, table: pa.Table) -> None:
-        """Let DuckDB see a table under a name."""
+    def register(self, name: str, table: pa.Table) -> None:
+        """Makes a table readable under a name."""
         self._connection.register(name, table)
 
-    def unshow(self, name: str) -> None:
-        """Let DuckDB forget a table."""
+    def unregister(self, name: str) -> None:
+        """Removes a registered table."""
         self._connection.unregister(name)
 
     def add_function(
@@ -165,17 +166,17 @@ class Connection:
         at_start: Callable[[], None] | None = None,
         **how: Any,
     ) -> None:
-        """Make a function one of SQL, by that name; replaces one that has it.
+        """Registers a Python function with SQL; replaces one of that name.
 
-        What it raises is raised by the statement that called it.
+        An exception of the function is raised by the statement that called it.
 
         Args:
-            name: what it is called.
-            function: takes as many arguments; it must not keep this object alive.
-            takes: the types of its arguments, in SQL.
-            gives: that of its result.
-            at_start: is called before each statement.
-            how: what else DuckDB is to know of it.
+            name: the name of the function.
+            function: the function; it must not keep this object alive.
+            takes: the SQL types of its arguments.
+            gives: the SQL type of its result.
+            at_start: a function that is called before each statement.
+            how: other options of DuckDB.
         """
         if name in self._functions:
             self._connection.remove_function(name)
@@ -199,78 +200,78 @@ class Connection:
     # -- statements -----------------------------------------------------------------------
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
-        """All rows of a statement that the translator wrote; the caller holds the worlds."""
+        """Returns all rows of a statement from the translator; the caller holds the worlds."""
         most = self.meter.limits.rows
 
-        def fetched() -> list[tuple[Any, ...]]:
+        def fetch() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
             return _all_rows(result) if most is None else result.fetchmany(most + 1)
 
-        rows = self._told(sql, fetched)
+        rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))
         return rows
 
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
-        """All rows of a statement that a user wrote; the caller holds the worlds."""
+        """Returns all rows of a user's statement; the caller holds the worlds."""
         most = self.meter.limits.rows
 
-        def fetched() -> pa.Table:
+        def fetch() -> pa.Table:
             relation = self._connection.sql(sql, params=parameters)
             if relation is None:
                 return pa.table({})
             return (relation if most is None else relation.limit(most + 1)).to_arrow_table()
 
-        table = self._told(sql, fetched)
+        table = self._execute(sql, fetch)
         self.meter.check_rows(table.num_rows)
         return table
 
     def run(self, sql: str, *, timed: bool = False) -> None:
-        """Run a statement of ssduck's own; whatever a program may take, it is not cut off."""
-        self._told(sql, lambda: self._connection.execute(sql).fetchall(), timed=timed)
+        """Runs a statement of ssduck's own, which no limit cuts off unless `timed` is set."""
+        self._execute(sql, lambda: self._connection.execute(sql).fetchall(), timed=timed)
 
     def own_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
-        """All rows of a statement of ssduck's own, which no time limit ends."""
+        """Returns all rows of a statement of ssduck's own, which no time limit ends."""
         work = partial(self._connection.execute, sql, parameters)
-        return self._told(sql, lambda: work().fetchall(), timed=False)
+        return self._execute(sql, lambda: work().fetchall(), timed=False)
 
-    def _told(self, sql: str, work: Callable[[], T], *, timed: bool = True) -> T:
-        """Tell the tracer of a statement, run it, and end it in time.
+    def _execute(self, sql: str, work: Callable[[], T], *, timed: bool = True) -> T:
+        """Traces a statement, runs it, and interrupts it when the time is up.
 
-        DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call behind
-        DuckDB's error, or in DuckDB, which makes an error of its own of it, or nothing.
+        DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call after
+        DuckDB's error, or inside DuckDB, which makes another error of it, or none.
         """
         if self._tracer is not None:
             self._tracer(sql)
         self._raised.clear()
         for begin in self._at_start.values():
             begin()
-        listening = ctrl_c.InterruptListener(self._interrupt)
+        listener = ctrl_c.InterruptListener(self._interrupt)
         try:
-            result = self._in_time(work, listening, self._timer() if timed else None)
+            result = self._run_in_time(work, listener, self._timer() if timed else None)
         except Exception as error:
-            if not (listening.pressed or _is_duckdbs(error)):
+            if not (listener.pressed or _is_duckdb_error(error)):
                 raise
-            self._complain(error, interrupted=listening.pressed)
-        if listening.pressed:
+            self._raise_error(error, interrupted=listener.pressed)
+        if listener.pressed:
             raise KeyboardInterrupt
         return result
 
-    def _in_time(
+    def _run_in_time(
         self,
         work: Callable[[], T],
-        listening: ctrl_c.InterruptListener,
+        listener: ctrl_c.InterruptListener,
         timer: threading.Timer | None,
     ) -> T:
         try:
-            listening.enter()
+            listener.enter()
             if timer is not None:
                 timer.start()
             result = work()
         finally:
             try:
-                _end(listening, timer)
+                _end(listener, timer)
             except KeyboardInterrupt:  # it may have come before the end
-                _end(listening, timer)
+                _end(listener, timer)
                 raise
         return result
 
@@ -282,7 +283,7 @@ class Connection:
         def interrupt() -> None:
             # A statement that has not begun yet does not notice.
             self._interrupt()
-            while not timer.finished.wait(AGAIN):
+            while not timer.finished.wait(INTERRUPT_INTERVAL):
                 self._interrupt()
 
         timer = threading.Timer(remaining, interrupt)
@@ -293,7 +294,7 @@ class Connection:
         with suppress(duckdb.Error):  # it was closed meanwhile
             self._connection.interrupt()
 
-    def _complain(self, error: Exception, *, interrupted: bool) -> NoReturn:
+    def _raise_error(self, error: Exception, *, interrupted: bool) -> NoReturn:
         cause = self._raised.pop() if self._raised else None
         if isinstance(cause, KeyboardInterrupt):
             raise cause from None
@@ -308,16 +309,16 @@ class Connection:
             raise KeyboardInterrupt from error
         if isinstance(error, duckdb.OutOfMemoryException):
             raise LimitError(f"the query takes more memory than there is: {error}") from error
-        refused = isinstance(error, _REFUSALS)
+        refused = isinstance(error, _REFUSAL_ERRORS)
         raise SqlError(str(error).strip() + _hint(error), is_refused=refused) from error
 
 
-_LACKS = re.compile('Could not find key "(\\w+)" in struct')
+_MISSING_FIELD = re.compile('Could not find key "(\\w+)" in struct')
 
 
 def _hint(error: Exception) -> str:
-    """What to write where a row has not all columns that a relation of shapes reads."""
-    found = _LACKS.search(str(error))
+    """Returns a hint for a row that lacks a column which a relation of shapes reads."""
+    found = _MISSING_FIELD.search(str(error))
     if found is None or found.group(1) not in IDENTIFYING_COLUMNS:
         return ""
     return (
@@ -328,7 +329,7 @@ def _hint(error: Exception) -> str:
 
 
 def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
-    """All rows of a result: many of them column by column, which takes a quarter of the time."""
+    """Returns all rows of a result: many of them by column, which takes a quarter of the time."""
     rows: list[tuple[Any, ...]] = result.fetchmany(_BY_ROW)
     if len(rows) == _BY_ROW:
         if all(str(column[1]) in _BY_COLUMN for column in result.description):
@@ -339,26 +340,26 @@ def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
     return rows
 
 
-def _is_duckdbs(error: Exception) -> bool:
-    """Whether DuckDB raised it; of Ctrl-C it tells by a RuntimeError."""
+def _is_duckdb_error(error: Exception) -> bool:
+    """Tells whether DuckDB raised an error; it raises a RuntimeError at Ctrl-C."""
     if isinstance(error, RuntimeError):
         return "interrupted" in str(error).lower()
     return isinstance(error, duckdb.Error)
 
 
-def _end(listening: ctrl_c.InterruptListener, timer: threading.Timer | None) -> None:
-    listening.leave()
+def _end(listener: ctrl_c.InterruptListener, timer: threading.Timer | None) -> None:
+    listener.leave()
     if timer is not None:
         timer.cancel()
         if timer.is_alive():
             timer.join()  # so that it does not interrupt what comes next
 
 
-def _place_of(path: str, *, is_written: bool = False) -> str:
-    """The path of a file as DuckDB takes it: absolute, or `md:x` would be a service's.
+def _absolute_path(path: str, *, is_written: bool = False) -> str:
+    """Returns the path of a file for DuckDB: absolute, as `md:x` would name a service.
 
     Raises:
-        SqlError: the path has a character that DuckDB takes for another one, or none of a path.
+        SqlError: the path has a character that DuckDB does not read as such.
     """
     try:
         place = str(given_path(path).absolute())
@@ -380,8 +381,8 @@ def _place_of(path: str, *, is_written: bool = False) -> str:
     return place
 
 
-def _unopened(path: str, error: Exception) -> str:
-    """What to say where a file cannot be opened."""
+def _open_error_text(path: str, error: Exception) -> str:
+    """Returns the message about a file that cannot be opened."""
     if "already attached" in str(error):
         return f"{path} is open in this process: close it first, or ask the interpreter that has it"
     if "lock" in str(error).lower():
@@ -393,7 +394,7 @@ def _unopened(path: str, error: Exception) -> str:
 
 
 def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], process: int) -> None:
-    """Store what waits, and close; in a process that was forked, leave that to the other one."""
+    """Stores the waiting ticks and closes; in a forked process, leaves that to the parent."""
     if os.getpid() != process:
         return
     if any(recorder.is_stored_here for recorder in recorders):  # what collects garbage
@@ -413,6 +414,6 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], pr
 
 
 def _give_arity(call: Callable[..., Any], count: int) -> None:
-    """Tell DuckDB how many arguments a function takes."""
+    """Sets the number of arguments of a function, for DuckDB."""
     kinds = [inspect.Parameter(f"a{i}", inspect.Parameter.POSITIONAL_ONLY) for i in range(count)]
     call.__signature__ = inspect.Signature(kinds)  # type: ignore[attr-defined]

@@ -15,8 +15,8 @@ import pyarrow as pa
 
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.functions import add_own, add_users, converter_of
-from ssduck.database.recorders import Recorders, check_runs
-from ssduck.database.referenced_tables import ReferencedTables, check_length, tells_past_masses
+from ssduck.database.recorders import Recorders, check_is_live
+from ssduck.database.referenced_tables import ReferencedTables, check_length, reads_recorded_masses
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
@@ -36,17 +36,17 @@ __all__ = ["Database", "Statement"]
 
 
 class Database:
-    """A DuckDB connection with worlds in it.
+    """A DuckDB connection and the worlds that are bound to it.
 
     Args:
-        path: a DuckDB file, or `":memory:"`.
-        tracer: is told each statement before it runs.
-        limits: what SQL may use.
-        recording: what is kept of each world's ticks; None for nothing.
+        path: the path of a DuckDB file, or `":memory:"`.
+        tracer: a function that is called with each statement before it runs.
+        limits: the limits of SQL.
+        recording: the recording of each world; None for none.
 
     Attributes:
-        connection: where the translator's statements run.
-        plans: of prepared statements.
+        connection: the connection that runs the translator's statements.
+        plans: the plans of prepared statements.
     """
 
     def __init__(
@@ -59,20 +59,20 @@ class Database:
         running: list[Recorder] = []
         self.connection = Connection(path, tracer, limits or Limits(), running)
         self._lock = threading.RLock()
-        self._asked = ReferencedTables()
-        self.plans = PreparedPlans(self.connection, self._asked.for_good)
+        self._references = ReferencedTables()
+        self.plans = PreparedPlans(self.connection, self._references.persistent)
         self._schemas = Schemas(self.connection)
         self._recorders = Recorders(self.connection, running)
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
         )
         if self.connection.is_file:
-            self._schemas.forget_lost()
+            self._schemas.drop_stale_views()
         add_own(self.connection, self._worlds.by_schema)
         self.connection.confine()
 
     def close(self) -> None:
-        """Close the connection; a file keeps no views or macros on worlds that are gone.
+        """Close the connection; a file is_recorded no views or macros on worlds that are gone.
 
         Raises:
             SqlError: what waits cannot be stored, for the disk is full, say; it is closed then.
@@ -82,34 +82,38 @@ class Database:
                 return
             try:
                 for bound in self._worlds.bound:
-                    kept = bound.kept
+                    history = bound.history
                     self._recorders.stop(bound)
                     for schema in bound.schemas:
-                        self._schemas.leave(schema, kept)
+                        self._schemas.detach(schema, history)
             finally:
                 self.connection.close()
 
     # -- statements -----------------------------------------------------------------------
 
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
-        """All rows of a statement that a user wrote; the tables that its text names are asked for.
+        """Returns all rows of a user's statement, for which the tables that it names are read.
+
+        Args:
+            sql: the statement.
+            parameters: the values of its parameters.
 
         Raises:
-            LimitError: it takes more than it may.
+            LimitError: it exceeds a limit.
             SqlError: DuckDB cannot run it.
         """
         if self.connection.meter.limits.seconds is not None:
             check_length(sql)
-        tables = self._asked.tables(sql)
-        with self.held(tables, self._asked.worlds(sql, self._worlds.bound)):
+        tables = self._references.tables(sql)
+        with self.held(tables, self._references.worlds(sql, self._worlds.bound)):
             schemas = list(self._worlds.by_schema)
             only = schemas[0] if len(self.worlds) == 1 else None
             self._schemas.describe(schemas, only, self.records)
             self._schemas.make_formulas(sql, schemas)
-            if tells_past_masses(sql):
+            if reads_recorded_masses(sql):
                 for bound in self._worlds.bound:
-                    if bound.kept is not None and bound.reference() is not None:
-                        bound.kept.record.warn_of_masses()
+                    if bound.history is not None and bound.reference() is not None:
+                        bound.history.record.warn_of_masses()
             return self.connection.table(sql, parameters)
 
     @contextmanager
@@ -118,11 +122,11 @@ class Database:
         tables: set[str] | frozenset[str] = frozenset(),
         worlds: Collection[World] | None = None,
     ) -> Iterator[None]:
-        """Hold all worlds at their tick while statements run.
+        """Holds all worlds at their tick while statements run.
 
         Args:
-            tables: those that are read, of the simulators if need be.
-            worlds: of which worlds; None for all.
+            tables: the tables to read, from the simulators if need be.
+            worlds: the worlds whose tables are read; None for all.
         """
         with ExitStack() as stack:
             stack.enter_context(self._lock)
@@ -136,23 +140,23 @@ class Database:
                 asked = worlds is None or any(world is other for other in worlds)
                 stack.enter_context(world.held(tables if asked else ()))
             for _, bound in there:
-                if bound.kept is not None and bound.kept.recorder is not None:
-                    stack.enter_context(bound.kept.recorder.reading)
+                if bound.history is not None and bound.history.recorder is not None:
+                    stack.enter_context(bound.history.recorder.reading)
                 self._worlds.show(bound)
             yield
 
     def add_function(self, signature: Signature, function: Function) -> None:
-        """Make a user's function one of SQL; replaces one of that signature."""
+        """Registers a user's function with SQL; replaces one of that signature."""
         add_users(self.connection, signature, function, self._worlds.by_schema)
 
     def converter(self, tag: SqlType) -> Converter | None:
-        """What makes values of a type of those that SQL gives back; None if they are."""
+        """Returns the function from values of SQL to Python's; None if they are the same."""
         return converter_of(tag, self._worlds.by_schema)
 
     # -- worlds ---------------------------------------------------------------------------
 
     def bind(self, name: str, world: World) -> None:
-        """Make the schema of that name that of a world's tables; it may have several.
+        """Makes a schema of that name for a world's tables; a world may have several.
 
         Raises:
             ArgumentError: DuckDB has a schema or a database of that name, or another world has
@@ -162,21 +166,21 @@ class Database:
             self._worlds.bind(name, world)
 
     def sweep(self) -> bool:
-        """Let go of worlds that nobody else has any more; tells whether there were some.
+        """Drops worlds that no one else holds; tells whether there were any.
 
-        No statement is running, and no plan is used after that.
+        No statement may be running, and no plan may be used after that.
         """
         with self._lock:
             return self._worlds.sweep()
 
     def schema_of(self, world: World) -> str:
-        """The schema of a world's tables; one is made for a world that has none here."""
+        """Returns the schema of a world's tables; makes one if the world has none here."""
         with self._lock:
             return self._worlds.schema_of(world)
 
     @property
     def worlds(self) -> dict[str, World]:
-        """The worlds by the schema that ssduck's own statements use, the first one first."""
+        """The worlds, by the schema that ssduck's own statements use, the first one first."""
         return {
             bound.schemas[0]: world
             for bound in self._worlds.bound
@@ -185,51 +189,51 @@ class Database:
 
     @property
     def records(self) -> dict[str, Record]:
-        """What is kept of those that are recorded, by the same."""
+        """The records of the recorded worlds, by the same schemas."""
         return {
-            bound.schemas[0]: bound.kept.record
+            bound.schemas[0]: bound.history.record
             for bound in self._worlds.bound
-            if bound.schemas and bound.kept is not None and bound.reference() is not None
+            if bound.schemas and bound.history is not None and bound.reference() is not None
         }
 
-    # -- what is kept -----------------------------------------------------------------------
+    # -- recording --------------------------------------------------------------------------
 
     def record(self, world: World, recording: Recording | None) -> None:
-        """Keep the ticks of a world from now on, in a history of their own; None keeps none.
+        """Records the ticks of a world from now on in a history of its own; None for none.
 
-        What was kept before is dropped, unless it is in a file.
+        The history before is dropped, unless it is in a file.
         """
         with self._lock:
             bound = self._worlds.entry(world)
-            check_runs(world)
+            check_is_live(world)
             if recording is not None:
                 check_names(recording, world.snapshot.members)
             self._worlds.record(bound, recording)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
-        """Write the ticks of a world to a folder from now on, too."""
+        """Also writes the ticks of a world to a folder from now on."""
         with self._lock:
-            check_runs(world)
+            check_is_live(world)
             check_names(recording, world.snapshot.members)
             return self._recorders.to_folder(world, recording, path, self.schema_of(world))
 
     def record_of(self, world: World) -> Record:
-        """What is kept of a world.
+        """Returns the record of a world.
 
         Raises:
-            EvaluationError: nothing is.
+            EvaluationError: the world is not recorded.
         """
         with self._lock:
-            kept = self._worlds.entry(world).kept
-            if kept is None:
+            history = self._worlds.entry(world).history
+            if history is None:
                 raise EvaluationError(
                     f"the ticks of {world.name!r} are not recorded; record(…) lets them be"
                 )
-            return kept.record
+            return history.record
 
-    def keeps(self, world: World) -> bool:
-        """Whether the ticks of a world are recorded."""
-        return self._worlds.entry(world).kept is not None
+    def is_recorded(self, world: World) -> bool:
+        """Tells whether the ticks of a world are recorded."""
+        return self._worlds.entry(world).history is not None
 
     def export(
         self,
@@ -238,26 +242,26 @@ class Database:
         names: tuple[str, ...] | None,
         between: tuple[float | None, float | None],
     ) -> Path:
-        """Write what is kept of a world as a new episode in a folder; gives that of its ticks.
+        """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
         Raises:
-            RecordError: the folder has something else in it, or cannot be written.
-            EvaluationError: nothing is kept of it, or nothing of that time.
+            RecordError: the folder holds other files, or cannot be written.
+            EvaluationError: the world is not recorded, or not at that time.
         """
         record = self.record_of(world)
         with self._lock, world.held():
-            kept = self._worlds.entry(world).kept
-            assert kept is not None
-            recording = kept.history.recording
+            history = self._worlds.entry(world).history
+            assert history is not None
+            recording = history.store.recording
             return exported(record, recording, self.schema_of(world), path, names, between)
 
     def flush(self) -> dict[str, int]:
-        """Store what waits; tells up to which tick of each world, by its schema."""
+        """Stores waiting ticks; returns the last tick of each world, by its schema."""
         with self._lock:
             found = {}
             for bound in self._worlds.bound:
                 world = bound.reference()
-                recorder = bound.kept.recorder if bound.kept is not None else None
+                recorder = bound.history.recorder if bound.history is not None else None
                 if world is not None and recorder is not None and bound.schemas:
                     with world.held():
                         recorder.flush()

@@ -1,7 +1,6 @@
-"""The functions of Python that SQL calls: users', and those of shapes and of recorded ticks.
+"""The Python functions that SQL calls: users', and those of shapes and of recorded ticks.
 
-They know the worlds by the names of their schemas, and not the database, which they would keep
-alive.
+They know worlds by the names of their schemas, and not the database, which they would keep alive.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ def add_users(
     function: Function,
     worlds: Mapping[str, BoundWorld],
 ) -> None:
-    """Make a user's function one of SQL; replaces one of that signature."""
+    """Registers a user's function with SQL; replaces one of that signature."""
     converters = [converter_of(tag, worlds) for tag in signature.parameters]
 
     def given(arguments: list[Any]) -> Any:
@@ -61,11 +60,11 @@ def add_users(
 
 
 def converter_of(tag: SqlType, worlds: Mapping[str, BoundWorld]) -> Converter | None:
-    """What makes values of those that SQL gives back; it keeps no world.
+    """Returns the function from SQL's values to Python's; it keeps no world alive.
 
     Args:
         tag: the type of the values.
-        worlds: by their names, as they come and go.
+        worlds: the worlds of the database by name, up to date.
     """
     return converter(tag, _Parts(worlds, lambda bound: bound.world), _Parts(worlds, _record_of))
 
@@ -74,11 +73,11 @@ T = TypeVar("T")
 
 
 class _Parts(Mapping[str, T]):
-    """Something of each world in a database, as they come and go.
+    """A mapping to a part of each world in a database, up to date.
 
     Args:
-        worlds: by their names.
-        part: gives it.
+        worlds: the worlds by name.
+        part: a function that returns the part.
     """
 
     def __init__(self, worlds: Mapping[str, BoundWorld], part: Callable[[BoundWorld], T]) -> None:
@@ -96,12 +95,12 @@ class _Parts(Mapping[str, T]):
 
 
 def _record_of(bound: BoundWorld) -> Record:
-    assert bound.kept is not None
-    return bound.kept.record
+    assert bound.history is not None
+    return bound.history.record
 
 
 def _usable(value: Any, tag: SqlType) -> Any:
-    """A value that SQL gives back as it is: it would make 3.0 of 3, and nothing of a NaN."""
+    """Returns a value if SQL keeps it as it is: it would turn 3 into 3.0, and NaN into NULL."""
     if not is_exactly(value, tag):
         raise ValueError("no value for SQL")
     return value
@@ -253,14 +252,14 @@ def _then(
     """The narrow phase over many ticks, of columns of what is asked for."""
 
     def found(world: str, first: int, last: int, a: int, b: int, distance: float) -> pa.StructArray:
-        kept = worlds[world].kept
-        if kept is None:
+        history = worlds[world].history
+        if history is None:
             raise EvaluationError(f"the ticks of {world!r} are not recorded")
         question = PairPredicate(of, depth(distance) if of == "colliding" else distance)
         apart = 0.0 if of == "colliding" else distance
         if of == "touching":
             worlds[world].note_margins(first)
-        pairs = kept.record.pairs(PairRequest(first, last, a, b, apart), question)
+        pairs = history.record.pairs(PairRequest(first, last, a, b, apart), question)
         return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PAIR)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)

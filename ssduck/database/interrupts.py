@@ -1,8 +1,8 @@
-"""Ctrl-C while something is at work that does not look for it.
+"""Handles Ctrl-C during work that does not check for it.
 
-Python's own handler waits until its interpreter is given control back. DuckDB looks for a signal
-between the tasks of a query only, and one task may take minutes. A signal is written to a socket
-at once, though; a thread listens to it.
+Python's own handler waits until the interpreter regains control. DuckDB checks for a signal only
+between the tasks of a query, and one task may take minutes. A signal is written to a socket at
+once, though; a thread listens to it.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _write_to = partial(signal.set_wakeup_fd, warn_on_full_buffer=False)
 class _Line:
     """The socket that signals are written to, and the thread that listens to it.
 
-    What was written is taken under the lock only: by the thread, or by the one who leaves. So it
-    is told to the one that listened as it was written, never to the next.
+    Signals are taken only under the lock: by the thread, or by the listener that leaves. So a
+    signal reaches the listener of its time, never the next.
     """
 
     def __init__(self) -> None:
@@ -55,12 +55,12 @@ class _Line:
                     self.take()
 
     def close(self) -> None:
-        """Close the socket, in a process where no thread listens."""
+        """Closes the socket, in a process where no thread listens."""
         self._receiver.close()
         self._sender.close()
 
     def take(self, *, stops: bool = True) -> None:
-        """Tell of what was written; the lock is held."""
+        """Passes on the signals that were written; the lock is held."""
         if self._poll is not None and not self._poll.poll(0):
             return
         try:
@@ -72,16 +72,16 @@ class _Line:
 
 
 class InterruptListener:
-    """Someone who is to be stopped at Ctrl-C, from `enter` to `leave`.
+    """Work that Ctrl-C stops, from `enter` to `leave`.
 
-    Python may raise KeyboardInterrupt amid `enter` and `leave`; what was begun is undone by
-    `leave`, which may be called again.
+    Python may raise KeyboardInterrupt inside `enter` and `leave`; `leave` undoes a part of
+    `enter`, and may be called again.
 
     Args:
-        stop: called at Ctrl-C, from another thread.
+        stop: a function that is called at Ctrl-C, from another thread.
 
     Attributes:
-        pressed: whether Ctrl-C came; certain once `leave` was called.
+        pressed: whether Ctrl-C was pressed; certain once `leave` was called.
     """
 
     def __init__(self, stop: Stop) -> None:
@@ -93,7 +93,7 @@ class InterruptListener:
         self._before: list[int] = []
 
     def enter(self) -> None:
-        """Listen; not in another thread than the main one, nor to a handler of the user's."""
+        """Starts to listen, in the main thread only, and not if the user has a handler."""
         main = threading.current_thread() is threading.main_thread()
         if not main or _handler(signal.SIGINT) is not signal.default_int_handler:
             return
@@ -107,7 +107,7 @@ class InterruptListener:
         self._before.extend(map(_write_to, (line.number,)))
 
     def leave(self) -> None:
-        """Be as it was before `enter`."""
+        """Restores the state before `enter`."""
         line = self._line
         if line is None or line.current is not self:
             return
@@ -118,7 +118,7 @@ class InterruptListener:
             line.current = self._outer
 
     def hear(self, signals: bytes, *, stops: bool) -> None:
-        """Be told of signals, and hand them on."""
+        """Receives signals, and passes them on."""
         if signal.SIGINT in signals:
             self.pressed = True
             if stops:
@@ -126,7 +126,7 @@ class InterruptListener:
         self.hand_on(signals)
 
     def hand_on(self, signals: bytes) -> None:
-        """Tell whoever listened before."""
+        """Passes signals on to the listener before."""
         assert self._line is not None
         before = self._before[0] if self._before else self._line.number
         if before != self._line.number:
@@ -140,7 +140,7 @@ _line: _Line | None = None
 
 
 def _opened() -> _Line:
-    """The line of this process."""
+    """Returns the line of this process."""
     global _line  # noqa: PLW0603
     if _line is None:
         _line = _Line()
@@ -148,7 +148,7 @@ def _opened() -> _Line:
 
 
 def _close_in_child() -> None:
-    """Let a child of this process not write to its parent's line, whose thread it has not."""
+    """Detaches a forked child from its parent's line, whose thread it does not have."""
     global _line
     if _line is None:
         return

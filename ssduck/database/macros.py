@@ -1,7 +1,7 @@
-"""What DuckDB's catalog holds of ssduck: the relations as macros, and what tables mean.
+"""The macros and comments in DuckDB's catalog: relations as macros, and the meaning of tables.
 
-It is for the SQL of users, and made when they first write some; what SelectScript becomes has the
-relations' formulas in it.
+They serve users' SQL, and are made when the first such statement runs. The SQL of SelectScript
+contains the relations' formulas instead.
 """
 
 from __future__ import annotations
@@ -21,14 +21,13 @@ from ssduck.sql.relations.relation import Relation
 
 @dataclass(frozen=True)
 class PairTableMacro:
-    """A table of pairs of a world, for SQL over thousands of bodies: a join of rows takes longer.
+    """A table of pairs of entities, faster than a join of rows for thousands of bodies.
 
     Attributes:
-        name: in a world's schema; that of the only world goes without it.
-        parameters: what it takes.
-        search: finds the pairs.
-        distance: the parameter that is its distance.
-        about: what a row is.
+        name: its name in a world's schema; the schema of the only world may be omitted.
+        parameters: its parameters.
+        candidates: the pairs; `apart` is one of the parameters.
+        about: the meaning of a row.
     """
 
     name: str
@@ -38,7 +37,7 @@ class PairTableMacro:
     about: str
 
     def macro(self, place: Sequence[str], schema: str) -> str:
-        """The statement that makes it."""
+        """Returns the statement that creates it."""
         pairs = pair_table(self.search, exp.column(self.distance), schema, "pairs").table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
         temporary = "TEMP " if place[0] == "temp" else ""
@@ -47,7 +46,7 @@ class PairTableMacro:
         return f"CREATE OR REPLACE {temporary}MACRO {name}({parameters}) AS TABLE {rows}"
 
     def comment(self, place: Sequence[str]) -> str:
-        """The statement that lets DuckDB say what it is."""
+        """Returns the statement that comments on it."""
         said = exp.Literal.string(self.about).sql("duckdb")
         where = ("temp", "main") if place[0] == "temp" else place
         return f"COMMENT ON MACRO TABLE {_dotted(where, self.name)} IS {said}"
@@ -77,28 +76,28 @@ def _dotted(place: Sequence[str], name: str) -> str:
     return ".".join(exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, name))
 
 
-def described(
+def description_statements(
     worlds: Sequence[str],
     only: str | None,
     known: Collection[str] | None,
     recorded: Collection[str] = (),
 ) -> Iterator[str]:
-    """The statements that make the macros and comments.
+    """Yields the statements that create the macros and comments.
 
-    Relations look things up in the only world, as a row does not tell which it is of; each world
-    has them under its own name, too.
+    Relations read the tables of the only world, as a row does not name its world; each world
+    also has them in its own schema.
 
     Args:
-        worlds: the schemas of all worlds; one may have several.
-        only: that of the only world.
-        known: those that were described before; None if nothing was.
-        recorded: those whose ticks are recorded.
+        worlds: the schemas of all worlds; a world may have several.
+        only: the schema of the only world; None if there are several worlds.
+        known: the schemas that are described already; None if nothing is.
+        recorded: the schemas of recorded worlds.
     """
-    for relation in RELATIONS.values() if known is None else looking_up():
+    for relation in RELATIONS.values() if known is None else relations_with_tables():
         yield relation.macro(only)
         yield relation.comment()
     if known is None:
-        yield from _of_intervals()
+        yield from _interval_statements()
     for table in TABLE_MACROS:
         if only is not None:
             yield table.macro(("temp",), only)
@@ -108,7 +107,7 @@ def described(
     for schema in worlds:
         if schema in (known or ()):
             continue
-        for relation in looking_up():
+        for relation in relations_with_tables():
             yield relation.macro(schema, inside=True)
             yield relation.comment(schema)
         for table in TABLE_MACROS:
@@ -117,8 +116,8 @@ def described(
         yield from _comments(schema, recorded=schema in recorded)
 
 
-def _of_intervals() -> Iterator[str]:
-    """What makes intervals of rows, and the relations of these."""
+def _interval_statements() -> Iterator[str]:
+    """Yields the statements for intervals of rows, and for the relations of intervals."""
     yield f"CREATE OR REPLACE TEMP MACRO intervals(source) AS TABLE {INTERVALS}"
     about = exp.Literal.string(ABOUT_INTERVALS).sql("duckdb")
     yield f"COMMENT ON MACRO TABLE temp.main.intervals IS {about}"
@@ -129,33 +128,33 @@ def _of_intervals() -> Iterator[str]:
             yield f"COMMENT ON MACRO temp.main.{name} IS {about}"
 
 
-def looking_up() -> Iterator[Relation]:
-    """The relations that look things up in their entities' world."""
+def relations_with_tables() -> Iterator[Relation]:
+    """Yields the relations that read tables of their entities' world."""
     return (relation for relation in RELATIONS.values() if relation.tables)
 
 
-def formulas(names: Iterable[str], schema: str) -> Iterator[str]:
-    """The statements that make relations that look nothing up macros of a world's schema, too.
+def formula_statements(names: Iterable[str], schema: str) -> Iterator[str]:
+    """Yields the statements that add relations without tables to a world's schema.
 
     Args:
-        names: of the relations.
-        schema: that of the world.
+        names: the names of the relations.
+        schema: the schema of the world.
     """
     for name in names:
         yield RELATIONS[name].macro(schema, inside=True)
         yield RELATIONS[name].comment(schema)
 
 
-def dropped(world: str, *, described: bool, formulas: Iterable[str] = ()) -> Iterator[str]:
-    """The statements that take a world's views and macros out of its schema.
+def drop_statements(world: str, *, described: bool, formulas: Iterable[str] = ()) -> Iterator[str]:
+    """Yields the statements that drop a world's views and macros.
 
     Args:
-        world: the schema.
+        world: the schema of the world.
         described: whether it has macros.
-        formulas: the relations that it has besides those that look things up.
+        formulas: the relations without tables that it has.
     """
     names = [("VIEW", table) for table in TABLES]
-    names += [("MACRO", relation.name) for relation in looking_up() if described]
+    names += [("MACRO", relation.name) for relation in relations_with_tables() if described]
     names += [("MACRO", name) for name in formulas]
     for kind, name in names:
         place = exp.table_(name, db=world, quoted=True)
@@ -165,7 +164,7 @@ def dropped(world: str, *, described: bool, formulas: Iterable[str] = ()) -> Ite
 
 
 def _comments(schema: str, *, recorded: bool) -> Iterator[str]:
-    """What the tables of a world hold."""
+    """Yields the comments on the tables of a world."""
     for name, table in TABLES.items():
         comments = {column.name: column.comment for column in table.columns}
         comments |= {

@@ -1,11 +1,11 @@
-"""Keeping the ticks of the worlds in a database, in histories of theirs or in folders."""
+"""Records the ticks of the worlds in a database, in histories or in folders."""
 
 from __future__ import annotations
 
 from itertools import count
 from pathlib import Path
 
-from ssduck.database.binding import BoundWorld, WorldRecording
+from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.errors import UnsupportedError
 from ssduck.recording.recorder import MEMORY_TICKS, RING_TICKS, Recorder
@@ -19,11 +19,11 @@ from ssduck.world.world import World
 
 
 class Recorders:
-    """Those that keep ticks at present.
+    """The running recorders of a database.
 
     Args:
-        connection: to the database that has the histories.
-        running: the recorders; what waits in them is stored at the end.
+        connection: the connection to the database of the histories.
+        running: the recorders; their waiting ticks are stored at the end.
     """
 
     def __init__(self, connection: Connection, running: list[Recorder]) -> None:
@@ -31,20 +31,20 @@ class Recorders:
         self.running = running
 
     def start(self, bound: BoundWorld, recording: Recording, name: str) -> None:
-        """Keep the ticks of a world in a history, called after such a name."""
+        """Starts to record the ticks of a world in a history that is named after `name`."""
         world, is_file = bound.world, self._connection.is_file
         check_names(recording, world.snapshot.members)
         in_memory = not is_file and not recording.changed
         schema, connection = self._free_schema(name), self._connection.writer()
-        history: MemoryStore | DuckDBStore
+        store: MemoryStore | DuckDBStore
         if in_memory:
-            history = MemoryStore(schema, connection, recording, name)
+            store = MemoryStore(schema, connection, recording, name)
         else:
-            history = DuckDBStore(schema, connection, recording, name)
+            store = DuckDBStore(schema, connection, recording, name)
             if is_file:
-                history.make_views()
+                store.make_views()
         # Of a file, what waits is lost when the process is killed; of memory, all is.
-        recorder = Recorder(recording, history, MEMORY_TICKS if in_memory else RING_TICKS)
+        recorder = Recorder(recording, store, MEMORY_TICKS if in_memory else RING_TICKS)
         tables = tuple(recorder.buffers)
         record = Record(
             world,
@@ -55,8 +55,8 @@ class Recorders:
             recorder.near,
             reweighed=recorder.reweighed,
         )
-        bound.kept = WorldRecording(
-            history, record, recorder, (*history.visible_rows, *recorder.visible_rows)
+        bound.history = WorldHistory(
+            store, record, recorder, (*store.visible_rows, *recorder.visible_rows)
         )
         self.running.append(recorder)
         try:
@@ -72,39 +72,39 @@ class Recorders:
         return next(name for name in names if name.casefold() not in taken)
 
     def stop(self, bound: BoundWorld) -> None:
-        """Keep no more ticks of a world in its history; what waits is stored."""
-        if bound.kept is None:
+        """Stops to record the ticks of a world in its history, and stores the waiting ticks."""
+        if bound.history is None:
             return
-        kept, is_file = bound.kept, self._connection.is_file
-        if is_file and kept.recorder is not None and bound.reference() is not None:
-            kept.record.warn_of_masses()
-        kept.record.is_closed = True
-        if kept.recorder is None:
-            bound.kept = None
-            kept.history.close(forget=False)
+        history, is_file = bound.history, self._connection.is_file
+        if is_file and history.recorder is not None and bound.reference() is not None:
+            history.record.warn_of_masses()
+        history.record.is_closed = True
+        if history.recorder is None:
+            bound.history = None
+            history.store.close(forget=False)
             return
         if is_file:
-            kept.recorder.flush()
-        kept.recorder.wait()
-        waiting = [name for table in kept.recorder.buffers for name in bound.waiting(table)]
-        self._forget(bound, kept.recorder)
-        kept.history.close(forget=not is_file)
+            history.recorder.flush()
+        history.recorder.wait()
+        waiting = [name for table in history.recorder.buffers for name in bound.waiting(table)]
+        self._forget(bound, history.recorder)
+        history.store.close(forget=not is_file)
         for name in waiting:
             if bound.versions.pop(name, None) is not None:
-                self._connection.unshow(name)
+                self._connection.unregister(name)
 
     def _forget(self, bound: BoundWorld, recorder: Recorder) -> None:
-        """Let a recorder keep no more ticks, without storing what waits."""
+        """Removes a recorder without storing its waiting ticks."""
         world = bound.reference()
         if world is not None:
             world.forget(recorder)
         self.running.remove(recorder)
-        bound.kept = None
+        bound.history = None
 
     def to_folder(
         self, world: World, recording: Recording, path: Path, name: str
     ) -> ParquetRecording:
-        """Write the ticks of a world to a folder, too, under such a name."""
+        """Starts to write the ticks of a world to a folder as well, under a name."""
         folder = ParquetStore(path, name, recording)
         recorder = Recorder(recording, folder, waits=PART_TICKS)
         self.running.append(recorder)
@@ -118,8 +118,12 @@ class Recorders:
         return ParquetRecording(world, recorder, folder, self.running)
 
 
-def check_runs(world: World) -> None:
-    """Complain of a world that has no ticks to come."""
+def check_is_live(world: World) -> None:
+    """Checks that a world is no record.
+
+    Raises:
+        UnsupportedError: it is one.
+    """
     if isinstance(world, ReplayedWorld):
         raise UnsupportedError(
             f"{world.name!r} is a record itself, with no ticks to come; export(…) copies it"

@@ -1,4 +1,4 @@
-"""What users' statements are about, by the words in them."""
+"""Finds the tables and worlds that users' statements refer to, by the words in them."""
 
 from __future__ import annotations
 
@@ -8,49 +8,49 @@ from collections.abc import Sequence
 import duckdb
 
 from ssduck.database.binding import BoundWorld
-from ssduck.database.macros import TABLE_MACROS, looking_up
+from ssduck.database.macros import TABLE_MACROS, relations_with_tables
 from ssduck.errors import LimitError, SourceSpan
 from ssduck.schema import MARGINS, MASSES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.world import World
 
-# What is read where a table has such a column.
+# The tables that are read for a column.
 _READ = {"mass": MASSES, "margin": MARGINS}
 
 
-def _asked_with(table: str) -> frozenset[str]:
-    """A table, and what is read into its columns when it is asked for."""
+def _with_read_columns(table: str) -> frozenset[str]:
+    """Returns a table, and the tables read for its columns."""
     return frozenset((table, *(_READ[name] for name in TABLES[table].names if name in _READ)))
 
 
 # The tables that a word in a statement stands for: a table's name, or that of a relation that
 # looks things up in some.
 _TABLES_OF = {
-    **{name.lower(): _asked_with(name) for name in TABLES},
-    **{relation.name.lower(): relation.inputs for relation in looking_up()},
+    **{name.lower(): _with_read_columns(name) for name in TABLES},
+    **{relation.name.lower(): relation.inputs for relation in relations_with_tables()},
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
 # Relations that look nothing up are macros of a world's schema once a text names one so.
-_OF_NO_TABLE = {
+_FORMULAS = {
     relation.name.lower(): relation.name for relation in RELATIONS.values() if not relation.tables
 }
 _BETWEEN = r"(?:\s|/\*.*?\*/|--[^\n]*)*"
-_BEHIND_A_SCHEMA = re.compile(
-    rf'\.{_BETWEEN}"?({"|".join(_OF_NO_TABLE)})"?{_BETWEEN}\(',
+_QUALIFIED_CALL = re.compile(
+    rf'\.{_BETWEEN}"?({"|".join(_FORMULAS)})"?{_BETWEEN}\(',
     re.IGNORECASE | re.ASCII | re.DOTALL,
 )
-_KEEPS_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
-_OF_MASSES = [name for name in TABLES if MASSES in _asked_with(name)]
-_OF_PAST_MASSES = re.compile(
-    rf"\b({'|'.join(_OF_MASSES)})_(history|model)\b", re.IGNORECASE | re.ASCII
+_STORES_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+_MASS_TABLES = [name for name in TABLES if MASSES in _with_read_columns(name)]
+_MASS_HISTORIES = re.compile(
+    rf"\b({'|'.join(_MASS_TABLES)})_(history|model)\b", re.IGNORECASE | re.ASCII
 )
-# All columns: a star that counts no rows, or FROM without SELECT.
+# The column, or all columns: a star outside count(*), or FROM without SELECT.
 _MASS_OR_ALL = re.compile(
     r"\bmass\b|(?<!count\()\*|(^|\()\s*FROM\b", re.IGNORECASE | re.ASCII | re.MULTILINE
 )
-# What lets tables of another world than the first go without its name.
-_CHANGES_THE_FIRST = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
+# The words that let another world than the first go without its name.
+_CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 
 # SQL with more words, or with more brackets around one of them, takes DuckDB's parser a time that
 # nothing ends.
@@ -59,34 +59,34 @@ MOST_BRACKETS = 100
 
 
 class ReferencedTables:
-    """What users' statements ask for.
+    """The tables and worlds that users' statements refer to.
 
-    A view or a prepared statement asks again when it is used, under another name; so what such a
-    statement names is asked for from then on.
+    A view or a prepared statement reads its tables under another name; so the tables in such a
+    statement count for all later ones.
 
     Attributes:
-        for_good: the tables that are so.
+        persistent: the tables that count for all later statements.
     """
 
     def __init__(self) -> None:
-        self.for_good: set[str] = set()
-        self._first_changes = False
+        self.persistent: set[str] = set()
+        self._search_path_changes = False
 
     def tables(self, sql: str) -> set[str]:
-        """The tables that a statement may read."""
+        """Returns the tables that a statement may read."""
         words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
         asked = {table for word in words for table in _TABLES_OF[word]}
-        if _KEEPS_A_QUERY.search(sql):
-            self.for_good |= asked
-        return asked | self.for_good
+        if _STORES_A_QUERY.search(sql):
+            self.persistent |= asked
+        return asked | self.persistent
 
     def worlds(self, sql: str, bound: Sequence[BoundWorld]) -> list[World] | None:
-        """The worlds that a statement may be about; None for all, where it may use another one.
+        """Returns the worlds that a statement may read; None for all, if it may use others.
 
-        The first one's tables go without its name.
+        The schema of the first world may be omitted.
         """
-        self._first_changes |= _CHANGES_THE_FIRST.search(sql) is not None
-        if self.for_good or self._first_changes or _KEEPS_A_QUERY.search(sql):
+        self._search_path_changes |= _CHANGES_SEARCH_PATH.search(sql) is not None
+        if self.persistent or self._search_path_changes or _STORES_A_QUERY.search(sql):
             return None
         text = sql.casefold()
         return [
@@ -97,21 +97,21 @@ class ReferencedTables:
         ]
 
 
-def tells_past_masses(sql: str) -> bool:
-    """Whether a text names a table of masses as they were recorded, and the column or all of it."""
-    return _OF_PAST_MASSES.search(sql) is not None and _MASS_OR_ALL.search(sql) is not None
+def reads_recorded_masses(sql: str) -> bool:
+    """Tells whether a statement reads recorded masses: the column, or all columns."""
+    return _MASS_HISTORIES.search(sql) is not None and _MASS_OR_ALL.search(sql) is not None
 
 
-def behind_a_schema(sql: str) -> set[str]:
-    """The relations that look nothing up and that a text may call with a schema before them."""
-    return {_OF_NO_TABLE[name.lower()] for name in _BEHIND_A_SCHEMA.findall(sql)}
+def qualified_formulas(sql: str) -> set[str]:
+    """Returns the relations without tables that a statement may call with a schema before them."""
+    return {_FORMULAS[name.lower()] for name in _QUALIFIED_CALL.findall(sql)}
 
 
 def check_length(sql: str) -> None:
-    """Complain of SQL that DuckDB would parse for a long time; it cannot be stopped there.
+    """Checks that DuckDB can parse a statement in a short time; parsing cannot be interrupted.
 
     Raises:
-        LimitError: it is too long, or nested too deeply.
+        LimitError: the statement is too long, or nested too deeply.
     """
     letters = sql.encode("utf-8", "replace")  # DuckDB itself complains of what is no letter
     words = duckdb.tokenize(letters.decode())
@@ -119,11 +119,11 @@ def check_length(sql: str) -> None:
         raise LimitError(f"SQL of {len(words)} words; under a limit it may have {MOST_WORDS}")
     depth = 0
     for place, _ in words:
-        depth += _DEEPER.get(letters[place], 0)
+        depth += _NESTING.get(letters[place], 0)
         if depth > MOST_BRACKETS:
             start = len(letters[:place].decode())
             told = f"SQL nested deeper than {MOST_BRACKETS} brackets"
             raise LimitError(told, text=sql, span=SourceSpan(start, start + 1))
 
 
-_DEEPER = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}
+_NESTING = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}

@@ -1,4 +1,4 @@
-"""Prepared statements, and which of them are valid yet."""
+"""Prepared statements, and which of them are valid."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ from ssduck.errors import SelectScriptError
 from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
-# What our prepared statements are called, in front of a number and of the tables that they read.
-_OURS = "ssduck statement "
+# The beginning of our prepared statements' names, before a number and the tables that they read.
+_NAME_PREFIX = "ssduck statement "
 # The tables of a world whose buffers may be made anew.
-_KNOWN = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
+_TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
 # No source can be called so, for it is no name.
 _PARAMETERS = "the parameters"
 
 
 class PreparedPlans:
-    """The plans that DuckDB keeps for prepared statements.
+    """The plans of prepared statements in DuckDB.
 
     Args:
-        connection: where they are prepared.
-        theirs: the tables that users' statements read of which DuckDB keeps plans.
+        connection: the connection on which they are prepared.
+        user_tables: the tables in users' statements whose plans DuckDB keeps.
     """
 
-    def __init__(self, connection: Connection, theirs: AbstractSet[str]) -> None:
+    def __init__(self, connection: Connection, user_tables: AbstractSet[str]) -> None:
         self.connection = connection
-        self._theirs = theirs
-        # Counts up, by table, when prepared statements that read it lose their validity.
-        self._generations = dict.fromkeys(_KNOWN, 0)
+        self._user_tables = user_tables
+        # A number for each table, which grows when prepared statements on it become invalid.
+        self._generations = dict.fromkeys(_TABLES, 0)
 
     def generation(self, tables: Iterable[str]) -> int:
-        """Counts up when prepared statements that read one of these tables lose their validity."""
+        """Returns a number that grows when statements on one of these tables become invalid."""
         return sum(self._generations.get(table, 0) for table in tables)
 
     def forget(self, *tables: str) -> None:
-        """Drop prepared statements that would go on reading old buffers of one of these tables.
+        """Drops prepared statements that would go on reading old buffers of one of these tables.
 
-        Our own say by their names what they read. Of a user's it is not known, so that all are
-        dropped if any statement that DuckDB keeps names such a table.
+        The names of our own tell their tables. Those of users do not, so that all are dropped if
+        any statement that DuckDB keeps names such a table.
         """
         stale = set(tables)
-        theirs = bool(stale & self._theirs)
+        user_tables = bool(stale & self._user_tables)
         for table in tables:
             self._generations[table] += 1
         for (name,) in self.connection.own_rows("SELECT name FROM duckdb_prepared_statements()"):
-            if stale & set(name.split()) if name.startswith(_OURS) else theirs:
+            if stale & set(name.split()) if name.startswith(_NAME_PREFIX) else user_tables:
                 self.connection.run(
                     f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}"
                 )
@@ -61,15 +61,15 @@ class PreparedPlans:
 class Statement:
     """A SELECT that DuckDB plans once and runs many times.
 
-    Planning is most of what a small query costs. DuckDB keeps the plan of a prepared statement
-    only if it has no parameters; so these become the columns of a table of one row, which is
+    Planning is most of the cost of a small query. DuckDB keeps the plan of a prepared statement
+    only if it has no parameters. So these become the columns of a table of one row, which is
     written in place. Such a plan goes on reading the buffers that it was made for; when
-    buffers are made anew, it is made anew.
+    buffers are made anew, so is the plan.
 
     Args:
-        plans: those of the database where it runs.
+        plans: the plans of the database.
         select: the SELECT, its parameters as `exp.Parameter`.
-        types: of the parameters, by name; all of them numbers.
+        types: the types of the parameters, by name; all of them are numbers.
     """
 
     _numbers = count(1)
@@ -98,13 +98,13 @@ class Statement:
         self._deallocate = f"DEALLOCATE {name}"
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
-        """All rows for these values of the parameters; the caller holds the worlds."""
+        """Returns all rows for these values of the parameters; the caller holds the worlds."""
         for name, value in values.items():
             self._row[name][0] = value
         generation = self._plans.generation(self._reads)
         if self._prepared_for != generation:
             if self._has_parameters:
-                self._connection.show(self._name, self._row.arrow)
+                self._connection.register(self._name, self._row.arrow)
             self._connection.run(self._prepare, timed=True)
             self._prepared_for = generation
         try:
@@ -114,27 +114,27 @@ class Statement:
             raise
 
     def _release(self) -> None:
-        """Let go of the memory that DuckDB keeps for a statement that failed."""
+        """Frees the memory that DuckDB keeps for a statement that failed."""
         self._prepared_for = None
         with suppress(SelectScriptError):
             self._connection.run(self._deallocate)
 
     def forget(self) -> None:
-        """Let DuckDB forget it."""
+        """Drops the statement."""
         if self._prepared_for == self._plans.generation(self._reads):
             self._connection.run(self._deallocate)
             self._prepared_for = None
         if self._has_parameters:
-            self._connection.unshow(self._name)
+            self._connection.unregister(self._name)
 
 
 def _statement_name(number: int, reads: Iterable[str]) -> str:
-    """What a prepared statement of ours is called."""
-    return f"{_OURS}{number} {' '.join(sorted(_KNOWN & set(reads)))}"
+    """Returns the name of a prepared statement of ours."""
+    return f"{_NAME_PREFIX}{number} {' '.join(sorted(_TABLES & set(reads)))}"
 
 
 def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:
-    """Make parameters columns of a table of one row, in each SELECT that has some."""
+    """Turns parameters into columns of a table of one row, in each SELECT that has some."""
     reading: list[exp.Select] = []
     for parameter in list(tree.find_all(exp.Parameter)):
         select = parameter.find_ancestor(exp.Select)

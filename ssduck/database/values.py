@@ -1,4 +1,4 @@
-"""Values on their way to SQL and back: which type they have, and what stands for an entity."""
+"""Converts values to SQL and back: their types, and the ids of entities."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, EXACT, IDS, INTEGER, STRING, 
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# More keys than this make no columns.
+# The largest number of keys of a dict that become columns.
 MOST_FIELDS = 200
 
 SchemaOf: TypeAlias = Callable[[World], str]
 
 
-def tag_of(value: Any, schema_of: SchemaOf) -> SqlType:
-    """The type of a value.
+def sql_type_of(value: Any, schema_of: SchemaOf) -> SqlType:
+    """Returns the SQL type of a value.
 
     Args:
         value: any value.
-        schema_of: gives the schema of a world.
+        schema_of: a function that returns the schema of a world.
+
+    >>> sql_type_of([1.5, 2.5], lambda world: world.name).element.type
+    'real'
     """
     match value:
         case bool():
@@ -49,34 +52,34 @@ def tag_of(value: Any, schema_of: SchemaOf) -> SqlType:
     return ANY
 
 
-def tag_of_any(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | None:
-    """The type of what is one of many values; None of none.
+def common_sql_type(values: Sequence[Any], schema_of: SchemaOf) -> SqlType | None:
+    """Returns the common SQL type of values; None for no values.
 
-    Values of one kind are looked at together: there may be millions.
+    Values of one class are examined together, as there may be millions.
 
     Args:
         values: any values.
-        schema_of: gives the schema of a world.
+        schema_of: a function that returns the schema of a world.
     """
     kinds = dict.fromkeys(map(type, values))
     return merged(
-        _of_kind(kind, values if len(kinds) == 1 else _of(kind, values), schema_of)
+        _type_of_class(kind, values if len(kinds) == 1 else _of_class(kind, values), schema_of)
         for kind in kinds
     )
 
 
-def _of(kind: type, values: Sequence[Any]) -> list[Any]:
+def _of_class(kind: type, values: Sequence[Any]) -> list[Any]:
     return [value for value in values if type(value) is kind]
 
 
-def _of_kind(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> SqlType:
+def _type_of_class(kind: type, values: Sequence[Any], schema_of: SchemaOf) -> SqlType:
     if kind in _PLAIN:
         return _PLAIN[kind](values)
     if kind is list:
         return _list(values, schema_of)
     if kind is dict:
         return _record(values, schema_of)
-    return merged(tag_of(value, schema_of) for value in values) or ANY
+    return merged(sql_type_of(value, schema_of) for value in values) or ANY
 
 
 def _integer(values: Sequence[int]) -> SqlType:
@@ -89,11 +92,11 @@ def _real(values: Sequence[float]) -> SqlType:
 
 def _text(values: Sequence[str]) -> SqlType:
     odd = [text for text in values if not text.isprintable()]
-    return ANY if any("\0" in text or _is_torn(text) for text in odd) else STRING
+    return ANY if any("\0" in text or _has_lone_surrogate(text) for text in odd) else STRING
 
 
-def _is_torn(text: str) -> bool:
-    """Whether it has half of a surrogate pair, which UTF-8 has no letters for."""
+def _has_lone_surrogate(text: str) -> bool:
+    """Tells whether a text has half of a surrogate pair, which UTF-8 cannot encode."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -112,7 +115,7 @@ _PLAIN: dict[type, Callable[[Sequence[Any]], SqlType]] = {
 def _list(values: Sequence[list[Any]], schema_of: SchemaOf) -> SqlType:
     lists = list({id(value): value for value in values}.values())
     parts = lists[0] if len(lists) == 1 else list(chain.from_iterable(lists))
-    tag = tag_of_any(parts, schema_of)
+    tag = common_sql_type(parts, schema_of)
     whole = SqlType("list", tag, 3 if set(map(len, lists)) == {3} else None)
     return whole if whole.is_sql else ANY
 
@@ -125,16 +128,16 @@ def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> SqlType
     folded = {key.casefold() for key in keys if isinstance(key, str) and key}
     if len(folded) < len(keys):  # SQL does not tell upper from lower case
         return ANY
-    parts = [(key, tag_of_any(list(map(itemgetter(key), values)), schema_of)) for key in keys]
+    parts = [(key, common_sql_type(list(map(itemgetter(key), values)), schema_of)) for key in keys]
     return SqlType("record", fields=tuple((key, tag or ANY) for key, tag in parts))
 
 
 def is_exactly(value: Any, tag: SqlType) -> bool:
-    """Whether a value is of a type, and SQL gives it back as it is: 3 is no real, 3.0 is.
+    """Tells whether a value has a type, and comes back from SQL as it is: 3 is no real, 3.0 is.
 
     Args:
         value: any value.
-        tag: True or False, a number, a text, or lists of these.
+        tag: the type of a boolean, a number, a text, or of lists of these.
     """
     element = tag.element
     if tag.type == "list":
@@ -145,7 +148,11 @@ def is_exactly(value: Any, tag: SqlType) -> bool:
 
 
 def to_sql(value: Any) -> Any:
-    """A value as SQL takes it: entities by their ids, at a recorded tick by their keys."""
+    """Returns a value as SQL takes it: entities as their ids, at a recorded tick as their keys.
+
+    >>> to_sql([1, "cup"])
+    [1, 'cup']
+    """
     if isinstance(value, Entity):
         if value.moment is not None:
             return value.moment.tick * IDS + value.id
@@ -161,12 +168,12 @@ Converter: TypeAlias = Callable[[Any], Any]
 def converter(
     tag: SqlType, worlds: Mapping[str, World], records: Mapping[str, Record]
 ) -> Converter | None:
-    """What makes values of those that SQL gives back: entities of ids; None if they are.
+    """Returns the function from SQL's values to Python's; None if they are the same.
 
     Args:
         tag: the type of the values.
-        worlds: by schema.
-        records: what is kept of those that are recorded.
+        worlds: the worlds by schema.
+        records: the records of recorded worlds by schema.
     """
     schema = tag.schema
     if tag.type == "entity" and schema is not None:

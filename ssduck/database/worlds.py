@@ -1,4 +1,4 @@
-"""The worlds in a database: which there are, under which names, and showing DuckDB their rows."""
+"""The worlds in a database: their names, and the registration of their rows with DuckDB."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import chain, count
 
 from sqlglot import exp
 
-from ssduck.database.binding import BoundWorld, WorldRecording
+from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.database.recorders import Recorders
 from ssduck.database.schemas import Schemas
@@ -20,23 +20,23 @@ from ssduck.recording.stores.model_tables import ABOUT
 from ssduck.world.world import UNNAMED, World
 
 # Schemas that DuckDB has already.
-_TAKEN = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
+_RESERVED_NAMES = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
 
 
 class WorldRegistry:
     """The worlds in a database.
 
     Args:
-        connection: to that.
-        plans: of prepared statements, which read the worlds' buffers.
-        schemas: where their tables are.
-        recorders: keep their ticks,
-        recording: so, from when they are first seen on; None for not at all.
+        connection: the connection to the database.
+        plans: the plans of prepared statements, which read the worlds' buffers.
+        schemas: the schemas of their tables.
+        recorders: the recorders of their ticks.
+        recording: the recording of each world; None for none.
 
     Attributes:
-        bound: the worlds; the first one's tables go without its name. One that a program made is
-            here while somebody else has it (`sweep`), one with a name of the user's for good.
-        by_schema: the same by all names of theirs.
+        bound: the worlds; the schema of the first may be omitted. A world that a program made is
+            here while anyone else holds it (`sweep`), a world that the user named for good.
+        by_schema: the worlds by all their names.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class WorldRegistry:
         self._numbers = count(1)
 
     def bind(self, name: str, world: World) -> None:
-        """Make the schema of that name that of a world's tables; it may have several.
+        """Makes a schema of that name for a world's tables; a world may have several.
 
         Raises:
             ArgumentError: DuckDB has a schema or a database of that name, or another world has
@@ -72,22 +72,22 @@ class WorldRegistry:
         self._name(bound, name)
 
     def _name(self, bound: BoundWorld, name: str) -> None:
-        """Make the schema of that name that of a world's tables."""
+        """Makes a schema of that name for a world's tables."""
         if name not in bound.schemas:
             bound.schemas.append(name)
             self._schemas.make(name, bound)
             self._plans.forget("entities")
-        self._renamed()
+        self._update_names()
 
-    def _renamed(self) -> None:
-        """Note which names the worlds have."""
+    def _update_names(self) -> None:
+        """Updates the names of the worlds."""
         self._set_search_path()
         names = {schema: bound for bound in self.bound for schema in bound.schemas}
         self.by_schema.clear()
         self.by_schema.update(names)
 
     def _unbind(self, name: str, world: World) -> None:
-        """Take a name from another world; one without a name is not held any more."""
+        """Takes a name from another world; a world without names is dropped."""
         for other in [bound for bound in self.bound if name in bound.schemas]:
             if other.reference() is world:
                 continue
@@ -96,33 +96,33 @@ class WorldRegistry:
                 self.bound.remove(other)
                 self._recorders.stop(other)
                 for shown in other.versions:
-                    self._connection.unshow(shown)
+                    self._connection.unregister(shown)
 
     def sweep(self) -> bool:
-        """Let go of worlds that nobody else has any more; tells whether there were some."""
+        """Drops worlds that no one else holds; tells whether there were any."""
         gone = [bound for bound in self.bound if bound.reference() is None]
         for bound in gone:
             self.bound.remove(bound)
-            kept = bound.kept
+            history = bound.history
             self._recorders.stop(bound)
             for schema in bound.schemas:
-                self._schemas.drop(schema, kept)
+                self._schemas.drop(schema, history)
             for shown in bound.versions:
-                self._connection.unshow(shown)
+                self._connection.unregister(shown)
         if gone:
             self._plans.forget("entities")
-            self._renamed()
+            self._update_names()
         return bool(gone)
 
     def _check_schema(self, name: str) -> None:
-        """Complain of a name that a world cannot have.
+        """Checks the name of a world.
 
         Raises:
             ArgumentError: DuckDB has a schema or database of that name, or another world has one
                 that differs in case only.
         """
         ((database,),) = self._connection.own_rows("SELECT current_database()")
-        if name.casefold() in _TAKEN or name.casefold() == database.casefold():
+        if name.casefold() in _RESERVED_NAMES or name.casefold() == database.casefold():
             raise ArgumentError(
                 f"a world cannot be called {name!r}: DuckDB has a schema or database of that name"
             )
@@ -141,7 +141,7 @@ class WorldRegistry:
                     )
 
     def _set_search_path(self) -> None:
-        """The first world's tables go without its name."""
+        """Lets the schema of the first world be omitted."""
         first = next((bound.schemas[0] for bound in self.bound if bound.schemas), None)
         if first is not None:
             name = exp.to_identifier(first, quoted=True).sql("duckdb")
@@ -149,7 +149,7 @@ class WorldRegistry:
             self._connection.run(f"SET search_path = {path}")
 
     def entry(self, world: World, name: str | None = None) -> BoundWorld:
-        """What is known of a world; its ticks are recorded under the name that it gets first."""
+        """Returns the entry of a world, whose first name becomes that of its history."""
         for bound in self.bound:
             if bound.reference() is world:
                 return bound
@@ -157,7 +157,7 @@ class WorldRegistry:
         self.bound.append(bound)
         try:
             if isinstance(world, ReplayedWorld):
-                bound.kept = WorldRecording(world.archive, world.own_record)
+                bound.history = WorldHistory(world.archive, world.own_record)
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)
             self.show(bound)
@@ -167,7 +167,7 @@ class WorldRegistry:
         return bound
 
     def record(self, bound: BoundWorld, recording: Recording | None) -> None:
-        """Keep the ticks of a world in a new history, and none in that before; None keeps none."""
+        """Records the ticks of a world in a new history from now on; None for no recording."""
         with bound.world.held():
             self._recorders.stop(bound)
         if recording is not None:
@@ -178,14 +178,14 @@ class WorldRegistry:
         self._plans.forget("entities")
 
     def schema_of(self, world: World) -> str:
-        """The schema of a world's tables; one is made for a world that has none here."""
+        """Returns the schema of a world's tables; makes one if the world has none here."""
         bound = self.entry(world)
         if not bound.schemas:
             self._name(bound, self._free_name(world.name))
         return bound.schemas[0]
 
     def _free_name(self, wanted: str) -> str:
-        """A name that no world has, and a world can have."""
+        """Returns a name that no world has, and a world can have."""
         taken = {schema for other in self.bound for schema in other.schemas}
         for name in chain((wanted,), (f"{wanted}_{number}" for number in count(2))):
             with suppress(ArgumentError):
@@ -195,7 +195,7 @@ class WorldRegistry:
         raise AssertionError(wanted)
 
     def show(self, bound: BoundWorld) -> None:
-        """Let DuckDB see the buffers that were made anew; the others it sees already."""
+        """Registers buffers that were made anew with DuckDB."""
         new = [
             entry for entry in bound.buffers() if bound.versions.get(entry[1]) != entry[2].version
         ]
@@ -206,5 +206,5 @@ class WorldRegistry:
         if stale:
             self._plans.forget(*stale)
         for _, name, rows in new:
-            self._connection.show(name, rows.arrow)
+            self._connection.register(name, rows.arrow)
             bound.versions[name] = rows.version

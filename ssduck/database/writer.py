@@ -1,4 +1,4 @@
-"""A connection to DuckDB for what is kept of a world."""
+"""A connection to DuckDB for recorded ticks."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _INCOMING = "rows to be stored"
 
 
 class WriterConnection:
-    """A connection of its own to the same database, for what is kept of a world.
+    """A connection of its own to the same database, for the recorded ticks of a world.
 
-    It writes whatever other connections do, and reads on another one, which sees nothing of a
+    It writes regardless of other connections, and reads on another one, which sees nothing of a
     transaction before its end.
 
     Args:
-        connection: to the database.
-        file: where that is; None for memory.
+        connection: the connection to the database.
+        file: the file of the database; None for memory.
     """
 
     def __init__(self, connection: duckdb.DuckDBPyConnection, file: Path | None = None) -> None:
@@ -39,18 +39,18 @@ class WriterConnection:
         self._reading_lock = threading.RLock()
 
     def run(self, sql: str) -> None:
-        """Run a statement.
+        """Runs a statement.
 
         Raises:
-            SqlError: DuckDB cannot, for the disk is full, say.
+            SqlError: DuckDB cannot run it, as the disk is full, say.
         """
         with self._lock, _storing_errors():
             self._connection.execute(sql).fetchall()
 
     def settle(self) -> None:
-        """Let DuckDB move what was stored from its log into its file, if there is much of it.
+        """Lets DuckDB move stored rows from its log into its file, if there are many.
 
-        DuckDB would do so by itself, but gives the database up where the disk is full then.
+        DuckDB would do so by itself, but gives up the database if the disk is full then.
 
         Raises:
             SqlError: DuckDB cannot.
@@ -64,15 +64,15 @@ class WriterConnection:
                 self._connection.execute("CHECKPOINT")
 
     def insert(self, place: str, rows: pa.Table) -> None:
-        """Add rows to a table, by the names of its columns."""
+        """Adds rows to a table, by the names of its columns."""
         self._take_in(f"INSERT INTO {place} BY NAME", rows)
 
     def insert_new(self, place: str, rows: pa.Table) -> None:
-        """Make a table of rows."""
+        """Creates a table from rows."""
         self._take_in(f"CREATE TABLE {place} AS", rows)
 
     def _take_in(self, what: str, rows: pa.Table) -> None:
-        """Run a statement that takes all rows of a table."""
+        """Runs a statement that reads all rows of a table."""
         with self._lock:
             self._connection.register(_INCOMING, rows)
             try:
@@ -86,7 +86,7 @@ class WriterConnection:
         parameters: Sequence[Any] = (),
         tables: Mapping[str, pa.Table] | None = None,
     ) -> pa.Table:
-        """All rows of a SELECT; it may read tables that are given."""
+        """Returns all rows of a SELECT, which may read the given tables."""
         with self._reading_lock, ExitStack() as stack:
             for name, table in (tables or {}).items():
                 self._reading.register(name, table)
@@ -97,7 +97,7 @@ class WriterConnection:
                 raise SqlError(f"what was recorded cannot be read: {error}") from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
-        """All rows of a SELECT, as tuples."""
+        """Returns all rows of a SELECT, as tuples."""
         with self._reading_lock:
             try:
                 return self._reading.execute(sql).fetchall()
@@ -105,14 +105,14 @@ class WriterConnection:
                 raise SqlError(f"what was recorded cannot be read: {error}") from error
 
     def close(self) -> None:
-        """Close the connection."""
+        """Closes the connection."""
         self._reading.close()
         self._connection.close()
 
 
 @contextmanager
 def _storing_errors() -> Iterator[None]:
-    """DuckDB's errors while something is stored become ssduck's."""
+    """Turns DuckDB's errors while rows are stored into ssduck's."""
     try:
         yield
     except duckdb.FatalException as error:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ssduck.database.database import Database
-from ssduck.database.values import tag_of
+from ssduck.database.values import sql_type_of
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.formatting import short_repr, type_in_words
 from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
@@ -390,7 +390,7 @@ class InterpreterTypes:
             except (ArgumentError, EvaluationError, FunctionError):
                 self._failed.add(node)
                 return _UNKNOWN  # an error only if a row reaches it
-        return tag_of(self._values[node], self._database.schema_of)
+        return sql_type_of(self._values[node], self._database.schema_of)
 
     def world(self, node: Node) -> str | None:
         """Returns the schema of the world that a constant part is; None for other parts."""

@@ -209,12 +209,14 @@ class PlannedQuery:
             for alias, name in plan.tables.items():
                 shape = next(shape for shape in plan.shapes if shape.alias == alias)
                 assert shape.tag is not None
-                database.connection.show(name, arrow_table(elements_of(sources[alias]), shape.tag))
+                database.connection.register(
+                    name, arrow_table(elements_of(sources[alias]), shape.tag)
+                )
                 shown.append(name)
             return database.connection.rows(plan.sql, parameters or None)
         finally:
             for name in shown:
-                database.connection.unshow(name)
+                database.connection.unregister(name)
 
     def _prepared(self, texts: dict[str, Any]) -> Statement | None:
         """Returns the prepared statement for these values of parameters that are no numbers.

@@ -142,7 +142,7 @@ class RecordingMethods(ABC):
         start, end = (None if time is None else validation.seconds(time) for time in (start, end))
         with self._lock:
             worlds = (
-                [w for w in self._database.worlds.values() if self._database.keeps(w)]
+                [w for w in self._database.worlds.values() if self._database.is_recorded(w)]
                 if world is None
                 else [self._world(world)]
             )

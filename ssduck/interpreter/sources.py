@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.adapters.result import Result, python_values
-from ssduck.database.values import SchemaOf, tag_of_any, to_sql
+from ssduck.database.values import SchemaOf, common_sql_type, to_sql
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of
 from ssduck.language.clauses import LockstepSource
@@ -170,7 +170,7 @@ def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
 
 
 def _element_type(elements: Sequence[Any], schema_of: SchemaOf) -> SqlType:
-    tag = tag_of_any(elements, schema_of)
+    tag = common_sql_type(elements, schema_of)
     if tag is None or tag.type == "nothing":
         return ANY
     if tag.type == "record":

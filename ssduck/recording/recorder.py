@@ -1,8 +1,8 @@
 """Records the ticks of a world as they come.
 
 A `Recorder` copies the rows of each tick into buffers (`ssduck.recording.buffers`). When one is
-full, all of them go to a store together, so that the stored rows end with a whole tick. A store on a disk
-gets them in a thread (`ssduck.recording.background_writer`), while the buffers fill anew.
+full, all of them go to a store together, so that the stored rows end with a whole tick. A store on
+a disk gets them in a thread (`ssduck.recording.background_writer`), while the buffers fill anew.
 """
 
 from __future__ import annotations

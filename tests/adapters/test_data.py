@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 
 import ssduck
-from ssduck.database.values import tag_of, tag_of_any
+from ssduck.database.values import common_sql_type, sql_type_of
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -206,7 +206,7 @@ THINGS = [
 def test_the_type_of_many_values_is_that_of_one(value):
     """They are looked at together."""
     for many in ([value] * 4, [copy.deepcopy(value) for _ in range(4)]):
-        assert tag_of_any(many, str) == tag_of(value, str)
+        assert common_sql_type(many, str) == sql_type_of(value, str)
 
 
 def test_long_lists_are_typed_and_told_apart_within_the_time():

@@ -90,7 +90,7 @@ def failing(error):
 )
 def test_ctrl_c_wins_whatever_duckdb_makes_of_it(database, then):
     with pytest.raises(KeyboardInterrupt):
-        database._told("", lambda: swallowed(then))
+        database._execute("", lambda: swallowed(then))
     assert database.rows("SELECT 42") == [(42,)]
 
 
@@ -104,7 +104,7 @@ def test_ctrl_c_wins_whatever_duckdb_makes_of_it(database, then):
 )
 def test_without_ctrl_c_errors_are_what_they_are(database, error, kind):
     with pytest.raises(kind):
-        database._told("", failing(error))
+        database._execute("", failing(error))
 
 
 QUERY = "SELECT h(a.this) FROM a=n WHERE h(a.this) > 5 AS list;"
@@ -230,13 +230,13 @@ def test_whoever_was_told_of_signals_is_told_still(database, wakeup, depth):
     def work():
         if depth == 2:
             with ssduck.Interpreter() as inner:
-                inner._database.connection._told("", lambda: signal.raise_signal(signal.SIGTERM))
+                inner._database.connection._execute("", lambda: signal.raise_signal(signal.SIGTERM))
         else:
             signal.raise_signal(signal.SIGTERM)
         swallowed(list)
 
     with pytest.raises(KeyboardInterrupt):
-        database._told("", work)
+        database._execute("", work)
     assert wakeup.recv(64) == bytes([signal.SIGTERM, signal.SIGINT])
 
 
@@ -246,7 +246,7 @@ def test_the_thread_tells_while_the_statement_runs(database, wakeup):
         wakeup.settimeout(60)
         return wakeup.recv(64)
 
-    assert database._told("", work) == bytes([signal.SIGTERM])
+    assert database._execute("", work) == bytes([signal.SIGTERM])
 
 
 def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
@@ -256,7 +256,7 @@ def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
         signal.raise_signal(signal.SIGTERM)
         return "done"
 
-    assert database._told("", work) == "done"
+    assert database._execute("", work) == "done"
 
 
 # -- nothing stays behind -------------------------------------------------------------------
@@ -264,8 +264,8 @@ def test_one_who_reads_no_more_is_no_hindrance(database, wakeup):
 OURS = {
     ctrl_c.InterruptListener.enter.__code__,
     ctrl_c.InterruptListener.leave.__code__,
-    Connection._told.__code__,
-    Connection._in_time.__code__,
+    Connection._execute.__code__,
+    Connection._run_in_time.__code__,
 }
 
 
@@ -297,7 +297,7 @@ def pressed_at(database, when):
     before = sys.gettrace()
     sys.settrace(presser)
     try:
-        database._told("", int)
+        database._execute("", int)
     except KeyboardInterrupt:
         return True
     finally:

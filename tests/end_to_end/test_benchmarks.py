@@ -1,4 +1,4 @@
-"""The crowds of the benchmark of pairs are what it says, and all ways find the same in them."""
+"""The random scenes of the benchmark of pairs are as described; all ways find the same in them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 import ssduck
 from benchmarks import adapters, pairs, recorded
-from benchmarks.crowds import FORMS, KINDS, NEIGHBOURS, Crowd, Piece, crowd
+from benchmarks.random_scenes import FORMS, KINDS, NEIGHBOURS, Piece, RandomScene, random_scene
 from benchmarks.referee import bounds, may_touch, verdict
 
 pytestmark = pytest.mark.slow
@@ -21,12 +21,12 @@ CYLINDER = Piece("cylinder", (0.5, 1.0), np.array([[0, 0, -0.5], [0, 0, 0.5]]), 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_all_ways_find_the_same_pairs(form, kind):
-    found = pairs.measured(form, kind, 40, rounds=1, most=0.0)
+    found = pairs.measure(form, kind, 40, rounds=1, most=0.0)
     assert pairs.failures([found]) == []
     assert found.found > 20
-    assert found.asked["ours"].calls <= len(found.crowd.met)
+    assert found.statistics["ours"].calls <= len(found.scene.met)
     # A box on another meets it or not, by rounding; SQL asks about those that nearly do.
-    assert found.asked["sql"].pairs <= 1.1 * len(found.crowd.met)
+    assert found.statistics["sql"].pairs <= 1.1 * len(found.scene.met)
     assert set(found.times) <= set(pairs.WAYS)
 
 
@@ -60,9 +60,9 @@ def test_a_wrong_answer_is_a_failure(monkeypatch, capsys):
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("count", [50, 500])
 def test_boxes_meet_as_many_others_as_wanted(form, count):
-    made = crowd(form, "mixed", count)
+    made = random_scene(form, "mixed", count)
     assert made.neighbours == pytest.approx(NEIGHBOURS, abs=0.3)
-    assert np.array_equal(made.positions, crowd(form, "mixed", count).positions)
+    assert np.array_equal(made.positions, random_scene(form, "mixed", count).positions)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_boxes_meet_as_many_others_as_wanted(form, count):
 def test_the_referee(one, other, apart, depth):
     places = np.array([[0.0, 0.0, 0.0], [apart, 0.0, 0.0], [2.0, 0.0, 0.0]])
     turns = np.array([[0.0, 0.0, 0.0, 1.0]] * 3)
-    three = Crowd([one, other], np.array([0, 1, 1]), places, turns, np.zeros((0, 2), int))
+    three = RandomScene([one, other], np.array([0, 1, 1]), places, turns, np.zeros((0, 2), int))
     least, most = bounds(three, 0, 1, depth)
     assert least <= depth + 1e-9
     assert most >= depth - 1e-9

@@ -25,8 +25,8 @@ def test_a_record_answers_as_the_live_world_did(tmp_path: Path) -> None:
 
 
 def test_what_differs_is_found() -> None:
-    live = replay.Told({1.0: ["[1]", "[2]"], 2.0: ["[]"]}, [(1.0, "[]")])
-    again = replay.Told({1.0: ["[1]", "[3]"]}, [])
+    live = replay.Answers({1.0: ["[1]", "[2]"], 2.0: ["[]"]}, [(1.0, "[]")])
+    again = replay.Answers({1.0: ["[1]", "[3]"]}, [])
     assert len(replay.differences(live, again)) == 3
 
 

@@ -1,8 +1,8 @@
-"""Crowds of bodies: how `benchmarks.pairs` makes its scenes, and what they are made of.
+"""Makes the random scenes of `benchmarks.pairs`; measures nothing itself.
 
-A crowd has as much room as makes its bodies' axis-aligned boxes meet `NEIGHBOURS` others each on
-average. The room is found by bisection of its side, for the crowd itself: a small one has more of
-its bodies at the border, and is denser.
+A random scene has the size at which the axis-aligned box of a body meets `NEIGHBOURS` others on
+average. Bisection finds the side for each scene: a small scene has a larger share of its bodies at
+the border, and is denser. A scene of 10,000 bodies takes some seconds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.broad_phase import overlapping_pairs
 
 NEIGHBOURS = 7.0
-# So many different shapes of each kind are shared by the bodies.
+# The number of different shapes of each kind, which the bodies share.
 PIECES = 32
 KINDS = {
     "boxes": ("box",),
@@ -27,7 +27,7 @@ KINDS = {
     "mixed": ("sphere", "capsule", "box", "cylinder", "hull"),
 }
 FORMS = ("cube", "table-top")
-# This share of a table-top stands on others, one on one at most.
+# The share of the bodies on a table-top that stand on another one.
 STACKED = 0.25
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _AXES = np.concatenate((np.eye(3), -np.eye(3)))
@@ -39,11 +39,11 @@ class Piece:
 
     Attributes:
         kind: box, sphere, capsule, cylinder or hull.
-        size: half-extents of a box, radius (and length) of what is round.
-        points: (n, 3).
-        ball: radius.
-        disc: radius.
-        given: of a hull, what PyBullet makes the points of.
+        size: the half-extents of a box, the radius (and length) of a round shape.
+        points: (n, 3), m.
+        ball: the radius of the ball, m.
+        disc: the radius of the disc, m.
+        given: the points of a hull from which PyBullet computes `points`.
     """
 
     kind: str
@@ -53,23 +53,25 @@ class Piece:
     disc: float = 0.0
     given: Array | None = None
 
-    def reached(self, ways: Array) -> Array:
-        """The points of it that are farthest in some unit directions, both (n, 3)."""
-        found: Array = self.points[np.argmax(ways @ self.points.T, axis=1)] + self.ball * ways
+    def reached(self, directions: Array) -> Array:
+        """Returns the points of the shape that are farthest in unit directions, both (n, 3)."""
+        result: Array = (
+            self.points[np.argmax(directions @ self.points.T, axis=1)] + self.ball * directions
+        )
         if self.disc:
-            across = ways * (1.0, 1.0, 0.0)
+            across = directions * (1.0, 1.0, 0.0)
             length = np.linalg.norm(across, axis=1, keepdims=True)
-            found = found + self.disc * across / np.where(length > 0.0, length, 1.0)
-        return found
+            result = result + self.disc * across / np.where(length > 0.0, length, 1.0)
+        return result
 
 
 @dataclass(frozen=True, eq=False)
-class Crowd:
-    """Bodies of one shape each.
+class RandomScene:
+    """A random scene of bodies with one shape each.
 
     Attributes:
         pieces: the different shapes.
-        of: (n,), which shape each body has.
+        of: (n,), the index of each body's shape.
         positions: (n, 3), metres.
         orientations: (n, 4), unit quaternions x, y, z, w.
         met: (m, 2), pairs of bodies whose boxes meet.
@@ -86,17 +88,17 @@ class Crowd:
 
     @property
     def neighbours(self) -> float:
-        """With how many others a body's box meets, on average."""
+        """The mean number of boxes that the box of a body meets."""
         return 2.0 * len(self.met) / len(self)
 
     def piece(self, body: int) -> Piece:
-        """The shape of a body."""
+        """Returns the shape of a body."""
         return self.pieces[int(self.of[body])]
 
     def matrix(self, body: int) -> Array:
-        """The rotation of a body."""
-        found: Array = Rotation.from_quat(self.orientations[body]).as_matrix()
-        return found
+        """Returns the rotation matrix of a body."""
+        result: Array = Rotation.from_quat(self.orientations[body]).as_matrix()
+        return result
 
 
 # -- shapes -------------------------------------------------------------------------------------
@@ -111,7 +113,7 @@ def _pieces(kinds: Sequence[str], rng: np.random.Generator) -> list[Piece]:
 
 
 def _piece(kind: str, rng: np.random.Generator, client: int) -> Piece:
-    """A shape of random size, 6 to 24 cm across."""
+    """Returns a shape of random size, 6 to 24 cm across."""
     a, b, c = map(float, rng.uniform(0.03, 0.12, 3))
     axis = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]])
     match kind:
@@ -128,16 +130,16 @@ def _piece(kind: str, rng: np.random.Generator, client: int) -> Piece:
 
 
 def _scattered(rng: np.random.Generator) -> Array:
-    """8 to 40 points on a sphere."""
+    """Returns 8 to 40 random points on a sphere."""
     points = rng.normal(size=(int(rng.integers(8, 41)), 3))
-    found: Array = points / np.linalg.norm(points, axis=1, keepdims=True)
-    return found
+    result: Array = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return result
 
 
 def _as_pybullet_has(points: Array, client: int) -> Array:
-    """The corners that PyBullet's hull of points has: it rounds them to a 10,000th of its size.
+    """Returns the corners of PyBullet's hull of points, which are rounded.
 
-    Given these it would round them again.
+    PyBullet rounds to a 10,000th of the size, and would round the corners again.
     """
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_MESH, vertices=points.tolist(), physicsClientId=client
@@ -147,7 +149,7 @@ def _as_pybullet_has(points: Array, client: int) -> Array:
 
 
 def _shape(piece: Piece, client: int) -> int:
-    """The piece as a shape of PyBullet's."""
+    """Creates a shape in PyBullet."""
     size = piece.size
     match piece.kind:
         case "box":
@@ -166,13 +168,13 @@ def _shape(piece: Piece, client: int) -> int:
 
 
 @contextmanager
-def bodies_of(crowd: Crowd) -> Iterator[tuple[int, list[int]]]:
-    """A client with a body for each of a crowd, and the bodies' numbers."""
+def bodies_of(scene: RandomScene) -> Iterator[tuple[int, list[int]]]:
+    """Yields a client with the bodies of a scene, and their numbers in PyBullet."""
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        shapes = [_shape(piece, client) for piece in crowd.pieces]
+        shapes = [_shape(piece, client) for piece in scene.pieces]
         places = zip(
-            crowd.of.tolist(), crowd.positions.tolist(), crowd.orientations.tolist(), strict=True
+            scene.of.tolist(), scene.positions.tolist(), scene.orientations.tolist(), strict=True
         )
         yield (
             client,
@@ -194,8 +196,8 @@ def bodies_of(crowd: Crowd) -> Iterator[tuple[int, list[int]]]:
 # -- scenes -------------------------------------------------------------------------------------
 
 
-def crowd(form: str, kind: str, count: int, seed: int = 0) -> Crowd:
-    """A crowd in one of `FORMS`, of one of `KINDS`."""
+def random_scene(form: str, kind: str, count: int, seed: int = 0) -> RandomScene:
+    """Returns a random scene in one of `FORMS`, of one of `KINDS`."""
     rng = np.random.default_rng([seed, count, FORMS.index(form), list(KINDS).index(kind)])
     pieces = _pieces(KINDS[kind], rng)
     of = rng.integers(len(pieces), size=count)
@@ -208,11 +210,11 @@ def crowd(form: str, kind: str, count: int, seed: int = 0) -> Crowd:
         places, offsets = _stacked(boxes, places, rng)
         positions = _spread(boxes, places, offsets)
     met = np.sort(np.column_stack(overlapping_pairs(boxes + np.tile(positions.T, (2, 1)))), axis=1)
-    return Crowd(pieces, of, positions, turns.as_quat(), met)
+    return RandomScene(pieces, of, positions, turns.as_quat(), met)
 
 
 def _flat_turns(count: int, rng: np.random.Generator) -> Rotation:
-    """On one of four sides, and turned about z: half of them by quarter turns."""
+    """Returns rotations onto one of four sides and about z; half of them by quarter turns."""
     sides: Array = rng.integers(4, size=count).astype(np.float64)
     upright = Rotation.from_rotvec(_along(0, sides * 0.5 * np.pi))
     quarters: Array = rng.uniform(0.0, 4.0, count)
@@ -222,14 +224,14 @@ def _flat_turns(count: int, rng: np.random.Generator) -> Rotation:
 
 
 def _along(axis: int, angles: Array) -> Array:
-    """Rotation vectors along an axis."""
+    """Returns rotation vectors along an axis."""
     vectors = np.zeros((len(angles), 3))
     vectors[:, axis] = angles
     return vectors
 
 
 def _boxes(pieces: Sequence[Piece], of: Indices, turns: Rotation) -> Array:
-    """(6, n): the boxes around the bodies at the origin."""
+    """Returns the boxes around the bodies at the origin, (6, n)."""
     corners = [
         np.einsum("ij,ij->i", _AXES, pieces[piece].reached(_AXES @ turn) @ turn.T)
         for piece, turn in zip(of.tolist(), turns.as_matrix(), strict=True)
@@ -239,7 +241,7 @@ def _boxes(pieces: Sequence[Piece], of: Indices, turns: Rotation) -> Array:
 
 
 def _stacked(boxes: Array, places: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Places on the ground, and offsets from them: all stand on it, but some each on another."""
+    """Returns places on the ground and offsets: some bodies stand on another one."""
     count = len(places)
     upper = int(count * STACKED)
     lower = rng.permutation(np.arange(upper, count))[:upper]
@@ -253,12 +255,12 @@ def _stacked(boxes: Array, places: Array, rng: np.random.Generator) -> tuple[Arr
 
 
 def _spread(boxes: Array, places: Array, offsets: Array) -> Array:
-    """Positions `places * side + offsets` with as many neighbours as wanted."""
+    """Returns positions `places * side + offsets` with the desired number of neighbours."""
     low, high = 0.0, 2.0 * float((boxes[3:] - boxes[:3]).max()) * len(places)
     for _ in range(40):
         side = (low + high) / 2
-        found = overlapping_pairs(boxes + np.tile((places * side + offsets).T, (2, 1)))[0]
-        if 2 * len(found) > NEIGHBOURS * len(places):
+        result = overlapping_pairs(boxes + np.tile((places * side + offsets).T, (2, 1)))[0]
+        if 2 * len(result) > NEIGHBOURS * len(places):
             low = side
         else:
             high = side
