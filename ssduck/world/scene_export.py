@@ -9,8 +9,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
 from ssduck.errors import SceneError
 from ssduck.simulators.backends import backend
 from ssduck.simulators.interface import Simulator
@@ -53,6 +51,8 @@ def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path) -> Scene:
 
 def write_scene(scene: Scene, folder: Path) -> Path:
     """Write the file of a scene into its folder."""
+    import tomli_w
+
     file = folder / FILE
     text = tomli_w.dumps(_document(scene, folder))
     file.write_text(_ARRAY.sub(_on_one_line, text), encoding="utf-8")

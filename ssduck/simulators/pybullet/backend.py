@@ -11,10 +11,8 @@ from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Kind, Simulator
-from ssduck.simulators.pybullet import scene_writer as saving
 from ssduck.simulators.pybullet.clients import handles_of, new_client
 from ssduck.simulators.pybullet.console import pybullet
-from ssduck.simulators.pybullet.excerpt import excerpt
 from ssduck.simulators.pybullet.given_shapes import given_shapes
 from ssduck.simulators.pybullet.scene_loader import load_models
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
@@ -75,9 +73,23 @@ def attach(
     return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
 
 
+# What copies and saved scenes need is imported with the first of them: few sessions make any.
+
+
+def excerpt(
+    source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
+) -> PyBulletSimulator:
+    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
+    from ssduck.simulators.pybullet import excerpt as copying
+
+    return copying.excerpt(source, originals, tick)
+
+
 def scene_of(
     simulator: Simulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
 ) -> Scene:
     """Describes a simulation as a scene, without its sensors; writes its models into a folder."""
+    from ssduck.simulators.pybullet import scene_writer
+
     assert isinstance(simulator, PyBulletSimulator)
-    return saving.scene_of(simulator, originals, tick, folder)
+    return scene_writer.scene_of(simulator, originals, tick, folder)
