@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ssduck.interpreter.triggers.trigger import TriggerWarning
     from ssduck.limits import Limits
     from ssduck.recording.episode import Episode
-    from ssduck.recording.replay.past import PastTicks
+    from ssduck.recording.replay.past import Past
     from ssduck.recording.spec import Recording
     from ssduck.world.entities import Entity, KinBody, Robot, Sensor
     from ssduck.world.world import World
@@ -29,7 +29,7 @@ __all__ = [
     "KinBody",
     "Limits",
     "OccupancyGrid",
-    "PastTicks",
+    "Past",
     "ProgramWarning",
     "Recording",
     "Robot",
@@ -53,7 +53,7 @@ _HOMES = {
     "KinBody": "world.entities",
     "Limits": "limits",
     "OccupancyGrid": "adapters.grid_values",
-    "PastTicks": "recording.replay.past",
+    "Past": "recording.replay.past",
     "ProgramWarning": "errors",
     "Recording": "recording.spec",
     "Robot": "world.entities",

@@ -38,7 +38,7 @@ from ssduck.language.tree import (
     TimeIndex,
     Unary,
 )
-from ssduck.recording.replay.past import PastTicks
+from ssduck.recording.replay.past import Past
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
@@ -299,7 +299,7 @@ class Linter:
                 message = f'"{name}" is a text; the function is written without quotes: {name}'
                 yield ArgumentError(message, span=span)
         for name, span in facts.sources:
-            if isinstance(self._variable(name), World | PastTicks | list):
+            if isinstance(self._variable(name), World | Past | list):
                 message = (
                     f"{short_repr(name)} is a text, and the only element; the variable is {name}"
                 )
@@ -338,7 +338,7 @@ class Linter:
             given = self._variable(value.name)
             if isinstance(given, World):
                 return [given]
-            if isinstance(given, PastTicks):
+            if isinstance(given, Past):
                 return [given.world]
             if not isinstance(given, list) or not any(isinstance(e, Entity) for e in given[:1]):
                 return []

@@ -20,7 +20,7 @@ from ssduck.language.clauses import (
 )
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Literal, Name, Query, TimeIndex
-from ssduck.recording.replay.past import PastTicks
+from ssduck.recording.replay.past import Past
 from ssduck.world.world import World
 
 QueryRunner: TypeAlias = Callable[
@@ -153,7 +153,7 @@ def _source_worlds(query: Query, frame: Frame) -> list[World]:
             value = frame.value(source.value)
             if isinstance(value, World):
                 found.setdefault(value)
-            elif isinstance(value, PastTicks) and value.ticks:
+            elif isinstance(value, Past) and value.ticks:
                 found.setdefault(value.at(value.ticks[-1]))
     return list(found)
 

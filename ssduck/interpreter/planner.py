@@ -25,7 +25,7 @@ from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, Query, TimeIndex
 from ssduck.limits import Limits
-from ssduck.recording.replay.past import PastTicks
+from ssduck.recording.replay.past import Past
 from ssduck.schema import MASSES
 from ssduck.sql.name_resolution import ResolvedQuery, resolve
 from ssduck.sql.plan import Plan, SourceType
@@ -277,9 +277,9 @@ class Planner:
         """
         reads_masses = MASSES in tables_of(query)
         for value in values:
-            if reads_masses and isinstance(value, PastTicks):
+            if reads_masses and isinstance(value, Past):
                 value.record.warn_of_masses()
-            known = isinstance(value, PastTicks) and value.world in self._database.worlds.values()
+            known = isinstance(value, Past) and value.world in self._database.worlds.values()
             if known and self._database.record_of(value.world) is not value.record:
                 raise EvaluationError(
                     f"this past of {value.world.name!r} is of another interpreter's record"

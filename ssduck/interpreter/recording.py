@@ -15,7 +15,7 @@ from ssduck.formatting import short_repr
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.recording.paths import given_path
-from ssduck.recording.replay.past import PastTicks, past_of
+from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.schema import RECORDABLE
@@ -59,7 +59,7 @@ class RecordingMethods(ABC):
             self._database.record(self._world(world), recording)
             self._planner.forget()
 
-    def past(self, world: str | World, age: float | None = None) -> PastTicks:
+    def past(self, world: str | World, age: float | None = None) -> Past:
         """Returns the past of a world, as `kitchen{age}` does: a source for queries.
 
         Args:

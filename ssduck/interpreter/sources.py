@@ -17,7 +17,7 @@ from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of
 from ssduck.language.clauses import LockstepSource
 from ssduck.language.tree import Query
-from ssduck.recording.replay.past import PastTicks, PresentTick
+from ssduck.recording.replay.past import Past, PresentTick
 from ssduck.recording.replay.record import Record
 from ssduck.sql.plan import Moments, SourceType
 from ssduck.sql.types import ANY, INTEGER, SqlType
@@ -46,7 +46,7 @@ def elements_of(value: Any) -> Sequence[Any]:
     """
     if isinstance(value, list | tuple):
         return value
-    if isinstance(value, World | PastTicks | PresentTick):
+    if isinstance(value, World | Past | PresentTick):
         return list(value)
     if isinstance(value, np.ndarray) and value.ndim and value.dtype.names is None:
         rows: list[Any] = value.tolist()
@@ -61,7 +61,7 @@ def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
     first: dict[World, int] = {}
     for place, value in enumerate(values):
         elements = elements_of(value)
-        if isinstance(value, PastTicks) and value.is_window:
+        if isinstance(value, Past) and value.is_window:
             to = first.setdefault(value.world, place)
             elements = elements if to == place else LockstepSource(elements, to)
         found.append(elements)
@@ -156,7 +156,7 @@ def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
         return SourceType(alias, has_values=False)
     if isinstance(value, World):
         return SourceType(alias, schema_of(value))
-    if isinstance(value, PastTicks):
+    if isinstance(value, Past):
         moments: Moments = "window" if value.is_window else "instant"
         return SourceType(
             alias, schema_of(value.world), moments=moments, of_one=value.id is not None
@@ -224,7 +224,7 @@ def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[A
         if isinstance(value, Entity) and value.moment is not None
     }
     for value in values:
-        if isinstance(value, PastTicks):
+        if isinstance(value, Past):
             value.check()
             records[value.world] = value.record
     return [
@@ -240,7 +240,7 @@ def worlds_in(value: Any) -> list[World] | None:
     match value:
         case World():
             return [value]
-        case PastTicks() | PresentTick():
+        case Past() | PresentTick():
             return [value.world]
         case Entity():
             return [value.world]

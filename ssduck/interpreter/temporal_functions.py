@@ -31,7 +31,7 @@ from ssduck.language.tree import (
     TimeIndex,
     UnresolvedName,
 )
-from ssduck.recording.replay.past import PastTicks, past_of
+from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.replay.record import Record
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
@@ -73,30 +73,28 @@ class TickSeries:
         node: the expression.
     """
 
-    def __init__(
-        self, record: Record, run: Callable[[PastTicks], list[list[Any]]], node: Node
-    ) -> None:
+    def __init__(self, record: Record, run: Callable[[Past], list[list[Any]]], node: Node) -> None:
         self.record = record
         self.node = node
         self._run = run
 
-    def at(self, past: PastTicks) -> tuple[list[float], list[Any]]:
+    def at(self, past: Past) -> tuple[list[float], list[Any]]:
         """Returns the times and values at some ticks; None where an entity was not there."""
         known = {row[0]: row[2] for row in self._run(past)}
         return past.times, [known.get(tick) for tick in past.ticks]
 
-    def holding(self, past: PastTicks) -> tuple[list[float], list[bool]]:
+    def holding(self, past: Past) -> tuple[list[float], list[bool]]:
         """Returns the times, and whether the expression was true."""
         times, values = self.at(past)
         return times, [value is not None and truth(value, self.node) for value in values]
 
-    def backwards(self) -> Iterator[PastTicks]:
+    def backwards(self) -> Iterator[Past]:
         """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
         numbers, _ = self.record.until_now()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
             start = max(end - size, 0)
-            yield PastTicks(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
+            yield Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
             end, size = start, size * 2
 
 
@@ -224,7 +222,7 @@ class TemporalEvaluator:
         record = record_of(worlds.pop())
         query = self._query(call, places, tuple(handles))
 
-        def rows(past: PastTicks) -> list[list[Any]]:
+        def rows(past: Past) -> list[list[Any]]:
             given = {
                 f"value_{number}": _of_entity(past, value) if is_one else value
                 for number, (value, is_one) in enumerate(zip(values, handles, strict=True))
@@ -240,9 +238,9 @@ class TemporalEvaluator:
         return known[handles]
 
 
-def _of_entity(past: PastTicks, entity: Entity) -> PastTicks:
+def _of_entity(past: Past, entity: Entity) -> Past:
     """Returns the past of one entity."""
-    return PastTicks(past.record, past.first, past.last, is_window=True, id=entity.id)
+    return Past(past.record, past.first, past.last, is_window=True, id=entity.id)
 
 
 def _places(node: Node, call: Call) -> Iterator[Node]:

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from ssduck.recording.episode import Episode
     from ssduck.recording.export import exported
     from ssduck.recording.recorder import Recorder
-    from ssduck.recording.replay.past import PastTicks
+    from ssduck.recording.replay.past import Past
     from ssduck.recording.replay.record import Record
     from ssduck.recording.spec import Recording
 
 __all__ = [
     "Episode",
-    "PastTicks",
+    "Past",
     "Record",
     "Recorder",
     "Recording",
@@ -32,7 +32,7 @@ __getattr__, __dir__ = exports(
         "episode": ("Episode",),
         "export": ("exported",),
         "recorder": ("Recorder",),
-        "replay.past": ("PastTicks",),
+        "replay.past": ("Past",),
         "replay.record": ("Record",),
         "spec": ("Recording",),
     },

@@ -406,7 +406,7 @@ def test_garbage_is_collected_in_the_thread_that_stores(
 SCRIPT = """
 import os, sys, time, pybullet, ssduck
 from ssduck.database import recorders
-from ssduck.database.writer import Writer
+from ssduck.database.writer import WriterConnection
 recorders.RING_TICKS = 10
 client = pybullet.connect(pybullet.DIRECT)
 ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
@@ -415,11 +415,11 @@ for place in range(3):
 world = ssduck.World.attach(client, name="lab")
 ss = ssduck.Interpreter(sys.argv[1])
 ss.add_variable("lab", world)
-slow = Writer.insert
+slow = WriterConnection.insert
 def insert(*given):
     time.sleep(0.05)
     slow(*given)
-Writer.insert = insert
+WriterConnection.insert = insert
 while world.snapshot.number < 24:
     world.tick()
 """

@@ -235,7 +235,7 @@ def test_after_a_reset_the_client_is_attached_anew(client, bouncing, tmp_path):
     ss, world = bouncing
     stepped(client, 240)
     world.tick(steps=240)
-    pybullet.resetSimulation(client)
+    pybullet.resetSimulation(physicsClientId=client)
     assert len(world.tick()) == 0
     assert world.time == 241 * STEP
     with pytest.raises(NumberError, match="attach the client anew"):

@@ -385,7 +385,7 @@ def test_what_rests_in_a_circle_ends(stage):
     world = stage.open()
     ss, _ = stage.interpreters(sim=world)
     assert ss.eval("[restsOn(a, b), restsOn(b, a)];") == [True, False]
-    around = world.snapshot.shapes()._around
+    around = world.snapshot.shapes()._neighbours
     around._resting.clear()
     a, b = (world.snapshot.shapes()._numbers[world[name].id] for name in "ab")
     around.__dict__["_on"] = {a: frozenset({b}), b: frozenset({a})}

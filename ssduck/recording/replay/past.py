@@ -1,6 +1,6 @@
 """The past of a world as a source of queries.
 
-A `PastTicks` is what `kitchen{12.5}`, `kitchen{-2.0}` and `kitchen{}` are: some ticks of a
+A `Past` is what `kitchen{12.5}`, `kitchen{-2.0}` and `kitchen{}` are: some ticks of a
 record, whose entities are handles that stay at their tick.
 """
 
@@ -21,7 +21,7 @@ from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.world import World
 
 
-def past_of(record: Record, age: float | None) -> PastTicks:
+def past_of(record: Record, age: float | None) -> Past:
     """Some ticks: the one at a time, those of the last seconds, or all.
 
     Args:
@@ -37,7 +37,7 @@ def past_of(record: Record, age: float | None) -> PastTicks:
     if not len(numbers):
         raise EvaluationError(f"no tick of {name!r} is recorded")
     if age is None:
-        return PastTicks(record, int(numbers[0]), int(numbers[-1]), is_window=True)
+        return Past(record, int(numbers[0]), int(numbers[-1]), is_window=True)
     if age < 0:
         first = int(np.searchsorted(times, record.world.time + age - ROUNDING))
         if first == len(numbers):
@@ -45,13 +45,13 @@ def past_of(record: Record, age: float | None) -> PastTicks:
                 f"of the last {-age:g} s of {name!r} no tick is recorded; the last one is of "
                 f"{times[-1]:g} s, and it is {record.world.time:g} s"
             )
-        return PastTicks(record, int(numbers[first]), int(numbers[-1]), is_window=True)
+        return Past(record, int(numbers[first]), int(numbers[-1]), is_window=True)
     tick = int(numbers[place_at(name, age, times, record.world.time)])
-    return PastTicks(record, tick, tick, is_window=False)
+    return Past(record, tick, tick, is_window=False)
 
 
 @dataclass(frozen=True, eq=False)
-class PastTicks:
+class Past:
     """Some ticks of a world: a source of queries, whose elements are its entities at each.
 
     Attributes:
