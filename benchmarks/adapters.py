@@ -24,8 +24,8 @@ import ssduck
 from benchmarks.timing import Way, minima, text_of
 
 # PyBullet refuses more rays in one call.
-MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
-ROUNDS, MOST_SECONDS = 7, 10.0
+MAX_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
+ROUNDS, MAX_SECONDS = 7, 10.0
 Loop: TypeAlias = Callable[[], object]
 
 
@@ -65,7 +65,7 @@ def _points(x: Any, y: Any, z: float) -> Any:
 
 def _batches(kitchen: ssduck.World, starts: Any, ends: Any) -> Loop:
     client = kitchen._simulator.client  # type: ignore[attr-defined]
-    parts = [slice(first, first + MOST_RAYS) for first in range(0, len(starts), MOST_RAYS)]
+    parts = [slice(first, first + MAX_RAYS) for first in range(0, len(starts), MAX_RAYS)]
 
     def loop() -> object:
         return [
@@ -107,7 +107,7 @@ def rows() -> Iterator[tuple[str, ...]]:
                 "ours": Way(partial(ss.eval, compiled), kitchen.tick),
                 "other": Way(comparison.other(kitchen, result)),
             }
-            times = minima(ways, ROUNDS, MOST_SECONDS)
+            times = minima(ways, ROUNDS, MAX_SECONDS)
             cells = f"{result.cells.size:,}" if hasattr(result, "cells") else ""
             ratio = f"{times['ours'] / times['other']:.2g}"
             yield (
@@ -128,7 +128,7 @@ def environment() -> tuple[str, ...]:
             "ours": Way(lambda: ss.eval(compiled).close()),
             "other": Way(lambda: ssduck.load("kitchen").close()),
         }
-        times = minima(ways, ROUNDS, MOST_SECONDS)
+        times = minima(ways, ROUNDS, MAX_SECONDS)
     ratio = f"{times['ours'] / times['other']:.2g}"
     cells = text_of(times["ours"]), "loading the scene", text_of(times["other"])
     return "environment", "", *cells, ratio

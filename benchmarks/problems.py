@@ -80,7 +80,7 @@ def coloured(regions: Map) -> list[dict[str, str]]:
 MOVES = [[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]]
 START = [[3, 2, 1], [], []]
 GOAL = [[], [], [3, 2, 1]]
-MOST_MOVES = 7
+MAX_MOVES = 7
 
 Tower: TypeAlias = list[list[int]]
 Key: TypeAlias = tuple[tuple[int, ...], ...]
@@ -128,7 +128,7 @@ def plain() -> list[list[list[int]]]:
             after = move(mov, tower)  # type: ignore[no-untyped-call]
             if after == GOAL:
                 yield [*path, mov]
-            elif after and len(path) + 1 < MOST_MOVES:
+            elif after and len(path) + 1 < MAX_MOVES:
                 yield from paths(after, [*path, mov])
 
     return list(paths(START, []))
@@ -146,7 +146,7 @@ def no_cycle() -> list[list[Any]]:
             after = move(mov, tower)  # type: ignore[no-untyped-call]
             if after == GOAL:
                 yield [*path, mov, tower]
-            elif after and level < MOST_MOVES:
+            elif after and level < MAX_MOVES:
                 visited.add(key)
                 yield from paths(after, [*path, mov, tower], level + 1)
                 visited.remove(key)
@@ -165,11 +165,11 @@ def unique() -> list[list[dict[str, Any]]]:
                 continue
             after = move(mov, tower)  # type: ignore[no-untyped-call]
             here = [*path, {f"config{level}": [mov, tower]}]
-            if after and level < MOST_MOVES:
+            if after and level < MAX_MOVES:
                 visited.add(key)
             if after == GOAL:
                 yield here
-            elif after and level < MOST_MOVES:
+            elif after and level < MAX_MOVES:
                 yield from paths(after, here, level + 1)
 
     return list(paths(START, [], 1))
@@ -192,7 +192,7 @@ def memorized() -> list[list[list[Any]]]:
                 after = move(mov, tower)  # type: ignore[no-untyped-call]
                 if after == GOAL:
                     goals.append(key)
-                elif not after or level == MOST_MOVES:
+                elif not after or level == MAX_MOVES:
                     continue
                 else:
                     waiting.append((key, after, level + 1))
@@ -222,6 +222,6 @@ def memorized() -> list[list[list[Any]]]:
 
     return [
         [rows[key] for key in path]
-        for length in range(1, MOST_MOVES + 1)
+        for length in range(1, MAX_MOVES + 1)
         for path in simple([], roots, length)
     ]

@@ -32,7 +32,7 @@ from benchmarks.timing import Way, minima, print_table, text_in_microseconds, te
 from ssduck import Recording
 from ssduck.geometry.arrays import Array
 from ssduck.recording.background_writer import BackgroundWriter
-from ssduck.recording.recorder import RING_TICKS, Recorder
+from ssduck.recording.recorder import BUFFERED_TICKS, Recorder
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.schema import RECORDED
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
@@ -116,7 +116,7 @@ def _take_ticks(world: ssduck.World, ticks: int) -> None:
 
 def _wait_for_storing(world: ssduck.World, storing: BackgroundWriter) -> None:
     """Takes ticks until some are being stored, as at the end of the timed part."""
-    for _ in range(RING_TICKS + 1):
+    for _ in range(BUFFERED_TICKS + 1):
         if storing.is_busy:
             break
         world.tick()

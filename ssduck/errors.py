@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 # Longer messages and lines of a program are cut, so that a person can read them.
-MOST_OF_MESSAGE = 4000
-MOST_OF_LINE = 160
+MAX_MESSAGE_LENGTH = 4000
+MAX_LINE_LENGTH = 160
 _BEFORE = 60
 # A longer name is compared with others by its beginning.
-_MOST_OF_NAME = 200
+_MAX_NAME_LENGTH = 200
 _PACKAGE = __name__.partition(".")[0]
 # Frames of decorators, context managers and cached properties stand between those of the package.
 _BETWEEN = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
@@ -45,7 +45,7 @@ def nearest(name: object, known: Iterable[str], limit: int = 3) -> tuple[str, ..
     if not isinstance(name, str):
         return ()
     by_folded = {candidate.casefold(): candidate for candidate in sorted(known)}
-    wanted = name[:_MOST_OF_NAME].casefold()
+    wanted = name[:_MAX_NAME_LENGTH].casefold()
     found = difflib.get_close_matches(wanted, list(by_folded), n=limit, cutoff=0.6)
     return tuple(by_folded[match] for match in found)
 
@@ -72,8 +72,8 @@ class SelectScriptError(Exception):
         suggestions: Iterable[str] = (),
         instead: Callable[[str], str] | None = None,
     ) -> None:
-        if len(message) > MOST_OF_MESSAGE:
-            message = f"{message[:MOST_OF_MESSAGE]}…"
+        if len(message) > MAX_MESSAGE_LENGTH:
+            message = f"{message[:MAX_MESSAGE_LENGTH]}…"
         super().__init__(message)
         self.message = message
         self.text = text
@@ -118,10 +118,10 @@ class SelectScriptError(Exception):
         last = self.text.find("\n", self.span.start)
         last = len(self.text) if last < 0 else last
         cut = ""
-        if last - first > MOST_OF_LINE:
+        if last - first > MAX_LINE_LENGTH:
             cut = "…" if self.span.start - first > _BEFORE else ""
             first = max(first, self.span.start - _BEFORE)
-            last = min(last, first + MOST_OF_LINE)
+            last = min(last, first + MAX_LINE_LENGTH)
         line = cut + self.text[first:last]
         before = line[: len(cut) + self.span.start - first]
         width = max(1, min(self.span.end, last) - self.span.start)

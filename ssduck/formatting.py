@@ -11,16 +11,16 @@ from typing import Any
 from ssduck.errors import EvaluationError, SourceSpan
 
 # The largest numbers of keys and of letters in a message.
-MOST_KEYS = 20
-MOST_LETTERS = 200
-_MOST_KINDS = 5
+MAX_KEYS = 20
+MAX_TEXT_LENGTH = 200
+_MAX_KINDS = 5
 
 # The largest number of names in a message.
-MOST_NAMED = 50
+MAX_NAMED = 50
 
 _SHORT = Repr()
-_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MOST_KEYS
-_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MOST_LETTERS
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MAX_KEYS
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MAX_TEXT_LENGTH
 
 
 def short_repr(value: Any) -> str:
@@ -40,7 +40,7 @@ def short_repr(value: Any) -> str:
         return f"a {sign}number of some {int(value.bit_length() * math.log10(2))} digits"
 
 
-def joined_names(names: Sequence[str], most: int = MOST_NAMED) -> str:
+def joined_names(names: Sequence[str], most: int = MAX_NAMED) -> str:
     """Returns names separated by commas, and the number of those left out.
 
     >>> joined_names(["cup", "fork", "plate"], most=2)
@@ -61,7 +61,7 @@ def error_text(error: BaseException) -> str:
 def first_line(text: str) -> str:
     """Returns the first line of a text, shortened if it is long."""
     line = text.strip().partition("\n")[0]
-    return line if len(line) <= MOST_LETTERS else f"{line[:MOST_LETTERS]}…"
+    return line if len(line) <= MAX_TEXT_LENGTH else f"{line[:MAX_TEXT_LENGTH]}…"
 
 
 def type_in_words(value: Any) -> str:
@@ -96,9 +96,9 @@ def argument_in_words(value: Any) -> str:
         return type_in_words(value)
     if not value:
         return "an empty list"
-    kinds = list(dict.fromkeys(map(type_in_words, islice(value, MOST_LETTERS))))
-    more = ", …" if len(kinds) > _MOST_KINDS else ""
-    return f"a list with {', '.join(kinds[:_MOST_KINDS])}{more}"
+    kinds = list(dict.fromkeys(map(type_in_words, islice(value, MAX_TEXT_LENGTH))))
+    more = ", …" if len(kinds) > _MAX_KINDS else ""
+    return f"a list with {', '.join(kinds[:_MAX_KINDS])}{more}"
 
 
 def as_evaluation_error(error: Exception, span: SourceSpan | None) -> EvaluationError:

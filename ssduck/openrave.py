@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from ssduck.adapters.grid_values import MOST_CELLS
+from ssduck.adapters.grid_values import MAX_CELLS
 from ssduck.adapters.shapes import placed_shapes
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
@@ -84,8 +84,8 @@ class OccupancyGridMap:
     def _set_size(self, nx: float, ny: float, size: float) -> str:
         if not (nx >= 1 and ny >= 1 and 0.0 < size < math.inf):
             raise ValueError("there is a cell at least, and it is wider than 0 m")
-        if not (nx * ny <= MOST_CELLS and nx.is_integer() and ny.is_integer()):
-            raise ValueError(f"there are whole numbers of cells, {MOST_CELLS:,} at most")
+        if not (nx * ny <= MAX_CELLS and nx.is_integer() and ny.is_integer()):
+            raise ValueError(f"there are whole numbers of cells, {MAX_CELLS:,} at most")
         self._size = (int(nx), int(ny), size)
         return ""
 

@@ -27,20 +27,20 @@ MARGINS = "margins"
 FORGOTTEN_AFTER = 240
 # A pair of entities in SQL is one number, the first id times this and the second: DuckDB takes and
 # sorts one number in less time than two.
-MOST_IDS = 1 << 32
+ID_FACTOR = 1 << 32
 # The numbers of an entity that may be infinite; the others are finite or unknown.
 BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
-ColumnType: TypeAlias = Literal["real", "integer", "text", "flag", "points", "triples"]
+ColumnType: TypeAlias = Literal["double", "integer", "string", "boolean", "points", "triples"]
 # Where a record stores a column: with the rows of each tick, once for each entity in the *model*
 # of the table, or in both.
 Storage: TypeAlias = Literal["tick", "model", "both"]
 _SQL: dict[ColumnType, str] = {
-    "real": "DOUBLE",
+    "double": "DOUBLE",
     "integer": "BIGINT",
-    "text": "VARCHAR",
-    "flag": "BOOLEAN",
+    "string": "VARCHAR",
+    "boolean": "BOOLEAN",
     "points": "DOUBLE[3][]",
     "triples": "INTEGER[3][]",
 }
@@ -81,26 +81,26 @@ class TickColumns:
 
     Attributes:
         integers: their names, `tick` first.
-        reals: their names, `time` first.
-        flags: their names.
+        doubles: their names, `time` first.
+        booleans: their names.
     """
 
     integers: tuple[str, ...]
-    reals: tuple[str, ...]
-    flags: tuple[str, ...]
+    doubles: tuple[str, ...]
+    booleans: tuple[str, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
         """All names, in the order of the stored columns."""
-        return (*self.integers, *self.reals, *self.flags)
+        return (*self.integers, *self.doubles, *self.booleans)
 
     @property
     def sql(self) -> dict[str, str]:
         """The type of each column in SQL."""
         return {
             **dict.fromkeys(self.integers, _SQL["integer"]),
-            **dict.fromkeys(self.reals, _SQL["real"]),
-            **dict.fromkeys(self.flags, _SQL["flag"]),
+            **dict.fromkeys(self.doubles, _SQL["double"]),
+            **dict.fromkeys(self.booleans, _SQL["boolean"]),
         }
 
 
@@ -158,11 +158,11 @@ class Table:
     @cached_property
     def tick_columns(self) -> TickColumns:
         """The columns that a record stores with each tick."""
-        integers, reals, flags = (
+        integers, doubles, booleans = (
             tuple(c.name for c in self.columns if c.type == type and c.storage != "model")
-            for type in ("integer", "real", "flag")
+            for type in ("integer", "double", "boolean")
         )
-        return TickColumns(integers, reals, flags)
+        return TickColumns(integers, doubles, booleans)
 
     @cached_property
     def second_names(self) -> dict[str, str]:
@@ -180,18 +180,18 @@ class Table:
         return f"{self.name}_model"
 
 
-def _reals(
+def _doubles(
     names: str,
     comment: str,
     second_name: str = "",
     storage: Storage = "tick",
     model_comment: str = "",
 ) -> tuple[Column, ...]:
-    """Columns of reals of one meaning; their second names end as their names do."""
+    """Columns of doubles of one meaning; their second names end as their names do."""
     return tuple(
         Column(
             name,
-            "real",
+            "double",
             comment,
             f"{second_name}_{name[-1]}" if second_name else "",
             storage,
@@ -218,20 +218,20 @@ def _model_only(name: str, type: ColumnType, comment: str) -> Column:
 
 _TICK = (
     Column("tick", "integer", "number of the snapshot"),
-    Column("time", "real", "simulated time, s"),
+    Column("time", "double", "simulated time, s"),
 )
 _POSITION = "position of the link frame, m"
 _ORIENTATION = "orientation of the link frame, unit quaternion"
-_POSE = (*_reals("x y z", _POSITION), *_reals("qw qx qy qz", _ORIENTATION))
+_POSE = (*_doubles("x y z", _POSITION), *_doubles("qw qx qy qz", _ORIENTATION))
 _POSE_OF_SHAPE = (
-    *_reals("x y z", _POSITION, "", "both", "position in the frame of the link, m"),
-    *_reals("qw qx qy qz", _ORIENTATION, "", "both", "orientation in the frame of the link"),
+    *_doubles("x y z", _POSITION, "", "both", "position in the frame of the link, m"),
+    *_doubles("qw qx qy qz", _ORIENTATION, "", "both", "orientation in the frame of the link"),
 )
 _TWIST = (
-    *_reals("vx vy vz", "velocity of the link frame's origin, m/s"),
-    *_reals("wx wy wz", "angular velocity, rad/s"),
+    *_doubles("vx vy vz", "velocity of the link frame's origin, m/s"),
+    *_doubles("wx wy wz", "angular velocity, rad/s"),
 )
-_BOX = _reals(" ".join(BOX), "axis-aligned box of the shapes, exact, m")
+_BOX = _doubles(" ".join(BOX), "axis-aligned box of the shapes, exact, m")
 _FIRST_MASS = "kg, when the entity was first recorded; a later change is not recorded"
 
 EXACT = (
@@ -245,20 +245,20 @@ _ENTITIES = Table(
     (
         *_TICK,
         _key("id", "ssduck's own number of the entity, never used again"),
-        _fixed("name", "text", "unique in its world"),
-        _fixed("kind", "text", "robot, kinbody or sensor"),
-        _fixed("parent", "text", "the entity that a sensor sits on"),
+        _fixed("name", "string", "unique in its world"),
+        _fixed("kind", "string", "robot, kinbody or sensor"),
+        _fixed("parent", "string", "the entity that a sensor sits on"),
         *_POSE,
         *_TWIST,
         *_BOX,
-        _fixed("mass", "real", "kg; 0 for what cannot move", _FIRST_MASS),
-        Column("enabled", "flag", "takes part in collisions"),
-        Column("visible", "flag", "is drawn"),
+        _fixed("mass", "double", "kg; 0 for what cannot move", _FIRST_MASS),
+        Column("enabled", "boolean", "takes part in collisions"),
+        Column("visible", "boolean", "is drawn"),
         _model_only("links", "integer", "how many links it has"),
-        _model_only("movable", "flag", "whether the simulation can move it; none for a sensor"),
+        _model_only("movable", "boolean", "whether the simulation can move it; none for a sensor"),
         _model_only("host", "integer", "id of the entity that a sensor sits on"),
         _model_only("host_link", "integer", "number of the link that a sensor sits on"),
-        _model_only("sensor", "text", "what a sensor is, as JSON"),
+        _model_only("sensor", "string", "what a sensor is, as JSON"),
         _fixed("run", "integer", "random number of the run that the row is of"),
     ),
     ("world.snapshot.Snapshot._lay_out", "world.layout.BodyGroup.write_entities"),
@@ -272,12 +272,12 @@ _LINKS = Table(
         *_TICK,
         _key("entity", "id of the entity"),
         _key("link", "number of the link; the base is 0"),
-        _fixed("name", "text", "as in the model"),
+        _fixed("name", "string", "as in the model"),
         _fixed("parent", "integer", "number of the parent link; none for the base"),
         *_POSE,
         *_TWIST,
         *_BOX,
-        _fixed("mass", "real", "kg; 0 for a base that cannot move", _FIRST_MASS),
+        _fixed("mass", "double", "kg; 0 for a base that cannot move", _FIRST_MASS),
     ),
     ("world.snapshot.Snapshot._fill_links", "world.layout.BodyGroup.write_links"),
     key=("entity", "link"),
@@ -292,18 +292,18 @@ _JOINTS = Table(
         *_TICK,
         _key("entity", "id of the entity"),
         _key("link", "number of the link that the joint moves"),
-        _fixed("name", "text", "as in the model"),
-        _fixed("type", "text", "revolute, prismatic, spherical, planar or fixed"),
-        Column("position", "real", "rad or m"),
-        Column("velocity", "real", "rad/s or m/s"),
-        Column("effort", "real", "of the joint's motor in the last step, N m or N"),
-        _fixed("lower", "real", "limit, rad or m"),
-        _fixed("upper", "real", "limit, rad or m"),
-        _fixed("max_effort", "real", "limit, N m or N"),
-        _fixed("max_velocity", "real", "limit, rad/s or m/s"),
-        _model_only("axis_x", "real", "axis in the frame of the link"),
-        _model_only("axis_y", "real", "axis in the frame of the link"),
-        _model_only("axis_z", "real", "axis in the frame of the link"),
+        _fixed("name", "string", "as in the model"),
+        _fixed("type", "string", "revolute, prismatic, spherical, planar or fixed"),
+        Column("position", "double", "rad or m"),
+        Column("velocity", "double", "rad/s or m/s"),
+        Column("effort", "double", "of the joint's motor in the last step, N m or N"),
+        _fixed("lower", "double", "limit, rad or m"),
+        _fixed("upper", "double", "limit, rad or m"),
+        _fixed("max_effort", "double", "limit, N m or N"),
+        _fixed("max_velocity", "double", "limit, rad/s or m/s"),
+        _model_only("axis_x", "double", "axis in the frame of the link"),
+        _model_only("axis_y", "double", "axis in the frame of the link"),
+        _model_only("axis_z", "double", "axis in the frame of the link"),
     ),
     ("world.snapshot.Snapshot._fill_joints", "world.snapshot.Snapshot.take"),
     key=("entity", "link"),
@@ -321,8 +321,8 @@ _SHAPES = Table(
         _fixed("geometry", "integer", "id of the geometry"),
         *_POSE_OF_SHAPE,
         *_BOX,
-        _fixed("margin", "real", "how far around it the simulator takes others to touch it, m"),
-        _fixed("exact", "flag", EXACT),
+        _fixed("margin", "double", "how far around it the simulator takes others to touch it, m"),
+        _fixed("exact", "boolean", EXACT),
     ),
     ("world.snapshot.Snapshot._fill_shapes", "world.layout.BodyGroup.write_shapes"),
     key=("entity", "shape"),
@@ -335,8 +335,8 @@ _GEOMETRIES = Table(
     "a geometry that shapes have, in its own frame",
     (
         _fixed("id", "integer", "the same for equal geometries"),
-        _fixed("type", "text", "sphere, box, cylinder, capsule, plane, hull or mesh"),
-        *_reals(
+        _fixed("type", "string", "sphere, box, cylinder, capsule, plane, hull or mesh"),
+        *_doubles(
             "size_x size_y size_z",
             "box: full sizes; else radius, length; plane: normal; m",
             storage="model",
@@ -357,12 +357,12 @@ _CONTACTS = Table(
         Column("link_a", "integer", "number of its link"),
         Column("b", "integer", "id of the other entity"),
         Column("link_b", "integer", "number of its link"),
-        *_reals("ax ay az", "point on a, m", "point_a"),
-        *_reals("bx by bz", "point on b, m", "point_b"),
-        *_reals("nx ny nz", "unit normal, from b to a", "normal"),
-        Column("depth", "real", "penetration, m"),
-        Column("force", "real", "normal force, N"),
-        *_reals("fx fy fz", "force on a, friction included, N", "force"),
+        *_doubles("ax ay az", "point on a, m", "point_a"),
+        *_doubles("bx by bz", "point on b, m", "point_b"),
+        *_doubles("nx ny nz", "unit normal, from b to a", "normal"),
+        Column("depth", "double", "penetration, m"),
+        Column("force", "double", "normal force, N"),
+        *_doubles("fx fy fz", "force on a, friction included, N", "force"),
     ),
     ("world.snapshot.Snapshot._write_contacts",),
     entity_columns=("a", "b"),
@@ -377,7 +377,7 @@ _SENSINGS = Table(
         Column("entity", "integer", "id of an entity that it perceives"),
         Column("hits", "integer", "how many of its rays, pixels or contact points end on that"),
         Column("rays", "integer", "how many it has"),
-        Column("measured", "real", "simulated time of the reading, s"),
+        Column("measured", "double", "simulated time of the reading, s"),
     ),
     ("world.snapshot.Snapshot._write_sensings",),
     entity_columns=("sensor", "entity"),
@@ -386,7 +386,7 @@ _SENSINGS = Table(
 _TICKS = Table(
     "ticks",
     "the tick",
-    (*_TICK, Column("wall_time", "real", "seconds since 1970")),
+    (*_TICK, Column("wall_time", "double", "seconds since 1970")),
     ("world.snapshot.Snapshot._finish",),
     is_recordable=False,
 )

@@ -19,9 +19,9 @@ from ssduck.errors import ArgumentError, NumberError, StateError
 from ssduck.formatting import short_repr
 
 # More steps than this take years: the number is a mistake.
-MOST_STEPS = 10**12
+MAX_STEPS = 10**12
 # The largest width and height of a picture, pixels.
-MOST_PIXELS = 8192
+MAX_PIXELS = 8192
 
 
 # -- numbers ----------------------------------------------------------------------------------
@@ -71,7 +71,7 @@ def step_count(value: Any, argument: str, call_with_seconds: str) -> int:
             suggests it for a number that is no integer.
 
     Raises:
-        NumberError: the value is no integer, negative, or more than `MOST_STEPS`.
+        NumberError: the value is no integer, negative, or more than `MAX_STEPS`.
 
     >>> step_count(0.5, "step", "run({})")
     Traceback (most recent call last):
@@ -83,10 +83,8 @@ def step_count(value: Any, argument: str, call_with_seconds: str) -> int:
         raise NumberError(f"{argument}: {short_repr(value)} is no whole number of steps{hint}")
     if value < 0:
         raise NumberError(f"{argument}: a simulation cannot run {short_repr(int(value))} steps")
-    if value > MOST_STEPS:
-        raise NumberError(
-            f"{argument}: {short_repr(int(value))} steps are more than {MOST_STEPS:,}"
-        )
+    if value > MAX_STEPS:
+        raise NumberError(f"{argument}: {short_repr(int(value))} steps are more than {MAX_STEPS:,}")
     return int(value)
 
 
@@ -99,11 +97,11 @@ def steps_in(seconds: float, timestep: float, argument: str) -> int:
         argument: the name of the argument, which begins the message.
 
     Raises:
-        NumberError: the steps are more than `MOST_STEPS`.
+        NumberError: the steps are more than `MAX_STEPS`.
     """
     count = seconds / timestep + 0.5
-    if not count < MOST_STEPS:
-        raise NumberError(f"{argument}: {seconds:g} s are more than {MOST_STEPS:,} steps")
+    if not count < MAX_STEPS:
+        raise NumberError(f"{argument}: {seconds:g} s are more than {MAX_STEPS:,} steps")
     return math.floor(count)
 
 
@@ -146,11 +144,11 @@ def picture_size(width: Any, height: Any, argument: str) -> tuple[int, int]:
     """Returns the width and height of a picture, pixels.
 
     Raises:
-        NumberError: one is no integer from 1 to `MOST_PIXELS`.
+        NumberError: one is no integer from 1 to `MAX_PIXELS`.
     """
     return (
-        integer(width, f"{argument}: width", minimum=1, maximum=MOST_PIXELS),
-        integer(height, f"{argument}: height", minimum=1, maximum=MOST_PIXELS),
+        integer(width, f"{argument}: width", minimum=1, maximum=MAX_PIXELS),
+        integer(height, f"{argument}: height", minimum=1, maximum=MAX_PIXELS),
     )
 
 

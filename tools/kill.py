@@ -34,7 +34,7 @@ Kind: TypeAlias = Literal["parquet", "file"]
 TABLES = ("entities", "links", "joints", "shapes", "contacts")
 BALLS = 8
 # A recorder is killed after so many lines at most, and so many seconds.
-MOST_LINES = 60
+MAX_LINES = 60
 LONGEST = 0.1
 EACH = 20
 
@@ -57,7 +57,7 @@ def record(kind: Kind, path: str, seed: int) -> None:
     chance = random.Random(seed)  # noqa: S311  # no secret
     if chance.random() < 0.5:
         few = chance.randrange(1, 9)
-        vars(recorders).update(RING_TICKS=few, PART_TICKS=few)
+        vars(recorders).update(BUFFERED_TICKS=few, PART_TICKS=few)
         writer.LONG_LOG = 1
     world, move = _world(chance)
     recording = Recording(tables=TABLES)
@@ -159,9 +159,7 @@ def killed(kind: Kind, path: Path, seed: int) -> RecorderReport:
             raise RuntimeError("the recorder ended by itself")
     chance = random.Random(seed)  # noqa: S311
     # Every fourth one at the very beginning.
-    lines = [
-        process.stdout.readline() for _ in range(chance.randrange(MOST_LINES) * (seed % 8 > 1))
-    ]
+    lines = [process.stdout.readline() for _ in range(chance.randrange(MAX_LINES) * (seed % 8 > 1))]
     time.sleep(chance.uniform(0.0, LONGEST))
     if process.poll() is not None:
         raise RuntimeError("the recorder ended by itself")

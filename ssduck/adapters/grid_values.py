@@ -25,7 +25,7 @@ Cells: TypeAlias = npt.NDArray[Any]
 Height: TypeAlias = float | tuple[float, float]
 
 # More cells are probably a mistake, and too many for the memory of most machines.
-MOST_CELLS = 100_000_000
+MAX_CELLS = 100_000_000
 # Pictures in notebooks are enlarged to about this size, pixels.
 NOTEBOOK_SIZE = 400
 # The colours from nothing to the largest value: red, green, blue.

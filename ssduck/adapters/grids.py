@@ -11,7 +11,7 @@ import numpy as np
 
 from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
-from ssduck.adapters.grid_values import MOST_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
+from ssduck.adapters.grid_values import MAX_CELLS, OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
 from ssduck.adapters.shapes import SHAPES, placed_shapes, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
@@ -264,10 +264,10 @@ def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tupl
 
 def _check_count(counts: Sequence[float]) -> None:
     counts = [max(1.0, count) for count in counts]
-    if math.prod(counts) > MOST_CELLS:
+    if math.prod(counts) > MAX_CELLS:
         listed = " x ".join(f"{count:,.0f}" for count in counts)
         raise ArgumentError(
-            f"{listed} cells are more than {MOST_CELLS:,}; take larger cells, or bounds of a part"
+            f"{listed} cells are more than {MAX_CELLS:,}; take larger cells, or bounds of a part"
         )
 
 

@@ -17,7 +17,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import PlacedSolids, Solid
 
-MOST_POINTS = 20_000_000
+MAX_POINTS = 20_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +81,16 @@ def sample_points(
         seed: the seed of the random numbers.
 
     Raises:
-        ArgumentError: a shape is an infinite plane, or there would be more than `MOST_POINTS`.
+        ArgumentError: a shape is an infinite plane, or there would be more than `MAX_POINTS`.
     """
     random = np.random.default_rng(seed)
     areas = [surface_area(solid) for solid in placed.solids]
     if not math.isfinite(sum(areas)):
         raise ArgumentError("a plane has no end; leave it out by WHERE")
     square = max(spacing**2, sys.float_info.min)  # not 0
-    if sum(areas) / square > MOST_POINTS:
+    if sum(areas) / square > MAX_POINTS:
         raise ArgumentError(
-            f"{sum(areas) / square:,.0f} points are more than {MOST_POINTS:,}; "
-            "take a larger spacing"
+            f"{sum(areas) / square:,.0f} points are more than {MAX_POINTS:,}; take a larger spacing"
         )
     indices = {id: index for index, id in enumerate(names)}
     points, normals, owners = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.intp)]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ssduck.adapters.table_view import TableView
 
 # Representations list at most this number of columns.
-_MOST_NAMED = 12
+_MAX_NAMED = 12
 _TYPES = {
     pa.null(): "null",
     pa.bool_(): "boolean",
@@ -132,10 +132,10 @@ class Result(RowsOfColumns):
     def __repr__(self) -> str:
         rows, count = self.shape
         names = self.columns
-        if count > _MOST_NAMED:
-            half = _MOST_NAMED // 2
+        if count > _MAX_NAMED:
+            half = _MAX_NAMED // 2
             names = [*names[:half], "…", *names[-half:]]
-        prefix = f"{count} columns: " if count > _MOST_NAMED else ""
+        prefix = f"{count} columns: " if count > _MAX_NAMED else ""
         return f"<Result: {rows} rows of {prefix}{', '.join(names)}>"
 
     def __str__(self) -> str:

@@ -94,8 +94,8 @@ def _glb(selection: Selection, path: Any) -> str:
 
 def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.Image:
     size = (
-        validation.integer_between(width, "width", 1, validation.MOST_PIXELS),
-        validation.integer_between(height, "height", 1, validation.MOST_PIXELS),
+        validation.integer_between(width, "width", 1, validation.MAX_PIXELS),
+        validation.integer_between(height, "height", 1, validation.MAX_PIXELS),
     )
     return highlighted(selection.world, selection.entities, *size)
 

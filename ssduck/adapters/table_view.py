@@ -18,7 +18,7 @@ from ssduck.adapters.display import (
 from ssduck.adapters.text_table import FittedTable
 
 # The number of rows shown by default.
-MOST_ROWS = 20
+MAX_ROWS = 20
 
 
 class TableView:
@@ -41,7 +41,7 @@ class TableView:
     first 1 of 2 rows
     """
 
-    def __init__(self, value: Any, rows: int = MOST_ROWS) -> None:
+    def __init__(self, value: Any, rows: int = MAX_ROWS) -> None:
         rows = validation.integer(rows, "show: rows", minimum=0)
         table = display_table(value)
         self._count = len(table.rows)

@@ -23,7 +23,7 @@ from ssduck.sql.types import EXACT
 # The upper bound of numpy's 64-bit integers.
 _INT64_END = 2**63
 # The largest indentation of a level of JSON, characters.
-_MOST_INDENT = 80
+_MAX_INDENT = 80
 
 
 def _result(selection: Selection) -> Result:
@@ -58,7 +58,7 @@ def _polars(selection: Selection) -> Any:
 
 def _json(selection: Selection, indent: int | None = None) -> str:
     if indent is not None:
-        validation.integer_between(indent, "indent", 0, _MOST_INDENT)
+        validation.integer_between(indent, "indent", 0, _MAX_INDENT)
     names = checked_names(selection.columns)
     rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
     return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)

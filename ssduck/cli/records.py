@@ -96,10 +96,10 @@ def whole_steps(seconds: float, timestep: float) -> int:
     Raises:
         BadParameter: the time has too many steps.
     """
-    from ssduck.validation import MOST_STEPS
+    from ssduck.validation import MAX_STEPS
 
     count = seconds / timestep
-    if not count < MOST_STEPS:
+    if not count < MAX_STEPS:
         raise typer.BadParameter("--seconds: that is too long")
     return round(count)
 

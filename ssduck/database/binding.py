@@ -28,7 +28,7 @@ from ssduck.world.world import World
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
 Poses: TypeAlias = dict[int, tuple[float | None, ...]]
 # The approximate number of poses that are cached.
-MOST_POSES = 100_000
+MAX_POSES = 100_000
 _NO_SHAPES = (
     "the shapes of {!r} are known of its tick {} only: its ticks are not recorded, so that rows of "
     "another one cannot be compared"
@@ -124,7 +124,7 @@ class BoundWorld:
         """Returns the poses of the entities at a tick, by id, from a cache if possible."""
         if tick not in self._poses:
             told = self._read_poses(tick)
-            while self._poses and (len(self._poses) + 1) * len(told) > MOST_POSES:
+            while self._poses and (len(self._poses) + 1) * len(told) > MAX_POSES:
                 self._poses.popitem(last=False)
             self._poses[tick] = told
         return self._poses[tick]
@@ -134,7 +134,7 @@ class BoundWorld:
         snapshot = self.world.snapshot
         if tick == snapshot.number:
             table = snapshot.tables["entities"]
-            ids, columns = table["id"], table.reals("x", "qz")
+            ids, columns = table["id"], table.doubles("x", "qz")
         elif self.history is None:
             raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
         else:

@@ -149,9 +149,9 @@ class Database:
         """Registers a user's function with SQL; replaces one of that signature."""
         add_users(self.connection, signature, function, self._worlds.by_schema)
 
-    def converter(self, tag: SqlType) -> Converter | None:
+    def converter(self, sql_type: SqlType) -> Converter | None:
         """Returns the function from values of SQL to Python's; None if they are the same."""
-        return converter_of(tag, self._worlds.by_schema)
+        return converter_of(sql_type, self._worlds.by_schema)
 
     # -- worlds ---------------------------------------------------------------------------
 

@@ -39,7 +39,7 @@ def add_users(
     worlds: Mapping[str, BoundWorld],
 ) -> None:
     """Registers a user's function with SQL; replaces one of that signature."""
-    converters = [converter_of(tag, worlds) for tag in signature.parameters]
+    converters = [converter_of(sql_type, worlds) for sql_type in signature.parameters]
 
     def given(arguments: list[Any]) -> Any:
         values = [
@@ -53,20 +53,22 @@ def add_users(
     def call(*arguments: Any) -> Any:
         return memo(list(arguments))
 
-    types = [tag.sql_type for tag in signature.parameters]
+    types = [sql_type.duckdb_type for sql_type in signature.parameters]
     connection.add_function(
-        signature.name, call, types, signature.result.sql_type, at_start=memo.forget
+        signature.name, call, types, signature.result.duckdb_type, at_start=memo.forget
     )
 
 
-def converter_of(tag: SqlType, worlds: Mapping[str, BoundWorld]) -> Converter | None:
+def converter_of(sql_type: SqlType, worlds: Mapping[str, BoundWorld]) -> Converter | None:
     """Returns the function from SQL's values to Python's; it keeps no world alive.
 
     Args:
-        tag: the type of the values.
+        sql_type: the type of the values.
         worlds: the worlds of the database by name, up to date.
     """
-    return converter(tag, _Parts(worlds, lambda bound: bound.world), _Parts(worlds, _record_of))
+    return converter(
+        sql_type, _Parts(worlds, lambda bound: bound.world), _Parts(worlds, _record_of)
+    )
 
 
 T = TypeVar("T")
@@ -99,9 +101,9 @@ def _record_of(bound: BoundWorld) -> Record:
     return bound.history.record
 
 
-def _usable(value: Any, tag: SqlType) -> Any:
+def _usable(value: Any, sql_type: SqlType) -> Any:
     """Returns a value if SQL keeps it as it is: it would turn 3 into 3.0, and NaN into NULL."""
-    if not is_exactly(value, tag):
+    if not is_exactly(value, sql_type):
         raise ValueError("no value for SQL")
     return value
 

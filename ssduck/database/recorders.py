@@ -8,7 +8,7 @@ from pathlib import Path
 from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.errors import UnsupportedError
-from ssduck.recording.recorder import MEMORY_TICKS, RING_TICKS, Recorder
+from ssduck.recording.recorder import BUFFERED_TICKS, MEMORY_TICKS, Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording, check_names
@@ -44,7 +44,7 @@ class Recorders:
             if is_file:
                 store.make_views()
         # Of a file, what waits is lost when the process is killed; of memory, all is.
-        recorder = Recorder(recording, store, MEMORY_TICKS if in_memory else RING_TICKS)
+        recorder = Recorder(recording, store, MEMORY_TICKS if in_memory else BUFFERED_TICKS)
         tables = tuple(recorder.buffers)
         record = Record(
             world,

@@ -54,8 +54,8 @@ _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE
 
 # SQL with more words, or with more brackets around one of them, takes DuckDB's parser a time that
 # nothing ends.
-MOST_WORDS = 200_000
-MOST_BRACKETS = 100
+MAX_TOKENS = 200_000
+MAX_BRACKETS = 100
 
 
 class ReferencedTables:
@@ -115,14 +115,14 @@ def check_length(sql: str) -> None:
     """
     letters = sql.encode("utf-8", "replace")  # DuckDB itself complains of what is no letter
     words = duckdb.tokenize(letters.decode())
-    if len(words) > MOST_WORDS:
-        raise LimitError(f"SQL of {len(words)} words; under a limit it may have {MOST_WORDS}")
+    if len(words) > MAX_TOKENS:
+        raise LimitError(f"SQL of {len(words)} words; under a limit it may have {MAX_TOKENS}")
     depth = 0
     for place, _ in words:
         depth += _NESTING.get(letters[place], 0)
-        if depth > MOST_BRACKETS:
+        if depth > MAX_BRACKETS:
             start = len(letters[:place].decode())
-            told = f"SQL nested deeper than {MOST_BRACKETS} brackets"
+            told = f"SQL nested deeper than {MAX_BRACKETS} brackets"
             raise LimitError(told, text=sql, span=SourceSpan(start, start + 1))
 
 

@@ -78,7 +78,7 @@ class Statement:
         self,
         plans: PreparedPlans,
         select: exp.Select,
-        types: Mapping[str, Literal["real", "integer"]],
+        types: Mapping[str, Literal["double", "integer"]],
     ) -> None:
         self._plans = plans
         self._connection = plans.connection

@@ -14,7 +14,7 @@ from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 # The largest number of keys of a dict that become columns.
-MOST_FIELDS = 200
+MAX_FIELDS = 200
 
 SchemaOf: TypeAlias = Callable[[World], str]
 
@@ -27,7 +27,7 @@ def sql_type_of(value: Any, schema_of: SchemaOf) -> SqlType:
         schema_of: a function that returns the schema of a world.
 
     >>> sql_type_of([1.5, 2.5], lambda world: world.name).element.type
-    'real'
+    'double'
     """
     match value:
         case bool():
@@ -115,36 +115,36 @@ _PLAIN: dict[type, Callable[[Sequence[Any]], SqlType]] = {
 def _list(values: Sequence[list[Any]], schema_of: SchemaOf) -> SqlType:
     lists = list({id(value): value for value in values}.values())
     parts = lists[0] if len(lists) == 1 else list(chain.from_iterable(lists))
-    tag = common_sql_type(parts, schema_of)
-    whole = SqlType("list", tag, 3 if set(map(len, lists)) == {3} else None)
+    sql_type = common_sql_type(parts, schema_of)
+    whole = SqlType("list", sql_type, 3 if set(map(len, lists)) == {3} else None)
     return whole if whole.is_sql else ANY
 
 
 def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> SqlType:
     different = set(map(tuple, values))
     keys = different.pop()
-    if different or not keys or len(keys) > MOST_FIELDS:
+    if different or not keys or len(keys) > MAX_FIELDS:
         return ANY
     folded = {key.casefold() for key in keys if isinstance(key, str) and key}
     if len(folded) < len(keys):  # SQL does not tell upper from lower case
         return ANY
     parts = [(key, common_sql_type(list(map(itemgetter(key), values)), schema_of)) for key in keys]
-    return SqlType("record", fields=tuple((key, tag or ANY) for key, tag in parts))
+    return SqlType("record", fields=tuple((key, sql_type or ANY) for key, sql_type in parts))
 
 
-def is_exactly(value: Any, tag: SqlType) -> bool:
+def is_exactly(value: Any, sql_type: SqlType) -> bool:
     """Tells whether a value has a type, and comes back from SQL as it is: 3 is no real, 3.0 is.
 
     Args:
         value: any value.
-        tag: the type of a boolean, a number, a text, or of lists of these.
+        sql_type: the type of a boolean, a number, a text, or of lists of these.
     """
-    element = tag.element
-    if tag.type == "list":
+    element = sql_type.element
+    if sql_type.type == "list":
         of_lists = type(value) is list
         return of_lists and (element is None or all(is_exactly(part, element) for part in value))
     kind = type(value)
-    return kind in _PLAIN and _PLAIN[kind]((value,)).type == tag.type
+    return kind in _PLAIN and _PLAIN[kind]((value,)).type == sql_type.type
 
 
 def to_sql(value: Any) -> Any:
@@ -166,21 +166,21 @@ Converter: TypeAlias = Callable[[Any], Any]
 
 
 def converter(
-    tag: SqlType, worlds: Mapping[str, World], records: Mapping[str, Record]
+    sql_type: SqlType, worlds: Mapping[str, World], records: Mapping[str, Record]
 ) -> Converter | None:
     """Returns the function from SQL's values to Python's; None if they are the same.
 
     Args:
-        tag: the type of the values.
+        sql_type: the type of the values.
         worlds: the worlds by schema.
         records: the records of recorded worlds by schema.
     """
-    schema = tag.schema
-    if tag.type == "entity" and schema is not None:
-        if tag.past:
+    schema = sql_type.schema
+    if sql_type.type == "entity" and schema is not None:
+        if sql_type.past:
             return lambda key: None if key is None else records[schema].entity(*divmod(key, IDS))
         return lambda value: None if value is None else worlds[schema].entity(value)
-    if tag.type == "list" and tag.element is not None:
-        inner = converter(tag.element, worlds, records)
+    if sql_type.type == "list" and sql_type.element is not None:
+        inner = converter(sql_type.element, worlds, records)
         return None if inner is None else lambda values: [inner(value) for value in values]
     return None

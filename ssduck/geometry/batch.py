@@ -36,7 +36,7 @@ from ssduck.geometry.solids import Solid
 _MIN_SINE = 1e-6
 # Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
 _BOUND_MARGIN = 1e-8
-_MOST_ENTITIES = 1 << 32
+_MAX_ENTITIES = 1 << 32
 # The other two axes of each axis.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
@@ -170,7 +170,7 @@ class TickShapes:
     def owners(self, first: Indices, second: Indices) -> Indices:
         """The pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
         i, j = self.table.entities[first], self.table.entities[second]
-        return np.minimum(i, j) * _MOST_ENTITIES + np.maximum(i, j)
+        return np.minimum(i, j) * _MAX_ENTITIES + np.maximum(i, j)
 
 
 def pair_number(i: int, j: int) -> int:
@@ -179,7 +179,7 @@ def pair_number(i: int, j: int) -> int:
     >>> pair_number(3, 7) == pair_number(7, 3)
     True
     """
-    return min(i, j) * _MOST_ENTITIES + max(i, j)
+    return min(i, j) * _MAX_ENTITIES + max(i, j)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ class PairResult:
     @property
     def sides(self) -> Pairs:
         """The lower entity of each pair, and the other."""
-        return self.numbers // _MOST_ENTITIES, self.numbers % _MOST_ENTITIES
+        return self.numbers // _MAX_ENTITIES, self.numbers % _MAX_ENTITIES
 
     @property
     def pairs(self) -> list[tuple[int, int]]:

@@ -44,7 +44,7 @@ PAIRS_AT_ONCE = 4096
 # Cubes of larger lengths and distances, metres, overflow: nothing is decided.
 LARGE = 1e100
 # The number of points that are compared at a time.
-MOST_POINTS = 1 << 20
+MAX_POINTS = 1 << 20
 _NEXT = np.array([1, 2, 0])
 # Four directions that are parallel to no axis. The offsets of directions from normals, in turn.
 _AROUND = np.array([[1.0, 0.9, 0.8], [-0.9, -0.8, 1.0], [-0.8, 1.0, -0.9], [0.9, -1.0, -0.8]])
@@ -163,7 +163,7 @@ class PlacedCores:
 def _farthest(hulls: Array, rows: Indices, directions: Array) -> Array:
     """The support points (3, m) of hulls (h, 3, k) in directions (3, m), by the hulls' `rows`."""
     found = np.zeros((3, len(rows)))
-    step = max(1, MOST_POINTS // hulls.shape[2])
+    step = max(1, MAX_POINTS // hulls.shape[2])
     for start in range(0, len(rows), step):
         some = slice(start, start + step)
         points = hulls.take(rows[some], axis=0)

@@ -19,7 +19,7 @@ from ssduck.geometry.broad_phase import overlapping_pairs
 from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.schema import MOST_IDS
+from ssduck.schema import ID_FACTOR
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
 MIN_PAIRS_AT_ONCE = 64
@@ -82,7 +82,7 @@ class ShapeQueries:
     def all_colliding(self, deeper: float) -> list[int]:
         """The pairs that are deeper in each other than a depth, m, as numbers.
 
-        A number is `first * MOST_IDS + second`; each pair is there in both orders. So it is in the
+        A number is `first * ID_FACTOR + second`; each pair is there in both orders. So it is in the
         other methods.
 
         Raises:
@@ -125,7 +125,7 @@ class ShapeQueries:
         """The pairs of which the second rests on the first, directly or through others."""
         ids = {number: id for id, number in self._numbers.items()}
         pairs = self._neighbours.all_resting()
-        return sorted(ids[a] * MOST_IDS + ids[b] for a, b in pairs)
+        return sorted(ids[a] * ID_FACTOR + ids[b] for a, b in pairs)
 
     @cached_property
     def _boxes_with_margins(self) -> Array:
@@ -292,6 +292,6 @@ def _turn(numbers: tuple[float, ...]) -> Orientation:
 
 def _both_ways(a: Ids, b: Ids) -> list[int]:
     """Pairs of ids as sorted numbers, each pair in both orders."""
-    numbers = np.concatenate((a * MOST_IDS + b, b * MOST_IDS + a))
+    numbers = np.concatenate((a * ID_FACTOR + b, b * ID_FACTOR + a))
     found: list[int] = np.sort(numbers).tolist()
     return found

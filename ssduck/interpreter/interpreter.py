@@ -31,7 +31,7 @@ from weakref import WeakKeyDictionary
 from ssduck import validation
 from ssduck.adapters.registry import Adapter, find
 from ssduck.adapters.result import Result
-from ssduck.adapters.table_view import MOST_ROWS, TableView
+from ssduck.adapters.table_view import MAX_ROWS, TableView
 from ssduck.database.database import Database
 from ssduck.errors import UnknownNameError
 from ssduck.geometry.queries import Statistics
@@ -186,7 +186,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         with self._transaction(compiled):
             return self._run(compiled)
 
-    def show(self, program: str | CompiledProgram, rows: int = MOST_ROWS) -> TableView:
+    def show(self, program: str | CompiledProgram, rows: int = MAX_ROWS) -> TableView:
         """Returns the result of a program as a table for a terminal or a notebook.
 
         Args:

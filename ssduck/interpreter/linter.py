@@ -267,7 +267,7 @@ class Linter:
 
     def is_new(self, error: SelectScriptError) -> bool:
         """Tells whether an error was not reported before."""
-        if len(self._reported) > MOST_REPORTED:
+        if len(self._reported) > MAX_REPORTS:
             self._reported.clear()
         told = (error.text, error.message)
         is_new = told not in self._reported
@@ -310,7 +310,7 @@ class Linter:
     def _unknown_entities(
         self, facts: StatementFacts, local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
-        return islice(self._all_unknown_entities(facts, local), MOST_UNKNOWN)
+        return islice(self._all_unknown_entities(facts, local), MAX_UNKNOWN)
 
     def _all_unknown_entities(
         self, facts: StatementFacts, local: Mapping[str, Any]
@@ -367,9 +367,9 @@ class Linter:
 
 
 # The largest number of reported mistakes that are remembered.
-MOST_REPORTED = 10_000
+MAX_REPORTS = 10_000
 # The largest number of unknown names reported in a statement: more must be a list of others.
-MOST_UNKNOWN = 20
+MAX_UNKNOWN = 20
 
 
 def hiding_message(name: str) -> str:

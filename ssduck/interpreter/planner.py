@@ -39,7 +39,7 @@ from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 # The largest number of cached plans; beyond it, all are forgotten and made anew when needed.
-MOST_PLANS = 500
+MAX_PLANS = 500
 _UNKNOWN = SqlType("any")
 
 
@@ -260,7 +260,7 @@ class Planner:
 
     def _cache_plan(self, query: Query, plan: Plan) -> PlannedQuery:
         """Caches a plan, and registers the users' functions in it with the database."""
-        if sum(map(len, self._plans.values())) >= MOST_PLANS:
+        if sum(map(len, self._plans.values())) >= MAX_PLANS:
             self.forget()
         for signature in plan.signatures:
             function = self._scope.function(signature.function)
@@ -323,7 +323,7 @@ class Planner:
                 and types.has_same_lists(rows.deferred)
             ):
                 return rows
-        if sum(map(len, self._row_by_row_queries.values())) >= MOST_PLANS:
+        if sum(map(len, self._row_by_row_queries.values())) >= MAX_PLANS:
             self.forget()
         resolved = resolve(query, shapes, types)
         names = {part.name for part in query.walk() if isinstance(part, Name)}
@@ -380,7 +380,7 @@ class InterpreterTypes:
         """Tells whether a query around this one has a source of that name."""
         return alias in self._frame.elements
 
-    def tag(self, node: Node) -> SqlType:
+    def sql_type(self, node: Node) -> SqlType:
         """Returns the type of a constant part."""
         if node in self._failed:
             return _UNKNOWN
@@ -396,7 +396,7 @@ class InterpreterTypes:
         """Returns the schema of the world that a constant part is; None for other parts."""
         if not isinstance(node, Name | TimeIndex):
             return None
-        self.tag(node)
+        self.sql_type(node)
         value = self._values.get(node)
         return self._database.schema_of(value) if isinstance(value, World) else None
 
@@ -428,6 +428,6 @@ class InterpreterTypes:
             plan.shapes == shapes
             and self.has_same_names(plan.bare)
             and self.has_same_lists(plan.deferred)
-            and all(self.tag(node) == tag for node, tag in plan.constants.items())
+            and all(self.sql_type(node) == sql_type for node, sql_type in plan.constants.items())
             and all(self.world(node) == schema for node, schema in plan.worlds.items())
         )

@@ -50,16 +50,16 @@ from ssduck.sql.types import SqlType
 
 # After so many failures in SQL the cautious plan is taken at once; SQL is tried again once in so
 # many runs.
-MOST_FAILURES = 3
+MAX_FAILURES = 3
 RETRY_INTERVAL = 64
 # The largest number of rows at a state for which a search or a product of lists runs row by row.
 FEW_ROWS = 64
 # The largest number of combinations of sources that is kept from state to state.
-MOST_COMBINATIONS = 10_000
+MAX_COMBINATIONS = 10_000
 # For more ticks than this, values are literals of a statement that is planned each time.
 LONG = 10_000
 # Longer lists do not become literals of a statement.
-MOST_LITERALS = 1000
+MAX_LITERALS = 1000
 
 
 class SqlFailedError(Exception):
@@ -83,7 +83,7 @@ class PlannedQuery:
         # The parameters that are no numbers, at the last run.
         self._last_texts: dict[str, Any] | None = None
         self._converters = {
-            output.tag: database.converter(output.tag)
+            output.sql_type: database.converter(output.sql_type)
             for output in (*plan.known.values(), *plan.elements.values(), *(plan.outputs or ()))
         }
         self._clauses: Clauses | None = None
@@ -105,14 +105,14 @@ class PlannedQuery:
 
     def _column_reader(self, output: OutputColumn) -> Thunk:
         """Returns a function that reads the value of an SQL column from a frame."""
-        index, convert = output.index, self._converters[output.tag]
+        index, convert = output.index, self._converters[output.sql_type]
         if convert is None:
             return lambda frame: frame.columns[index]
         return lambda frame: convert(frame.columns[index])
 
     def skips_sql(self) -> bool:
         """Tells whether its SQL failed so often that it is not tried this time."""
-        if self._failures < MOST_FAILURES:
+        if self._failures < MAX_FAILURES:
             return False
         self._failures += 1
         return self._failures % RETRY_INTERVAL != 0
@@ -164,7 +164,7 @@ class PlannedQuery:
     def _output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
         """Returns the rows from SQL, if nothing is left to Python."""
         outputs = self.plan.outputs or []
-        converters = [self._converters[output.tag] for output in outputs]
+        converters = [self._converters[output.sql_type] for output in outputs]
         indices = [output.index for output in outputs]
         if any(converters) or indices != list(range(len(fetched[0]) if fetched else 0)):
             fetched = [
@@ -208,9 +208,9 @@ class PlannedQuery:
         try:
             for alias, name in plan.tables.items():
                 shape = next(shape for shape in plan.shapes if shape.alias == alias)
-                assert shape.tag is not None
+                assert shape.sql_type is not None
                 database.connection.register(
-                    name, arrow_table(elements_of(sources[alias]), shape.tag)
+                    name, arrow_table(elements_of(sources[alias]), shape.sql_type)
                 )
                 shown.append(name)
             return database.connection.rows(plan.sql, parameters or None)
@@ -228,7 +228,7 @@ class PlannedQuery:
             self._last_texts = texts
             if texts:
                 return None
-        if self._statement is None and _element_count(texts) <= MOST_LITERALS:
+        if self._statement is None and _element_count(texts) <= MAX_LITERALS:
             select = self.plan.select.transform(with_values(texts)) if texts else self.plan.select
             assert isinstance(select, exp.Select)
             self._statement = Statement(self._database.plans, select, self.plan.numbers)
@@ -260,10 +260,10 @@ class PlannedQuery:
         """Returns a function that reads the current element of a source."""
         output = self.plan.elements[shape.alias]
         index = output.index
-        if output.tag.type in ("any", "record"):
+        if output.sql_type.type in ("any", "record"):
             elements = elements_of(sources[shape.alias])
             return lambda columns: elements[columns[index] - 1]
-        convert = self._converters[output.tag]
+        convert = self._converters[output.sql_type]
         if convert is None:
             return lambda columns: columns[index]
         return lambda columns: convert(columns[index])
@@ -284,7 +284,7 @@ def _is_long_past(past: Any) -> bool:
 
 def _are_same(before: dict[str, Any] | None, now: dict[str, Any]) -> bool:
     """Tells whether values are written alike: 0.0 and -0.0 are equal, but are not."""
-    return before == now and (_element_count(now) > MOST_LITERALS or repr(before) == repr(now))
+    return before == now and (_element_count(now) > MAX_LITERALS or repr(before) == repr(now))
 
 
 def _element_count(value: Any) -> int:
@@ -322,7 +322,9 @@ def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> d
         if binding.source is not None and binding.end:
             bound[binding.name] = getattr(sources[binding.source], binding.end)
         elif binding.source is not None:
-            bound[binding.name] = _list_parameter(elements_of(sources[binding.source]), binding.tag)
+            bound[binding.name] = _list_parameter(
+                elements_of(sources[binding.source]), binding.sql_type
+            )
         elif binding.node is not None:
             bound[binding.name] = _bound_value(outer, binding.node, binding.column)
     return bound
@@ -337,9 +339,11 @@ def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
         raise
 
 
-def _list_parameter(elements: Sequence[Any], tag: SqlType) -> list[Any]:
+def _list_parameter(elements: Sequence[Any], sql_type: SqlType) -> list[Any]:
     """Returns a source's elements for SQL; zeros in their place if SQL has no type for them."""
-    return [0] * len(elements) if tag.element is None else [to_sql(value) for value in elements]
+    return (
+        [0] * len(elements) if sql_type.element is None else [to_sql(value) for value in elements]
+    )
 
 
 class RowByRowQuery:
@@ -425,7 +429,7 @@ class RowByRowQuery:
         self, outer: Frame, elements: list[Sequence[Any]], kept: dict[Node, Any]
     ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
         """Returns a function that gives the combinations of elements at a state of the search."""
-        if self._sources_change or prod(map(len, elements)) > MOST_COMBINATIONS:
+        if self._sources_change or prod(map(len, elements)) > MAX_COMBINATIONS:
             return lambda state: self._combinations(outer, state, elements, kept)
         same = list(combinations(self._aliases, elements, outer))
         return lambda _: same
@@ -478,7 +482,7 @@ def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) 
     This is so for a search through short lists, and for a product of short lists: DuckDB takes
     half a millisecond and more to plan a statement, Python microseconds for a row.
     """
-    if any(not shape.has_values or shape.tag is None for shape in shapes):
+    if any(not shape.has_values or shape.sql_type is None for shape in shapes):
         return False
     if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
         return False

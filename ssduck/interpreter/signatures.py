@@ -37,21 +37,22 @@ class TypeHints:
             _accepted_type(parameter, argument)
             for parameter, argument in zip(self.parameters, arguments, strict=False)
         ]
-        parameters = tuple(tag for tag in accepted if tag is not None)
+        parameters = tuple(sql_type for sql_type in accepted if sql_type is not None)
         if len(parameters) < len(arguments):
             return None
         # SQL does not tell upper from lower case, and one name has one signature.
-        told = crc32(repr((name, parameters, self.result)).encode())
-        return Signature(name, f"{name} {told:08x}", parameters, self.result)
+        types = [(t.duckdb_type, t.schema, t.past) for t in (*parameters, self.result)]
+        checksum = crc32(repr((name, types)).encode())
+        return Signature(name, f"{name} {checksum:08x}", parameters, self.result)
 
 
 def _accepted_type(parameter: SqlType, argument: SqlType) -> SqlType | None:
     """Returns the type of an argument as the function takes it; None if it does not fit."""
     if parameter.type == "entity":
         return argument if argument.type == "entity" and argument.schema else None
-    if parameter.type == "real" and argument.is_number:
+    if parameter.type == "double" and argument.is_number:
         # The function may tell 3 from 3.0.
-        return DOUBLE if argument.type == "real" else None
+        return DOUBLE if argument.type == "double" else None
     if parameter.type == "list":
         fits = argument.type == "list" and (
             argument.element is None or parameter.element == argument.element
@@ -66,7 +67,7 @@ def type_hints_of(call: Callable[..., Any]) -> TypeHints | None:
     >>> def double(x: float) -> float:
     ...     return 2 * x
     >>> type_hints_of(double).result.type
-    'real'
+    'double'
     """
     try:
         parameters = inspect.signature(call).parameters.values()
@@ -77,10 +78,10 @@ def type_hints_of(call: Callable[..., Any]) -> TypeHints | None:
         return None
     accepted = [_sql_type(hints.get(parameter.name)) for parameter in parameters]
     result = _sql_type(hints.get("return"))
-    tags = tuple(tag for tag in accepted if tag is not None)
-    if result is None or result.type == "entity" or len(tags) < len(accepted):
+    sql_types = tuple(sql_type for sql_type in accepted if sql_type is not None)
+    if result is None or result.type == "entity" or len(sql_types) < len(accepted):
         return None
-    return TypeHints(tags, sum(p.default is p.empty for p in parameters), result)
+    return TypeHints(sql_types, sum(p.default is p.empty for p in parameters), result)
 
 
 def _sql_type(hint: object) -> SqlType | None:

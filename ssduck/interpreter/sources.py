@@ -25,7 +25,7 @@ from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
 # In a longer list, entities of any worlds are expected.
-MOST_EXAMINED = 100
+MAX_EXAMINED = 100
 
 
 def elements_of(value: Any) -> Sequence[Any]:
@@ -164,47 +164,51 @@ def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if isinstance(value, PresentTick):
         return SourceType(alias, schema_of(value.world), moments="now")
     elements = elements_of(value)
-    tag = _element_type(elements, schema_of)
+    sql_type = _element_type(elements, schema_of)
     dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
-    return SourceType(alias, tag=tag, dicts=dicts, known=bool(elements))
+    return SourceType(alias, sql_type=sql_type, dicts=dicts, known=bool(elements))
 
 
 def _element_type(elements: Sequence[Any], schema_of: SchemaOf) -> SqlType:
-    tag = common_sql_type(elements, schema_of)
-    if tag is None or tag.type == "nothing":
+    sql_type = common_sql_type(elements, schema_of)
+    if sql_type is None or sql_type.type == "nothing":
         return ANY
-    if tag.type == "record":
-        return tag
-    return tag if (tag.comes_back and tag.element is not None) or _is_scalar(tag) else ANY
+    if sql_type.type == "record":
+        return sql_type
+    return (
+        sql_type
+        if (sql_type.comes_back and sql_type.element is not None) or _is_scalar(sql_type)
+        else ANY
+    )
 
 
-def _is_scalar(tag: SqlType) -> bool:
-    return tag.type in ("entity", "real", "integer", "text", "flag")
+def _is_scalar(sql_type: SqlType) -> bool:
+    return sql_type.type in ("entity", "double", "integer", "string", "boolean")
 
 
-def arrow_table(elements: Sequence[Any], tag: SqlType) -> pa.Table:
+def arrow_table(elements: Sequence[Any], sql_type: SqlType) -> pa.Table:
     """Returns records as a table: the column `n` from 1, and a column for each key."""
     columns: dict[str, Any] = {"n": pa.array(range(1, len(elements) + 1), pa.int64())}
-    for index, (key, part) in enumerate(tag.fields):
+    for index, (key, part) in enumerate(sql_type.fields):
         if part.is_sql and part.type != "record":
             values = [to_sql(element[key]) for element in elements]
             columns[f"f{index}"] = pa.array(values, _arrow_type(part))
     return pa.table(columns)
 
 
-def _arrow_type(tag: SqlType) -> pa.DataType:
-    if tag.type == "list":
-        return pa.list_(_arrow_type(tag.element or INTEGER))
-    return _ARROW_TYPES[tag.type]
+def _arrow_type(sql_type: SqlType) -> pa.DataType:
+    if sql_type.type == "list":
+        return pa.list_(_arrow_type(sql_type.element or INTEGER))
+    return _ARROW_TYPES[sql_type.type]
 
 
 _ARROW_TYPES = {
     "entity": pa.int64(),
     "integer": pa.int64(),
-    "real": pa.float64(),
+    "double": pa.float64(),
     "number": pa.float64(),
-    "text": pa.string(),
-    "flag": pa.bool_(),
+    "string": pa.string(),
+    "boolean": pa.bool_(),
 }
 
 
@@ -246,7 +250,7 @@ def worlds_in(value: Any) -> list[World] | None:
             return [value.world]
         case None | str() | int() | float() | Result():
             return []
-        case list() | tuple() if len(value) <= MOST_EXAMINED:
+        case list() | tuple() if len(value) <= MAX_EXAMINED:
             found = [worlds_in(element) for element in value]
             return None if None in found else [world for inner in found for world in inner or ()]
     return None

@@ -17,7 +17,7 @@ from ssduck.language.overrides import NAMES
 from ssduck.language.value_keys import ATOMS, NUMPYS, hashable
 
 # A double has no digits beyond these, before or behind the point.
-MOST_DIGITS = 400
+MAX_DIGITS = 400
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def _builtin(
 
 
 def _round(number: float, digits: int | None = None) -> float:
-    if digits is not None and abs(digits) > MOST_DIGITS:
+    if digits is not None and abs(digits) > MAX_DIGITS:
         raise ValueError(f"{digits} digits are more than a number has")
     return round(number, digits)
 

@@ -53,7 +53,7 @@ from ssduck.limits import UsageMeter
 # A longer list is looked at for its size as it is made.
 FEW = 4
 # So many parts keep the functions that they were made into; then all are made anew.
-MOST_COMPILED = 5000
+MAX_COMPILED = 5000
 
 
 class EvaluationScope(Protocol):
@@ -211,7 +211,7 @@ def compiled(node: Node, scope: EvaluationScope) -> Thunk:
     """Compiles a node to a function of a frame, once for each node."""
     thunk = _COMPILED.get(node)
     if thunk is None:
-        if len(_COMPILED) >= MOST_COMPILED:
+        if len(_COMPILED) >= MAX_COMPILED:
             _COMPILED.clear()
         thunk = _COMPILED[node] = ExpressionCompiler(scope).thunk(node)
     return thunk

@@ -28,7 +28,7 @@ from ssduck.language.tree import Assignment, Name, Node, Query, Recursion, TimeI
 from ssduck.language.value_keys import ValueKeys
 
 # So many states keep their rows, so that a state that is reached again costs nothing.
-MOST_STATES = 10_000
+MAX_STATES = 10_000
 # Where the calls of a row are, what is selected of it is kept, too; no call is written so.
 _SELECT = "SELECT"
 
@@ -201,7 +201,7 @@ class Hierarchy:
             made = value(frame)
             if name is not None:
                 state[name] = resolved(made, frame) if isinstance(made, LazyList) else made
-        most_states = 0 if self._happens else MOST_STATES
+        most_states = 0 if self._happens else MAX_STATES
         states = _States(self._steps_of(outer, rows, cached), self._called_with, most_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
         paths = search(outer, states, state)

@@ -12,7 +12,7 @@ from ssduck.language.value_keys import ValueKeys, exactly
 # A frame keeps the memos of a query under this part, which no program has.
 MEMOS = Placeholder(SourceSpan(0, 0), "memos")
 # So many values are kept of a function; then all are forgotten.
-MOST_KEPT = 10_000
+MAX_STORED = 10_000
 # After so many calls a function that is hardly ever asked twice alike is not remembered.
 TRIED = 2_000
 _WORTH = 8
@@ -66,7 +66,7 @@ class Memo:
         return value
 
     def _tidy(self) -> None:
-        if len(self._same) > MOST_KEPT or len(self._alike) > MOST_KEPT:
+        if len(self._same) > MAX_STORED or len(self._alike) > MAX_STORED:
             self._clear()
         if self._asked == TRIED and self._found * _WORTH < self._asked:
             self._is_worth_it = False

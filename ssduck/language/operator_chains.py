@@ -12,9 +12,9 @@ from ssduck.errors import SourceSpan
 from ssduck.language.tree import Binary, Node, OperatorChain
 
 # So many operands are nested. It is less than what a statement of SQL may nest.
-MOST_NESTED = 32
+MAX_NESTING = 32
 # So many conditions are joined in SQL; DuckDB's time grows with their square.
-MOST_JOINED = 400
+MAX_CHAIN = 400
 
 
 class OperandRow:
@@ -48,7 +48,7 @@ class OperandRow:
 
     def node(self) -> Node:
         """The node of the whole chain."""
-        if len(self._operands) > MOST_NESTED:
+        if len(self._operands) > MAX_NESTING:
             span = SourceSpan(self._start, self._ends[-1])
             return OperatorChain(
                 span, tuple(self._operators), tuple(self._operands), tuple(self._ends)
@@ -70,9 +70,7 @@ def conjuncts(node: Node | None) -> Iterator[Node]:
         case Binary(operator="AND", left=left, right=right):
             yield from conjuncts(left)
             yield from conjuncts(right)
-        case OperatorChain(operators=("AND", *_), operands=operands) if (
-            len(operands) <= MOST_JOINED
-        ):
+        case OperatorChain(operators=("AND", *_), operands=operands) if len(operands) <= MAX_CHAIN:
             for operand in operands:
                 yield from conjuncts(operand)
         case Node():

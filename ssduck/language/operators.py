@@ -10,12 +10,12 @@ from itertools import islice
 from typing import Any
 
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SourceSpan, nearest
-from ssduck.formatting import MOST_KEYS, as_evaluation_error, error_text, short_repr, type_in_words
+from ssduck.formatting import MAX_KEYS, as_evaluation_error, error_text, short_repr, type_in_words
 from ssduck.language.tree import Node
 
 # Larger results are refused: they are mistakes, and nothing could stop them.
-MOST_BITS = 1_000_000
-MOST_ELEMENTS = 10_000_000
+MAX_BITS = 1_000_000
+MAX_ELEMENTS = 10_000_000
 
 
 def _is_like(text: Any, pattern: Any) -> bool:
@@ -98,14 +98,14 @@ def _is_endless(sign: str, left: Any, right: Any) -> bool:
     """Whether a power, a product or a repetition would take all time and memory there is."""
     if isinstance(left, int) and isinstance(right, int):
         if sign == "^":
-            return abs(left) > 1 and right * left.bit_length() > MOST_BITS
-        return sign == "*" and left.bit_length() + right.bit_length() > MOST_BITS
+            return abs(left) > 1 and right * left.bit_length() > MAX_BITS
+        return sign == "*" and left.bit_length() + right.bit_length() > MAX_BITS
     if sign == "+" and isinstance(left, Sequence) and isinstance(right, Sequence):
-        return len(left) + len(right) > MOST_ELEMENTS
+        return len(left) + len(right) > MAX_ELEMENTS
     if sign == "*":
         for sequence, times in ((left, right), (right, left)):
             if isinstance(sequence, Sequence) and isinstance(times, int):
-                return len(sequence) * times > MOST_ELEMENTS
+                return len(sequence) * times > MAX_ELEMENTS
     return False
 
 
@@ -113,9 +113,9 @@ def check_size(value: Any, span: SourceSpan) -> None:
     """Rejects a nested list that would take forever to print or to compare.
 
     Raises:
-        EvaluationError: it has more than `MOST_ELEMENTS`, all the way down.
+        EvaluationError: it has more than `MAX_ELEMENTS`, all the way down.
     """
-    if type(value) is list and _leaves(value, {}) > MOST_ELEMENTS:
+    if type(value) is list and _leaves(value, {}) > MAX_ELEMENTS:
         raise EvaluationError("the list is too large", span=span)
 
 
@@ -195,8 +195,8 @@ def _no_such(value: Any, index: Any, span: SourceSpan, error: Exception) -> Eval
     """Of an element that is not there, with what is there."""
     missing = f"no element {short_repr(index)}"
     if isinstance(value, dict):
-        keys = list(islice(value, MOST_KEYS))
-        more = ", …" if len(value) > MOST_KEYS else ""
+        keys = list(islice(value, MAX_KEYS))
+        more = ", …" if len(value) > MAX_KEYS else ""
         message = ", ".join(map(short_repr, keys))
         near = nearest(index, map(str, keys))
         return EvaluationError(

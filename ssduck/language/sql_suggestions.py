@@ -6,7 +6,7 @@ _JOIN = "sources stand behind FROM with commas, what joins them in WHERE: FROM a
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
 _COMPARE = "write (SELECT … AS list), and IN, min or max of it"
 _RAW = "that is SQL's alone: ask it of the tables, by ss.sql or ssduck query --sql"
-_MOST = "write LIMIT n behind ORDER BY"
+_LIMIT_ADVICE = "write LIMIT n behind ORDER BY"
 _CAST = "write int(x), float(x) or str(x)"
 _MISSING = "there is no word for nothing; write x IS NULL, or x IS NOT NULL"
 _INSTEAD = "write IF(x IS NULL; 0; x)"
@@ -18,7 +18,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("ANY", "SOME"): _COMPARE,
     ("EXISTS",): "write [] != (SELECT … AS list)",
     ("OFFSET", "SKIP"): "LIMIT n gives the first n rows; there is no OFFSET",
-    ("FETCH", "TOP", "FIRST"): _MOST,
+    ("FETCH", "TOP", "FIRST"): _LIMIT_ADVICE,
     ("NULLS",): "leave out the rows without a value: WHERE x IS NOT NULL",
     ("QUALIFY", "WINDOW", "OVER", "PARTITION", "ROLLUP", "CUBE", "PIVOT", "LATERAL"): _RAW,
     ("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"): _RAW,

@@ -18,7 +18,7 @@ from ssduck.geometry.arrays import Array
 from ssduck.schema import RECORDED
 
 # So many rows of a table wait at most to be stored.
-MOST_BUFFERED_ROWS = 1 << 17
+MAX_BUFFERED_ROWS = 1 << 17
 _LEAST_ROWS = 1024
 
 
@@ -31,20 +31,20 @@ class RowBuffer:
         count: how many rows wait.
         capacity: how many can.
         ticks: the numbers of their ticks.
-        reals: (columns, capacity).
+        doubles: (columns, capacity).
     """
 
     def __init__(
-        self, integers: tuple[str, ...], reals: tuple[str, ...], flags: tuple[str, ...] = ()
+        self, integers: tuple[str, ...], doubles: tuple[str, ...], booleans: tuple[str, ...] = ()
     ) -> None:
-        self._names = integers, reals, flags
+        self._names = integers, doubles, booleans
         self.version = 0
         self.count = 0
         self._lent: list[list[npt.NDArray[Any]]] = []
         self._make(_LEAST_ROWS)
 
     def _make(self, capacity: int) -> None:
-        integers, reals, flags = self._names
+        integers, doubles, booleans = self._names
         self.capacity = capacity
         # Who laid out the rows, of how many a tick, and whether from the first one on.
         self._laid: tuple[object, int] | None = None
@@ -53,26 +53,26 @@ class RowBuffer:
         self.integers = dict(zip(integers, numbers[: len(integers)], strict=True))
         self.ticks = self.integers["tick"]
         self.ticks.fill(-1)
-        self.reals = numbers[len(integers)]
-        self.flags = dict(zip(flags, numbers[len(integers) + 1 :], strict=True))
+        self.doubles = numbers[len(integers)]
+        self.booleans = dict(zip(booleans, numbers[len(integers) + 1 :], strict=True))
         columns: list[npt.NDArray[Any]] = [
             *self.integers.values(),
-            *self.reals,
-            *self.flags.values(),
+            *self.doubles,
+            *self.booleans.values(),
         ]
         arrays = [
             pa.Array.from_buffers(pa.from_numpy_dtype(c.dtype), capacity, [None, pa.py_buffer(c)])
             for c in columns
         ]
-        self.arrow = pa.table(arrays, names=[*integers, *reals, *flags])
+        self.arrow = pa.table(arrays, names=[*integers, *doubles, *booleans])
         self.version += 1
 
     def _numbers_of(self, capacity: int) -> list[npt.NDArray[Any]]:
-        """Buffers of integers, reals and flags: old ones that nobody looks into any more, or new.
+        """Returns buffers of integers, doubles and booleans: old ones out of use, or new ones.
 
-        Memory that a process has already is had five times faster than other.
+        Memory that the process already has is five times faster than new memory.
         """
-        integers, reals, flags = self._names
+        integers, doubles, booleans = self._names
         free = [own for own in self._lent if _is_free(own)]
         self._lent = [own for own in self._lent if not any(own is other for other in free)]
         for own in free:
@@ -80,8 +80,8 @@ class RowBuffer:
                 return own
         return [
             *(np.zeros(capacity, dtype=np.int64) for _ in integers),
-            np.zeros((len(reals), capacity)),
-            *(np.zeros(capacity, dtype=np.uint8) for _ in flags),
+            np.zeros((len(doubles), capacity)),
+            *(np.zeros(capacity, dtype=np.uint8) for _ in booleans),
         ]
 
     def takes(self, count: int) -> bool:
@@ -90,13 +90,13 @@ class RowBuffer:
 
     def reserve(self, count: int, ticks: int) -> None:
         """Make room for some ticks of so many rows, beside what waits if it cannot be stored."""
-        wanted = max(min(count * ticks, MOST_BUFFERED_ROWS), count, _LEAST_ROWS)
+        wanted = max(min(count * ticks, MAX_BUFFERED_ROWS), count, _LEAST_ROWS)
         if self.takes(count) and wanted <= self.capacity:
             return
-        waiting, before = slice(0, self.count), (self.integers, self.reals, self.flags)
+        waiting, before = slice(0, self.count), (self.integers, self.doubles, self.booleans)
         self._make(max(wanted, self.count + count, 2 * self.count))
-        self.reals[:, waiting] = before[1][:, waiting]
-        for now, then in ((self.integers, before[0]), (self.flags, before[2])):
+        self.doubles[:, waiting] = before[1][:, waiting]
+        for now, then in ((self.integers, before[0]), (self.booleans, before[2])):
             for name, column in then.items():
                 now[name][waiting] = column[waiting]
 
@@ -111,13 +111,13 @@ class RowBuffer:
         Args:
             owner: what makes them; asked again, it has nothing else to tell.
             count: of rows a tick.
-            columns: gives integers and flags of them.
+            columns: gives integers and booleans of them.
         """
         if not count or self._laid == (owner, count):
             return
         times = -(-(self.capacity - self.count) // count)
         for name, values in columns().items():
-            column = self.flags[name] if name in self.flags else self.integers[name]
+            column = self.booleans[name] if name in self.booleans else self.integers[name]
             column[self.count :] = np.tile(values, times)[: self.capacity - self.count]
         self._laid = owner, count
         self._is_laid_whole = self.count == 0
@@ -126,10 +126,10 @@ class RowBuffer:
         """What waits; what is no number is NULL."""
         waiting = self.arrow.slice(0, self.count)
         with np.errstate(invalid="ignore"):  # a sum takes a third of the time of looking at each
-            sums = self.reals[:, : self.count].sum(axis=1)
+            sums = self.doubles[:, : self.count].sum(axis=1)
         for row in np.flatnonzero(np.isnan(sums)).tolist():
             place = len(self.integers) + row
-            column = pa.array(self.reals[row, : self.count], from_pandas=True)
+            column = pa.array(self.doubles[row, : self.count], from_pandas=True)
             waiting = waiting.set_column(place, waiting.column_names[place], column)
         return waiting
 
@@ -140,7 +140,7 @@ class RowBuffer:
             rows = rows.take(pa.array(np.arange(self.count)))
             self.clear()
         else:
-            self._lent.append([*self.integers.values(), self.reals, *self.flags.values()])
+            self._lent.append([*self.integers.values(), self.doubles, *self.booleans.values()])
             self._make(self.capacity)
             self.count = 0
         return rows
@@ -166,7 +166,7 @@ def buffer_schema(table: str) -> pa.Schema:
 def buffer_of(table: str) -> RowBuffer:
     """An empty buffer for the rows of a table."""
     columns = RECORDED[table].tick_columns
-    return RowBuffer(columns.integers, columns.reals, columns.flags)
+    return RowBuffer(columns.integers, columns.doubles, columns.booleans)
 
 
 class TickBuffer:

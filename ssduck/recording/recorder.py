@@ -27,7 +27,7 @@ from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
 
 # So many ticks wait at most to be stored, in a file or in memory.
-RING_TICKS = 240
+BUFFERED_TICKS = 240
 MEMORY_TICKS = 960
 
 
@@ -46,7 +46,7 @@ class Recorder:
         reweighed: the bodies whose masses are known to have changed since.
     """
 
-    def __init__(self, recording: Recording, store: TickStore, waits: int = RING_TICKS) -> None:
+    def __init__(self, recording: Recording, store: TickStore, waits: int = BUFFERED_TICKS) -> None:
         self.recording = recording
         self._waits = waits
         self._store = store

@@ -49,7 +49,7 @@ class RecordedRows:
         self._picked["links"] = self._links(kept)
 
     def fit(self, snapshot: Snapshot) -> bool:
-        """Whether the entities are still the same, and their flags."""
+        """Whether the entities are still the same, and their booleans."""
         return snapshot.layout is self._layout and (
             (snapshot.disabled, snapshot.hidden) == self._of
         )
@@ -93,15 +93,15 @@ class RecordedRows:
             return
         live: LiveTable = snapshot.tables[table]
         columns, picked = TABLES[table].tick_columns, self._selected(snapshot, table)
-        reals = live.block[live.places(columns.reals)]
-        buffer.reals[:, run] = reals if picked is None else reals[:, picked]
+        doubles = live.block[live.places(columns.doubles)]
+        buffer.doubles[:, run] = doubles if picked is None else doubles[:, picked]
         if table not in self._picked:
             for name in columns.integers[1:]:
                 column = live[name]
                 buffer.integers[name][run] = column if picked is None else column[picked]
 
     def _fixed(self, snapshot: Snapshot, table: str) -> dict[str, npt.NDArray[Any]]:
-        """The columns of integers and flags, but for the ticks."""
+        """The columns of integers and booleans, but for the ticks."""
         if table == FRAMES:
             owners = {"entity": [f.entities for f in self._frames]}
             links = {"link": [f.links for f in self._frames]}
@@ -109,19 +109,19 @@ class RecordedRows:
         columns, picked = TABLES[table].tick_columns, self._picked[table]
         live = snapshot.tables[table]
         fixed = {name: live[name] for name in columns.integers[1:]}
-        fixed |= {name: live.flags(name) for name in columns.flags}
+        fixed |= {name: live.booleans(name) for name in columns.booleans}
         return {n: values if picked is None else values[picked] for n, values in fixed.items()}
 
     def _copy_frames(self, snapshot: Snapshot, buffer: RowBuffer, run: slice) -> None:
-        buffer.reals[0, run] = snapshot.time
+        buffer.doubles[0, run] = snapshot.time
         first = run.start
         for own, (_, frames) in zip(self._frames, snapshot.parts, strict=True):
             if not len(own.places):
                 continue
             to = slice(first, first + len(own.places))
             first = to.stop
-            buffer.reals[1:4, to] = frames.positions.take(own.places, axis=0).T
-            buffer.reals[4:, to] = frames.states[:, 3:7].take(own.places, axis=0).T
+            buffer.doubles[1:4, to] = frames.positions.take(own.places, axis=0).T
+            buffer.doubles[4:, to] = frames.states[:, 3:7].take(own.places, axis=0).T
 
 
 @dataclass(frozen=True, eq=False)

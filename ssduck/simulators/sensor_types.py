@@ -22,7 +22,7 @@ from ssduck.geometry.arrays import Array, Flags
 Settings: TypeAlias = Mapping[str, float]
 
 # A sensor with more rays is probably a mistake; it needs a renderer.
-MOST_RAYS = 1_000_000
+MAX_RAYS = 1_000_000
 # Angles that differ by less are equal, relative to the angle between two rays.
 _SAME = 1e-9
 
@@ -92,9 +92,9 @@ class SensorType:
                 return low, f"{settings[low]:g} is more than {high}, which is {settings[high]:g}"
             if settings[high] - settings[low] > 360:
                 return high, f"more than a turn from {low}, which is {settings[low]:g}"
-        if self.rays is not None and math.prod(self.shape(settings)) > MOST_RAYS:
+        if self.rays is not None and math.prod(self.shape(settings)) > MAX_RAYS:
             finest = "resolution" if "resolution" in settings else "width"
-            return finest, f"that makes more than {MOST_RAYS:,} rays"
+            return finest, f"that makes more than {MAX_RAYS:,} rays"
         return None
 
 
@@ -104,7 +104,7 @@ class SensorType:
 def _steps(settings: Settings) -> int:
     """The number of rays of a sweep, with both ends unless they are the same direction."""
     span = settings["max_angle"] - settings["min_angle"]
-    count = int(min(span / settings["resolution"] + _SAME, 10.0 * MOST_RAYS)) + 1
+    count = int(min(span / settings["resolution"] + _SAME, 10.0 * MAX_RAYS)) + 1
     turned = (count - 1) * settings["resolution"]
     return count - 1 if count > 1 and turned >= 360 - _SAME else count
 

@@ -18,7 +18,7 @@ from ssduck.sql.sql_values import (
 from ssduck.sql.types import DOUBLE, EXACT, INTEGER, SqlType
 
 _SUMS = {"+": exp.Add, "-": exp.Sub, "*": exp.Mul}
-MOST_EXPONENT = 64
+MAX_EXPONENT = 64
 
 
 def arithmetic(
@@ -31,37 +31,41 @@ def arithmetic(
     """
     sign = node.operator
     for value in (left, right):
-        if not value.tag.is_number or value.tag.nullable:
+        if not value.sql_type.is_number or value.sql_type.nullable:
             raise NotSqlError
-    kinds = {left.tag.type, right.tag.type}
-    tag = SqlType("number") if "number" in kinds and "real" not in kinds else DOUBLE
+    kinds = {left.sql_type.type, right.sql_type.type}
+    sql_type = SqlType("number") if "number" in kinds and "double" not in kinds else DOUBLE
     if kinds == {"integer"}:
-        tag = INTEGER
+        sql_type = INTEGER
     elif left.may_exceed_double or right.may_exceed_double:
         raise NotSqlError  # rounded in another place than Python does
     if sign in _SUMS:
-        return _sum(context, _SUMS[sign], left, right, tag)
+        return _sum(context, _SUMS[sign], left, right, sql_type)
     if sign == "/":
         if left.may_exceed_double or right.may_exceed_double:
             raise NotSqlError
         return _quotient(context, node, left, right)
     if sign == "%" and "number" not in kinds:
-        return _remainder(context, node, left, right, tag)
+        return _remainder(context, node, left, right, sql_type)
     if sign == "^" and "number" not in kinds:
-        return _power(context, node, left, tag)
+        return _power(context, node, left, sql_type)
     raise NotSqlError
 
 
 def _sum(
-    context: StatementContext, kind: type[exp.Binary], left: SqlValue, right: SqlValue, tag: SqlType
+    context: StatementContext,
+    kind: type[exp.Binary],
+    left: SqlValue,
+    right: SqlValue,
+    sql_type: SqlType,
 ) -> SqlValue:
-    if tag == INTEGER:
+    if sql_type == INTEGER:
         context.note_possible_failure()  # Python's integers have no end
     sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
-    domain = FloatDomain.FINITE if tag == INTEGER else _domain(kind, left, right)
+    domain = FloatDomain.FINITE if sql_type == INTEGER else _domain(kind, left, right)
     # Copied at each term, a long sum would take time that grows with the square of its length.
     return SqlValue(
-        exp.paren(sql, copy=False), tag, may_exceed_double=tag == INTEGER, domain=domain
+        exp.paren(sql, copy=False), sql_type, may_exceed_double=sql_type == INTEGER, domain=domain
     )
 
 
@@ -74,23 +78,23 @@ def _quotient(context: StatementContext, node: Binary, left: SqlValue, right: Sq
 
 
 def _remainder(
-    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue, tag: SqlType
+    context: StatementContext, node: Binary, left: SqlValue, right: SqlValue, sql_type: SqlType
 ) -> SqlValue:
     """Python's: it has the sign of the divisor."""
     a, b = wrapped(left.sql), wrapped(right.sql)
     rest = exp.paren(exp.Mod(this=a, expression=b))
     copied(rest)
     zero = exp.Literal.number(0)
-    if tag == INTEGER and isinstance(right.sql, exp.Literal) and int(right.sql.name) > 0:
+    if sql_type == INTEGER and isinstance(right.sql, exp.Literal) and int(right.sql.name) > 0:
         if left.is_non_negative:  # as DuckDB's; over millions of ticks each operation counts
             return SqlValue(
-                rest, tag, may_exceed_double=left.may_exceed_double, is_non_negative=True
+                rest, sql_type, may_exceed_double=left.may_exceed_double, is_non_negative=True
             )
         negative = exp.LT(this=rest, expression=zero)
         case = exp.case().when(negative, exp.Add(this=rest.copy(), expression=b.copy()))
         return SqlValue(
             case.else_(rest.copy()),
-            tag,
+            sql_type,
             may_exceed_double=left.may_exceed_double,
             domain=FloatDomain.FINITE,
         )
@@ -101,40 +105,40 @@ def _remainder(
     nonzero = exp.NEQ(this=rest.copy(), expression=zero.copy())
     shifted = exp.Add(this=rest.copy(), expression=b.copy())
     case = exp.case().when(exp.and_(nonzero, signs_differ), shifted)
-    if tag != INTEGER:  # a remainder of 0 has the sign of the divisor as well
+    if sql_type != INTEGER:  # a remainder of 0 has the sign of the divisor as well
         none = exp.Mul(this=b.copy(), expression=zero.copy())
         case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
     case = case.else_(rest.copy())
     domain = FloatDomain.NAN if left.domain or right.domain else FloatDomain.FINITE
-    sql = _unless_zero(context, node, right, case, tag)
-    return SqlValue(sql, tag, may_exceed_double=left.may_exceed_double, domain=domain)
+    sql = _unless_zero(context, node, right, case, sql_type)
+    return SqlValue(sql, sql_type, may_exceed_double=left.may_exceed_double, domain=domain)
 
 
 def _unless_zero(
-    context: StatementContext, node: Binary, right: SqlValue, sql: exp.Expr, tag: SqlType
+    context: StatementContext, node: Binary, right: SqlValue, sql: exp.Expr, sql_type: SqlType
 ) -> exp.Expr:
     """Makes the statement fail where the divisor is 0; SQL would yield NULL."""
     if isinstance(node.right, tree.Literal) and node.right.value:
         return exp.paren(sql)
     context.note_possible_failure()
     is_zero = exp.EQ(this=wrapped(copied(right.sql)), expression=exp.Literal.number(0))
-    return exp.case().when(is_zero, failure(tag)).else_(sql)
+    return exp.case().when(is_zero, failure(sql_type)).else_(sql)
 
 
-def _power(context: StatementContext, node: Binary, left: SqlValue, tag: SqlType) -> SqlValue:
+def _power(context: StatementContext, node: Binary, left: SqlValue, sql_type: SqlType) -> SqlValue:
     """With a small whole exponent; of other powers SQL has other ideas."""
     match node.right:
         case tree.Literal(value=exponent) if (
-            type(exponent) is int and 0 <= exponent <= MOST_EXPONENT
+            type(exponent) is int and 0 <= exponent <= MAX_EXPONENT
         ):
             context.note_possible_failure()
             power = exp.Pow(this=double_of(left), expression=exp.Literal.number(exponent))
-            beyond: float = EXACT if tag == INTEGER else 1.7976931348623157e308
+            beyond: float = EXACT if sql_type == INTEGER else 1.7976931348623157e308
             too_large = exp.GT(
                 this=exp.func("abs", copied(power)), expression=exp.Literal.number(repr(beyond))
             )
-            whole: exp.Expr = exp.cast(power, "BIGINT") if tag == INTEGER else power
-            return SqlValue(exp.case().when(too_large, failure(tag)).else_(whole), tag)
+            whole: exp.Expr = exp.cast(power, "BIGINT") if sql_type == INTEGER else power
+            return SqlValue(exp.case().when(too_large, failure(sql_type)).else_(whole), sql_type)
     raise NotSqlError
 
 
@@ -152,4 +156,8 @@ def _domain(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDom
 
 def double_of(value: SqlValue) -> exp.Expr:
     """A number as a DOUBLE."""
-    return value.sql.copy() if value.tag.type == "real" else exp.cast(value.sql.copy(), "DOUBLE")
+    return (
+        value.sql.copy()
+        if value.sql_type.type == "double"
+        else exp.cast(value.sql.copy(), "DOUBLE")
+    )

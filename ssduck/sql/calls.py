@@ -55,14 +55,16 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
     builtin = _builtin(sql.context, node.name, values)
     if builtin is not None:
         return builtin
-    signature = sql.names.signature(node.name, tuple(value.tag for value in values))
-    if signature is None or any(value.tag.nullable or value.may_exceed_double for value in values):
+    signature = sql.names.signature(node.name, tuple(value.sql_type for value in values))
+    if signature is None or any(
+        value.sql_type.nullable or value.may_exceed_double for value in values
+    ):
         raise NotSqlError
     sql.context.note_possible_failure()
     sql.context.signatures.add(signature)
     arguments = [
-        exp.cast(value.sql.copy(), tag.sql_type, dialect="duckdb")
-        for value, tag in zip(values, signature.parameters, strict=True)
+        exp.cast(value.sql.copy(), sql_type.duckdb_type, dialect="duckdb")
+        for value, sql_type in zip(values, signature.parameters, strict=True)
     ]
     return SqlValue(
         exp.Anonymous(this=exp.to_identifier(signature.name, quoted=True), expressions=arguments),
@@ -89,7 +91,7 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
         def column(name: str) -> exp.Expr:
             return expanded(formula, values, name)
 
-        return SqlValue(None, replace(entity.tag, nullable=relation.name != "obj"), column)
+        return SqlValue(None, replace(entity.sql_type, nullable=relation.name != "obj"), column)
     if relation.tables:
         formula = in_world(relation, formula, values)
     result = expanded(formula, values)
@@ -98,36 +100,45 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
         elements = tuple(SqlValue(part, DOUBLE, domain=domain) for part in result.expressions)
         length = 3 if len(elements) == 3 else None
         return SqlValue(result, SqlType("list", DOUBLE, length), elements=elements, domain=domain)
-    tag = SqlType(relation.result_type(count))
-    if tag.type == "list":
+    sql_type = SqlType(relation.result_type(count))
+    if sql_type.type == "list":
         element = SqlType(relation.element)
-        tag = SqlType("list", SqlType("list", DOUBLE) if relation.element == "list" else element)
-    return SqlValue(result, tag, is_non_negative=relation.name == "tick", domain=domain)
+        sql_type = SqlType(
+            "list", SqlType("list", DOUBLE) if relation.element == "list" else element
+        )
+    return SqlValue(result, sql_type, is_non_negative=relation.name == "tick", domain=domain)
 
 
 def _argument(
     sql: ExpressionScope, relation: Relation, parameter: Parameter, node: Node
 ) -> SqlValue:
     value = sql.value(node)
-    if value.tag.nullable:
+    if value.sql_type.nullable:
         raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
-    if value.domain and parameter.type == "real":
+    if value.domain and parameter.type == "double":
         value = sql.context.nan_checked(value)  # a distance may be infinite
     elif value.domain:
         raise NotSqlError  # of what is infinite, a formula may be no number
     if value.may_fail:
         raise NotSqlError
-    if value.tag.type == parameter.type or (parameter.type == "real" and value.tag.is_number):
+    if value.sql_type.type == parameter.type or (
+        parameter.type == "double" and value.sql_type.is_number
+    ):
         return value
-    if parameter.type == "place" and value.tag.type == "entity":
+    if parameter.type == "place" and value.sql_type.type == "entity":
         return value
-    element = value.tag.element
-    if parameter.type == "place" and value.tag.type == "list" and element and element.is_number:
-        if value.tag.length != 3:
+    element = value.sql_type.element
+    if (
+        parameter.type == "place"
+        and value.sql_type.type == "list"
+        and element
+        and element.is_number
+    ):
+        if value.sql_type.length != 3:
             raise _wrong(sql, relation, parameter, "a list of another length", node)
         index = {"x": 1, "y": 2, "z": 3}
         return replace(value, column=lambda name: element_at(value, index[name]))
-    raise _wrong(sql, relation, parameter, value.tag.words, node)
+    raise _wrong(sql, relation, parameter, value.sql_type.words, node)
 
 
 def _wrong(
@@ -143,40 +154,44 @@ def _wrong(
 def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> SqlValue | None:
     """A function of the language that SQL has too."""
     match name, values:
-        case "count", [SqlValue(tag=SqlType(type="list")) as value]:
+        case "count", [SqlValue(sql_type=SqlType(type="list")) as value]:
             return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
-        case "abs", [SqlValue(tag=SqlType(type="real" | "integer")) as value] if (
+        case "abs", [SqlValue(sql_type=SqlType(type="double" | "integer")) as value] if (
             not value.may_exceed_double
         ):
-            return SqlValue(exp.func("abs", value.sql.copy()), value.tag, domain=value.domain)
+            return SqlValue(exp.func("abs", value.sql.copy()), value.sql_type, domain=value.domain)
         case name, [value] if (
-            name in _OF_REALS and value.tag.is_number and not value.may_exceed_double
+            name in _OF_REALS and value.sql_type.is_number and not value.may_exceed_double
         ):
             return _of_real(context, name, value)
-        case "floor" | "ceil", [SqlValue(tag=SqlType(type="real")) as value]:
+        case "floor" | "ceil", [SqlValue(sql_type=SqlType(type="double")) as value]:
             context.note_possible_failure()
             whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
             return SqlValue(exp.cast(whole, "BIGINT"), INTEGER, may_exceed_double=True)
-        case "str", [SqlValue(tag=SqlType(type="text")) as value]:
+        case "str", [SqlValue(sql_type=SqlType(type="string")) as value]:
             return value
-        case "str", [SqlValue(tag=SqlType(type="integer")) as value]:
+        case "str", [SqlValue(sql_type=SqlType(type="integer")) as value]:
             return SqlValue(exp.cast(value.sql.copy(), "VARCHAR"), STRING)
-        case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="integer"))) as value]:
+        case "sum", [
+            SqlValue(sql_type=SqlType(type="list", element=SqlType(type="integer"))) as value
+        ]:
             context.note_possible_failure()
             total = exp.cast(_of_list("sum", value), "BIGINT")
             nothing = exp.Literal.number(0)
             return SqlValue(
                 exp.Coalesce(this=total, expressions=[nothing]), INTEGER, may_exceed_double=True
             )
-        case "sum", [SqlValue(tag=SqlType(type="list", element=SqlType(type="real"))) as value]:
+        case "sum", [
+            SqlValue(sql_type=SqlType(type="list", element=SqlType(type="double"))) as value
+        ]:
             zero = exp.cast(exp.Literal.number(0), "DOUBLE")
             result = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
             # The sum of nothing is an integer.
             domain = FloatDomain.NAN if value.domain else FloatDomain.INFINITE
             return SqlValue(result, SqlType("number"), domain=domain)
         case "min" | "max", [
-            SqlValue(tag=SqlType(type="list", element=SqlType() as element)) as v
-        ] if element.type in ("real", "integer", "text"):
+            SqlValue(sql_type=SqlType(type="list", element=SqlType() as element)) as v
+        ] if element.type in ("double", "integer", "string"):
             context.note_possible_failure()
             return SqlValue(or_failure(_of_list(name, v), element), element, domain=v.domain)
     return None

@@ -9,22 +9,22 @@ from ssduck.sql.types import BOOLEAN, SqlType, merged
 
 COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 # Of these values none is equal to one of another kind.
-_APART = ("text", "list", "number")
+_APART = ("string", "list", "number")
 
 
 def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
     """One of the six comparisons."""
-    if left.tag.nullable or right.tag.nullable:
+    if left.sql_type.nullable or right.sql_type.nullable:
         raise NotSqlError  # NULL is equal to nothing, not even to NULL
-    kinds = tuple("number" if v.tag.is_number else v.tag.type for v in (left, right))
+    kinds = tuple("number" if v.sql_type.is_number else v.sql_type.type for v in (left, right))
     equality = sign in ("==", "!=")
     if equality and kinds[0] != kinds[1] and all(kind in _APART for kind in kinds):
         return SqlValue(exp.convert(sign == "!="), BOOLEAN)
-    alike = kinds in (("number", "number"), ("text", "text")) or (
-        equality and _may_be_equal(left.tag, right.tag)
+    alike = kinds in (("number", "number"), ("string", "string")) or (
+        equality and _may_be_equal(left.sql_type, right.sql_type)
     )
     if kinds == ("number", "number") and (left.may_exceed_double or right.may_exceed_double):
-        alike = left.tag.type == right.tag.type == "integer"
+        alike = left.sql_type.type == right.sql_type.type == "integer"
     if not alike:
         raise NotSqlError
     kind = COMPARISONS[sign]
@@ -38,37 +38,37 @@ def _may_be_equal(left: SqlType, right: SqlType) -> bool:
     if left.type == right.type == "entity" and left.schema == right.schema:
         return True
     both = merged((left, right))
-    if any(tag.element and tag.element.past for tag in (left, right)):
+    if any(sql_type.element and sql_type.element.past for sql_type in (left, right)):
         return False  # equal are those of one entity, their keys or not
-    return both is not None and both.type in ("entity", "flag", "list") and both.is_sql
+    return both is not None and both.type in ("entity", "boolean", "list") and both.is_sql
 
 
 def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> SqlValue:
     """Whether a value is among the elements of a list, or a text is part of another."""
-    if left.tag.nullable or right.tag.nullable:
+    if left.sql_type.nullable or right.sql_type.nullable:
         raise NotSqlError
-    if left.tag.type == right.tag.type == "text":
+    if left.sql_type.type == right.sql_type.type == "string":
         return SqlValue(exp.func("contains", right.sql, left.sql), BOOLEAN)
-    if right.tag.type != "list":
+    if right.sql_type.type != "list":
         raise NotSqlError
-    if right.tag.element is None:
+    if right.sql_type.element is None:
         return SqlValue(exp.false(), BOOLEAN)
     if right.elements is not None:
         if right.may_fail:
             raise NotSqlError  # behind an equal one no other would be evaluated
         result = [comparison(context, "==", left, element).sql for element in right.elements]
         return SqlValue(exp.paren(exp.or_(*result)), BOOLEAN)
-    both = merged((left.tag, right.tag.element))
+    both = merged((left.sql_type, right.sql_type.element))
     if both is None or not both.is_sql or left.may_exceed_double or both.past:
         raise NotSqlError
-    if left.tag.is_number != right.tag.element.is_number:
+    if left.sql_type.is_number != right.sql_type.element.is_number:
         raise NotSqlError
     return SqlValue(exp.func("list_contains", right.sql, context.nan_checked(left).sql), BOOLEAN)
 
 
 def like_match(left: SqlValue, right: SqlValue) -> SqlValue:
     """Whether a text is as a pattern says."""
-    if any(value.tag.type != "text" or value.tag.nullable for value in (left, right)):
+    if any(value.sql_type.type != "string" or value.sql_type.nullable for value in (left, right)):
         raise NotSqlError
     return SqlValue(
         exp.paren(exp.Like(this=wrapped(left.sql), expression=wrapped(right.sql))), BOOLEAN
@@ -77,7 +77,7 @@ def like_match(left: SqlValue, right: SqlValue) -> SqlValue:
 
 def missing(value: SqlValue) -> SqlValue:
     """Whether a value is nothing."""
-    if not value.tag.is_sql or value.tag.type in ("any", "record") or value.may_fail:
+    if not value.sql_type.is_sql or value.sql_type.type in ("any", "record") or value.may_fail:
         raise NotSqlError
     return SqlValue(exp.paren(exp.Is(this=wrapped(value.sql), expression=exp.Null())), BOOLEAN)
 
@@ -85,14 +85,14 @@ def missing(value: SqlValue) -> SqlValue:
 def truth(value: SqlValue) -> exp.Expr:
     """A value as a condition: numbers are true unless 0, texts and lists unless empty."""
     zero = exp.Literal.number(0)
-    match value.tag.type:
-        case "flag":
+    match value.sql_type.type:
+        case "boolean":
             return value.sql
-        case "real" | "integer" | "number" if not value.tag.nullable:
+        case "double" | "integer" | "number" if not value.sql_type.nullable:
             return exp.NEQ(this=wrapped(value.sql), expression=zero)
-        case "text" if not value.tag.nullable:
+        case "string" if not value.sql_type.nullable:
             return exp.NEQ(this=wrapped(value.sql), expression=exp.Literal.string(""))
-        case "list" if not value.tag.nullable:
+        case "list" if not value.sql_type.nullable:
             if value.elements is not None:
                 if value.may_fail:
                     raise NotSqlError

@@ -26,7 +26,7 @@ class WorldNames:
 
     has_source = has_variable
 
-    def tag(self, node: Node) -> SqlType:
+    def sql_type(self, node: Node) -> SqlType:
         """The type of a constant: a number or a text."""
         match node:
             case Literal(value=bool()):

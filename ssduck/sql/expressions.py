@@ -16,7 +16,7 @@ from sqlglot import exp
 from ssduck.errors import ArgumentError
 from ssduck.language import tree
 from ssduck.language.analysis import is_impure
-from ssduck.language.operator_chains import MOST_JOINED, MOST_NESTED
+from ssduck.language.operator_chains import MAX_CHAIN, MAX_NESTING
 from ssduck.language.tree import (
     Binary,
     Call,
@@ -42,7 +42,7 @@ from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (
     NotSqlError,
     SqlValue,
-    column_tag,
+    column_type,
     literal,
     wrapped,
 )
@@ -50,7 +50,7 @@ from ssduck.sql.types import BOOLEAN, STRING
 
 LOGIC = ("AND", "OR", "XOR")
 # Longer lists of literals are parameters.
-MOST_WRITTEN = 32
+MAX_WRITTEN_LENGTH = 32
 
 
 class Expressions(ExpressionScope):
@@ -79,7 +79,7 @@ class Expressions(ExpressionScope):
             case QualifiedName() if self._is_variable(node):
                 return self.value(node.index)
             case QualifiedName() if self.element(node.alias) is not None:
-                is_record = self._this(node.this).tag.type == "record"
+                is_record = self._this(node.this).sql_type.type == "record"
                 return self._index(self._key_of(node)) if is_record else self._function_of(node)
             case Name(name=name) if name in self.locals:
                 return self.locals[name]
@@ -111,7 +111,7 @@ class Expressions(ExpressionScope):
                 return self._index(node)
             case ListLiteral(items=items):
                 return list_of(self.context, [self.value(item) for item in items])
-            case If(otherwise=(otherwise,)) if len(node.further) < MOST_NESTED:
+            case If(otherwise=(otherwise,)) if len(node.further) < MAX_NESTING:
                 return self._choice(node, otherwise)
         raise NotSqlError
 
@@ -133,12 +133,12 @@ class Expressions(ExpressionScope):
         return self._constant(node)
 
     def _literal(self, node: tree.Literal) -> SqlValue:
-        tag = self.names.tag(node)
+        sql_type = self.names.sql_type(node)
         match node.value:
-            case _ if not tag.is_sql:  # a number too large for SQL
+            case _ if not sql_type.is_sql:  # a number too large for SQL
                 raise NotSqlError
             case value:
-                return SqlValue(literal(value), tag)
+                return SqlValue(literal(value), sql_type)
 
     def _this(self, node: This) -> SqlValue:
         value = self.element(node.alias)
@@ -147,26 +147,28 @@ class Expressions(ExpressionScope):
             raise ArgumentError(
                 f"'this' alone is ambiguous here; write one of {choices}", span=node.span
             )
-        if value.tag.type == "any":
+        if value.sql_type.type == "any":
             raise NotSqlError
         return value
 
     def _constant(self, node: Node) -> SqlValue:
-        tag = self.context.constants.setdefault(node, self.names.tag(node))
-        if not tag.is_sql or tag.type == "record":
+        sql_type = self.context.constants.setdefault(node, self.names.sql_type(node))
+        if not sql_type.is_sql or sql_type.type == "record":
             raise NotSqlError
         stem = node.name if isinstance(node, Name | Placeholder) else "value"
-        if tag.type != "entity":
-            parameter = self.context.parameter(stem, ParameterBinding("", node, tag=tag))
-            if tag.type == "list":
-                parameter = exp.cast(parameter, tag.sql_type, dialect="duckdb")
-            return SqlValue(parameter, tag)
+        if sql_type.type != "entity":
+            parameter = self.context.parameter(stem, ParameterBinding("", node, sql_type=sql_type))
+            if sql_type.type == "list":
+                parameter = exp.cast(parameter, sql_type.duckdb_type, dialect="duckdb")
+            return SqlValue(parameter, sql_type)
 
         def column(name: str) -> exp.Expr:
-            wanted = ParameterBinding("", node, name, tag=column_tag(name))
+            wanted = ParameterBinding("", node, name, sql_type=column_type(name))
             return self.context.parameter(f"{stem}_{name}", wanted)
 
-        return SqlValue(None, tag, column)  # its columns become parameters as they are asked for
+        return SqlValue(
+            None, sql_type, column
+        )  # its columns become parameters as they are asked for
 
     # -- operators --------------------------------------------------------------------------
 
@@ -190,22 +192,22 @@ class Expressions(ExpressionScope):
             return membership(self.context, left_value, right_value)
         if sign == "LIKE":
             return like_match(left_value, right_value)
-        if sign == "+" and left_value.tag.type == right_value.tag.type == "text":
+        if sign == "+" and left_value.sql_type.type == right_value.sql_type.type == "string":
             joined = exp.DPipe(this=wrapped(left_value.sql), expression=wrapped(right_value.sql))
             return SqlValue(exp.paren(joined, copy=False), STRING)
-        if sign == "+" and left_value.tag.type == right_value.tag.type == "list":
+        if sign == "+" and left_value.sql_type.type == right_value.sql_type.type == "list":
             return concatenation(left_value, right_value)
         return arithmetic(self.context, node, left_value, right_value)
 
     def _chain(self, node: OperatorChain) -> SqlValue:
         """AND, OR, XOR in any order of brackets; all else would be nested too deeply for SQL."""
         sign = node.operators[0]
-        if sign not in LOGIC or len(node.operands) > MOST_JOINED:
+        if sign not in LOGIC or len(node.operands) > MAX_CHAIN:
             raise NotSqlError
         return SqlValue(_joined(sign, [truth(self.value(side)) for side in node.operands]), BOOLEAN)
 
     def _index(self, node: Index) -> SqlValue:
-        if len(node.indices) > MOST_NESTED:
+        if len(node.indices) > MAX_NESTING:
             raise NotSqlError
         value = self.value(node.base)
         for index in node.indices:
@@ -217,7 +219,9 @@ class Expressions(ExpressionScope):
             raise NotSqlError
         values = [self.value(branch.then[0]) for branch in node.branches]
         last = self.value(otherwise)
-        if last.tag.type == "entity" or any(value.tag != last.tag for value in values):
+        if last.sql_type.type == "entity" or any(
+            value.sql_type != last.sql_type for value in values
+        ):
             raise NotSqlError
         case = exp.case()
         for branch, value in zip(node.branches, values, strict=True):
@@ -226,7 +230,7 @@ class Expressions(ExpressionScope):
         domain = max(value.domain for value in every)
         may_exceed_double = any(value.may_exceed_double for value in every)
         return SqlValue(
-            case.else_(last.sql), last.tag, may_exceed_double=may_exceed_double, domain=domain
+            case.else_(last.sql), last.sql_type, may_exceed_double=may_exceed_double, domain=domain
         )
 
 
@@ -244,4 +248,4 @@ def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
 
 def _is_short(items: Sequence[Node]) -> bool:
     """Whether a list is so short that it is written out."""
-    return 0 < len(items) <= MOST_WRITTEN and all(isinstance(i, tree.Literal) for i in items)
+    return 0 < len(items) <= MAX_WRITTEN_LENGTH and all(isinstance(i, tree.Literal) for i in items)

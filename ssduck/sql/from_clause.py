@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sqlglot import exp
 
-from ssduck.schema import MOST_IDS
+from ssduck.schema import ID_FACTOR
 from ssduck.sql.relations.geometry_query import PairSearch
 from ssduck.sql.sql_values import NotSqlError, SqlValue
 from ssduck.sql.types import ANY, BOOLEAN, IDS, SqlType
@@ -81,38 +81,38 @@ def _past(schema: str, name: str) -> FromItem:
 
 def past_value(schema: str, name: str) -> SqlValue:
     """The current row of a table of entities at recorded ticks."""
-    tag = SqlType("entity", schema=schema, past=True)
-    return SqlValue(None, tag, lambda column: column_of(name, column))
+    sql_type = SqlType("entity", schema=schema, past=True)
+    return SqlValue(None, sql_type, lambda column: column_of(name, column))
 
 
 def entity_value(schema: str | None, name: str) -> SqlValue:
     """The current row of a table of entities."""
-    tag = SqlType("entity", schema=schema)
-    return SqlValue(column_of(name, "id"), tag, lambda column: column_of(name, column))
+    sql_type = SqlType("entity", schema=schema)
+    return SqlValue(column_of(name, "id"), sql_type, lambda column: column_of(name, column))
 
 
 def unnested(name: str, values: SqlValue) -> FromItem:
     """The elements of a list; of any other value itself."""
-    rows, tag = values.sql, values.tag.element
-    if values.tag.type != "list":
-        rows, tag = exp.Array(expressions=[values.sql]), values.tag
-    if tag is None or not tag.is_sql or tag.nullable:
+    rows, sql_type = values.sql, values.sql_type.element
+    if values.sql_type.type != "list":
+        rows, sql_type = exp.Array(expressions=[values.sql]), values.sql_type
+    if sql_type is None or not sql_type.is_sql or sql_type.nullable:
         raise NotSqlError
     numbers = exp.func("generate_subscripts", rows.copy(), exp.Literal.number(1))
-    what = "id" if tag.type == "entity" else "value"
+    what = "id" if sql_type.type == "entity" else "value"
     table: exp.Select = exp.select(
         exp.alias_(exp.func("unnest", rows.copy()), what), exp.alias_(numbers, "n")
     )
     position = (ascending(column_of(name, "n")),)
     alias = exp.to_identifier(name)
-    if tag.type != "entity":
-        value = SqlValue(column_of(name, "value"), tag, domain=values.domain)
+    if sql_type.type != "entity":
+        value = SqlValue(column_of(name, "value"), sql_type, domain=values.domain)
         return FromItem(value, table.subquery(alias), position)
-    if tag.past:
-        return _unnested_past(table, tag, name, position)
-    entities = exp.table_("entities", db=tag.schema, alias="e")
+    if sql_type.past:
+        return _unnested_past(table, sql_type, name, position)
+    entities = exp.table_("entities", db=sql_type.schema, alias="e")
     joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
-    return FromItem(entity_value(tag.schema, name), joined.subquery(alias), position)
+    return FromItem(entity_value(sql_type.schema, name), joined.subquery(alias), position)
 
 
 @dataclass(frozen=True)
@@ -201,11 +201,11 @@ class TickRange:
 
 
 def _unnested_past(
-    keys: exp.Select, tag: SqlType, name: str, position: tuple[exp.Ordered, ...]
+    keys: exp.Select, sql_type: SqlType, name: str, position: tuple[exp.Ordered, ...]
 ) -> FromItem:
     """Entities at recorded ticks, by their keys."""
-    assert tag.schema is not None
-    entities = exp.table_("entities_history", db=tag.schema, alias="e")
+    assert sql_type.schema is not None
+    entities = exp.table_("entities_history", db=sql_type.schema, alias="e")
     ids = exp.Literal.number(IDS)
     tick = exp.IntDiv(this=exp.column("id"), expression=ids)
     id = exp.Mod(this=exp.column("id"), expression=ids.copy())
@@ -216,7 +216,7 @@ def _unnested_past(
         exp.select("e.*", "i.n").from_(parts.subquery("i")).join(entities, using=["tick", "id"])
     )
     table = joined.subquery(exp.to_identifier(name, quoted=True))
-    return FromItem(past_value(tag.schema, name), table, position)
+    return FromItem(past_value(sql_type.schema, name), table, position)
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ def pair_table(search: PairSearch, distance: exp.Expr, schema: str, name: str) -
     if search.takes_distance:
         arguments.append(exp.cast(distance.copy(), "DOUBLE"))
     numbers = exp.func("unnest", exp.Anonymous(this=called, expressions=arguments))
-    number, many = exp.column("n"), exp.Literal.number(MOST_IDS)
+    number, many = exp.column("n"), exp.Literal.number(ID_FACTOR)
     table = (
         exp.select(
             exp.alias_(exp.IntDiv(this=number.copy(), expression=many.copy()), "a"),
@@ -263,14 +263,14 @@ def counted_rows(name: str, parameter: exp.Expr) -> FromItem:
     return FromItem(value, table, (ascending(column_of(name, "n")),))
 
 
-def record_table(name: str, table: str, tag: SqlType) -> FromItem:
+def record_table(name: str, table: str, sql_type: SqlType) -> FromItem:
     """Records as a table: `n`, and a column a key."""
     fields = {
         key: SqlValue(column_of(name, f"f{index}"), part)
-        for index, (key, part) in enumerate(tag.fields)
+        for index, (key, part) in enumerate(sql_type.fields)
         if part.is_sql and part.type not in ("record", "entity")
     }
-    value = SqlValue(column_of(name, "n"), tag, fields=fields)
+    value = SqlValue(column_of(name, "n"), sql_type, fields=fields)
     source = exp.table_(table, quoted=True, alias=exp.to_identifier(name))
     return FromItem(value, source, (ascending(column_of(name, "n")),))
 

@@ -24,37 +24,37 @@ from ssduck.sql.types import ANY, EXACT, SqlType, merged
 
 def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
     """A list that is written out."""
-    tag = merged(value.tag for value in values)
-    if any(value.tag.nullable or value.may_exceed_double for value in values):
+    sql_type = merged(value.sql_type for value in values)
+    if any(value.sql_type.nullable or value.may_exceed_double for value in values):
         raise NotSqlError
     elements = tuple(map(context.nan_checked, values))
     domain = max((value.domain for value in elements), default=FloatDomain.FINITE)
-    if tag is None:
+    if sql_type is None:
         return SqlValue(
             exp.cast(exp.Array(expressions=[]), "INTEGER[]"), SqlType("list"), elements=()
         )
     length = 3 if len(values) == 3 else None
-    if not tag.is_sql or tag.type == "record":
-        if all(value.tag.is_sql for value in values):  # its elements can be reached
+    if not sql_type.is_sql or sql_type.type == "record":
+        if all(value.sql_type.is_sql for value in values):  # its elements can be reached
             return SqlValue(None, SqlType("list", ANY, length), elements=elements, domain=domain)
         raise NotSqlError
     sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in elements])
-    if tag.type == "list":
-        sql = exp.cast(sql, f"{tag.sql_type}[]", dialect="duckdb")
-    return SqlValue(sql, SqlType("list", tag, length), elements=elements, domain=domain)
+    if sql_type.type == "list":
+        sql = exp.cast(sql, f"{sql_type.duckdb_type}[]", dialect="duckdb")
+    return SqlValue(sql, SqlType("list", sql_type, length), elements=elements, domain=domain)
 
 
 def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
     """One list behind the other."""
-    tag = merged((left.tag, right.tag))
-    if tag is None or not tag.comes_back:
+    sql_type = merged((left.sql_type, right.sql_type))
+    if sql_type is None or not sql_type.comes_back:
         raise NotSqlError
     sql = exp.Anonymous(this="list_concat", expressions=[left.sql.copy(), right.sql.copy()])
     elements = None
     if left.elements is not None and right.elements is not None:
         elements = left.elements + right.elements
     domain = max(left.domain, right.domain)
-    return SqlValue(sql, replace(tag, length=None), elements=elements, domain=domain)
+    return SqlValue(sql, replace(sql_type, length=None), elements=elements, domain=domain)
 
 
 def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
@@ -67,8 +67,8 @@ def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
                 raise NotSqlError  # nor would be the other elements
             if -len(value.elements) <= number < len(value.elements):
                 return value.elements[number]
-    element = value.tag.element
-    if value.tag.type != "list" or element is None or value.tag.nullable:
+    element = value.sql_type.element
+    if value.sql_type.type != "list" or element is None or value.sql_type.nullable:
         raise NotSqlError
     if not element.is_sql:
         raise NotSqlError
@@ -83,7 +83,7 @@ def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
         case tree.Literal(value=number) if type(number) is int and number < EXACT:
             return exp.Literal.number(number + 1)
     place = sql.number(index)
-    if place.tag.type != "integer":
+    if place.sql_type.type != "integer":
         raise NotSqlError
     negative = exp.LT(this=wrapped(place.sql), expression=exp.Literal.number(0))
     behind = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))

@@ -131,8 +131,8 @@ class _Resolver:
         if part.name in self._states or self._names.has_variable(part.name):
             return None
         only = self._shapes[0] if len(self._shapes) == 1 else None
-        if only is not None and (only.tag is not None and only.tag.type == "record"):
-            if any(key == part.name for key, _ in only.tag.fields):
+        if only is not None and (only.sql_type is not None and only.sql_type.type == "record"):
+            if any(key == part.name for key, _ in only.sql_type.fields):
                 return None
         elif only is not None and (only.dicts or not only.known):
             return None
@@ -153,7 +153,9 @@ class _Resolver:
             return None
         only = self._shapes[0] if len(self._shapes) == 1 else None
         known = self._bare[part.name] = self._names.has_variable(part.name)
-        is_record = only is not None and only.tag is not None and only.tag.type == "record"
+        is_record = (
+            only is not None and only.sql_type is not None and only.sql_type.type == "record"
+        )
         if known or only is None or only.dicts or is_record or not only.known:
             return part
         name = self._names.resolved_name(part.name)
@@ -170,8 +172,8 @@ class _Resolver:
         if not isinstance(part, Name) or part.name in self._states:
             return part if isinstance(part, Name) else None
         only = self._shapes[0] if len(self._shapes) == 1 else None
-        if only is not None and only.tag is not None and only.tag.type == "record":
-            if any(key == part.name for key, _ in only.tag.fields):
+        if only is not None and only.sql_type is not None and only.sql_type.type == "record":
+            if any(key == part.name for key, _ in only.sql_type.fields):
                 key = Literal(part.span, part.name)
                 return Index(part.span, This(part.span, None), (key,))
         elif only is not None and (only.dicts or not only.known):

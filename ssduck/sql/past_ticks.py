@@ -43,14 +43,18 @@ class QueryTicks:
 
         A handle goes with its world; in a query of the past it goes with that.
         """
-        entities = {name: value for name, value in values.items() if value.tag.type == "entity"}
-        rows = [value for value in entities.values() if value.tag.past]
-        handles = {name: value for name, value in entities.items() if not value.tag.past}
+        entities = {
+            name: value for name, value in values.items() if value.sql_type.type == "entity"
+        }
+        rows = [value for value in entities.values() if value.sql_type.past]
+        handles = {name: value for name, value in entities.items() if not value.sql_type.past}
         if not handles:
             return
         if not rows:
-            schemas = {handle.tag.schema for handle in handles.values()}
-            result = [v for v in self._all_rows() if v.tag.past and v.tag.schema in schemas]
+            schemas = {handle.sql_type.schema for handle in handles.values()}
+            result = [
+                v for v in self._all_rows() if v.sql_type.past and v.sql_type.schema in schemas
+            ]
             rows = result[-1:]
         if not rows:
             return
@@ -58,15 +62,15 @@ class QueryTicks:
         if row.column is not None and row.column("tick").sql() in self.present:
             return  # they are at that tick
         for name, handle in handles.items():
-            if handle.tag.schema != row.tag.schema:
+            if handle.sql_type.schema != row.sql_type.schema:
                 continue
-            if row.column is None or handle.column is None or handle.tag.nullable:
+            if row.column is None or handle.column is None or handle.sql_type.nullable:
                 raise NotSqlError
             tick, id = row.column("tick"), handle.column("id")
             is_constant = isinstance(id, exp.Parameter)
             if not is_constant or not self._is_of_own_row(tick):
                 raise NotSqlError
-            values[name] = self._joined_entity(str(row.tag.schema), tick, id).value
+            values[name] = self._joined_entity(str(row.sql_type.schema), tick, id).value
 
     def over_all_ticks(
         self, relation: Relation, values: Mapping[str, SqlValue], count: int
@@ -76,7 +80,7 @@ class QueryTicks:
         if candidates is None or candidates.search.predicate is None:
             return None
         a, b, *others = values.values()
-        if not (a.tag.past and b.tag.past):
+        if not (a.sql_type.past and b.sql_type.past):
             return None
         if a.column is None or b.column is None or self._around is not None:
             return None
@@ -106,16 +110,20 @@ class QueryTicks:
             other: gives the entity, or its name: a constant.
         """
         value = self._rows.get(alias)
-        if value is None or value.column is None or not value.tag.past:
+        if value is None or value.column is None or not value.sql_type.past:
             return
         span = self.tick_ranges.get(value.column("tick").sql())
         known = other() if span is not None and span.id is None else None
         if span is None or known is None:
             return
         id: exp.Expr | None = None
-        if known.tag.type == "entity" and known.tag.schema == span.schema and known.column:
+        if (
+            known.sql_type.type == "entity"
+            and known.sql_type.schema == span.schema
+            and known.column
+        ):
             id = known.column("id")
-        elif known.tag.type == "text":
+        elif known.sql_type.type == "string":
             models = exp.table_("entities_model", db=span.schema)
             of_name = exp.EQ(this=exp.column("name"), expression=known.sql.copy())
             # There may have been several of a name: then it may be any.
@@ -163,7 +171,7 @@ class QueryTicks:
         own = {
             value.column("tick").sql()
             for value in self._rows.values()
-            if value.tag.past and value.column
+            if value.sql_type.past and value.column
         }
         return self._around is None and tick.sql() in own
 

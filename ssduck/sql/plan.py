@@ -25,7 +25,7 @@ class SourceType:
         moments: of a world's past, whether it is one tick, or several, or the present one beside
             its past.
         of_one: whether that is the past of one entity.
-        tag: of values, what they are.
+        sql_type: of values, what they are.
         has_values: whether its values are known before the query runs; else it is a part of it.
         dicts: whether some of its elements are dicts.
         known: whether it has elements, so that names can be looked up in them.
@@ -33,7 +33,7 @@ class SourceType:
 
     alias: str
     schema: str | None = None
-    tag: SqlType | None = None
+    sql_type: SqlType | None = None
     has_values: bool = True
     dicts: bool = False
     known: bool = True
@@ -54,7 +54,7 @@ class TypeEnvironment(Protocol):
     def has_source(self, alias: str) -> bool:
         """Whether a query around this one has a source of that name."""
 
-    def tag(self, node: Node) -> SqlType:
+    def sql_type(self, node: Node) -> SqlType:
         """The type of the value of an expression that depends on no row of this query."""
 
     def world(self, node: Node) -> str | None:
@@ -83,7 +83,7 @@ class ParameterBinding:
         column: or the column of the entity that the expression is.
         source: instead, the source that it lists the elements of,
         end: or the past of a world that it is the first or the last tick of, or whose only entity.
-        tag: of the value.
+        sql_type: of the value.
     """
 
     name: str
@@ -91,7 +91,7 @@ class ParameterBinding:
     column: str | None = None
     source: str | None = None
     end: Literal["", "first", "last", "id"] = ""
-    tag: SqlType = field(default_factory=lambda: SqlType("list"))
+    sql_type: SqlType = field(default_factory=lambda: SqlType("list"))
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class OutputColumn:
     """A column of the SQL: its place, and the type of its values."""
 
     index: int
-    tag: SqlType
+    sql_type: SqlType
 
 
 @dataclass(frozen=True)
@@ -162,14 +162,14 @@ class Plan:
         return self.select.sql(dialect="duckdb")
 
     @cached_property
-    def numbers(self) -> dict[str, Literal["real", "integer"]]:
+    def numbers(self) -> dict[str, Literal["double", "integer"]]:
         """The types of those of its parameters that are numbers."""
-        types: dict[str, Literal["real", "integer"]] = {}
+        types: dict[str, Literal["double", "integer"]] = {}
         for binding in self.bindings:
             if binding.end:  # by what is written in a statement, DuckDB leaves out what is older
                 continue
-            match binding.tag.type:
-                case "real" | "integer" as kind:
+            match binding.sql_type.type:
+                case "double" | "integer" as kind:
                     types[binding.name] = kind
         return types
 

@@ -25,7 +25,7 @@ from ssduck.sql.types import BOOLEAN, INTEGER, SqlType, merged
 
 # Breadth first, a search that has more open paths than this takes too much memory; depth first
 # in Python it takes little.
-MOST_OPEN = 1_000_000
+MAX_OPEN_STATES = 1_000_000
 _PATHS = "paths"
 _STEPS = "steps"
 
@@ -37,12 +37,12 @@ class RecursiveSearch:
     Attributes:
         select: a row a path, a column a selected item, a list, a value a step; or a row an
             edge of a graph: the places of its ends, whether the second is found, its items.
-        tags: the types of the columns.
+        sql_types: the types of the columns.
         graph: of a graph, how long its paths may be, and how many are wanted.
     """
 
     select: exp.Select
-    tags: tuple[SqlType, ...]
+    sql_types: tuple[SqlType, ...]
     graph: PathSearch | None = None
 
 
@@ -63,9 +63,11 @@ def recursive_search(
     if not all(isinstance(column.name, str) for column in columns):
         raise NotSqlError
     search = _Search(sql, query, recursion, columns, elements)
-    items = tuple(item.tag for item in search.items)
+    items = tuple(item.sql_type for item in search.items)
     if not recursion.memorizes:
-        return RecursiveSearch(search.select(), tuple(SqlType("list", tag) for tag in items))
+        return RecursiveSearch(
+            search.select(), tuple(SqlType("list", sql_type) for sql_type in items)
+        )
     assert recursion.memorize is not None
     levels = _number(recursion.memorize)
     place = SqlType("list", INTEGER)
@@ -92,11 +94,14 @@ class _Search:
         self.start = {
             name: self._started(value) for name, value in _assigned(recursion.start).items()
         }
-        self.tags = {name: value.tag for name, value in self.start.items()}
-        self.names = _column_names(self.tags)
+        self.sql_types = {name: value.sql_type for name, value in self.start.items()}
+        self.names = _column_names(self.sql_types)
         self.next = self._states()
         self.items = [sql.context.nan_checked(sql.value(column.node)) for column in columns]
-        if any(not i.tag.comes_back or i.tag.nullable or i.may_exceed_double for i in self.items):
+        if any(
+            not i.sql_type.comes_back or i.sql_type.nullable or i.may_exceed_double
+            for i in self.items
+        ):
             raise NotSqlError
         self.stop = sql.condition(recursion.stop)
         where = query.where
@@ -111,34 +116,38 @@ class _Search:
     def _states(self) -> dict[str, SqlValue]:
         """The state variables after a step, once their types no longer change."""
         steps = self.steps
-        if not steps.keys() <= self.tags.keys():
+        if not steps.keys() <= self.sql_types.keys():
             raise NotSqlError
         for _ in range(3):
-            self.sql.locals = {name: self._state(name, tag) for name, tag in self.tags.items()}
+            self.sql.locals = {
+                name: self._state(name, sql_type) for name, sql_type in self.sql_types.items()
+            }
             values = {
                 name: self.sql.context.nan_checked(self.sql.value(node))
                 for name, node in steps.items()
             }
-            tags = {
-                name: merged((tag, values[name].tag)) or tag if name in values else tag
-                for name, tag in self.tags.items()
+            sql_types = {
+                name: merged((sql_type, values[name].sql_type)) or sql_type
+                if name in values
+                else sql_type
+                for name, sql_type in self.sql_types.items()
             }
-            if any(not tag.comes_back or tag.nullable for tag in tags.values()):
+            if any(not sql_type.comes_back or sql_type.nullable for sql_type in sql_types.values()):
                 raise NotSqlError
-            if tags == self.tags:
-                return {name: values.get(name, self.sql.locals[name]) for name in tags}
-            self.tags = tags
+            if sql_types == self.sql_types:
+                return {name: values.get(name, self.sql.locals[name]) for name in sql_types}
+            self.sql_types = sql_types
         raise NotSqlError
 
-    def _state(self, name: str, tag: SqlType) -> SqlValue:
+    def _state(self, name: str, sql_type: SqlType) -> SqlValue:
         """A state variable; an entity is looked up by its id."""
-        if tag.type != "entity":
-            return SqlValue(self._state_column(name), tag, domain=FloatDomain.INFINITE)
+        if sql_type.type != "entity":
+            return SqlValue(self._state_column(name), sql_type, domain=FloatDomain.INFINITE)
         if name not in self.entities:
-            if tag.schema is None or tag.nullable or tag.past:
+            if sql_type.schema is None or sql_type.nullable or sql_type.past:
                 raise NotSqlError
             alias = self.sql.context.alias(f"state {name}")
-            self.entities[name] = world_table(tag.schema, alias)
+            self.entities[name] = world_table(sql_type.schema, alias)
         return self.entities[name].value
 
     def _state_column(self, name: str) -> exp.Expr:
@@ -166,7 +175,7 @@ class _Search:
             *self._as_states(self.start),
             exp.alias_(_empty(SqlType("integer")), "place"),
             *(
-                exp.alias_(_empty(item.tag), f"item {index}", quoted=True)
+                exp.alias_(_empty(item.sql_type), f"item {index}", quoted=True)
                 for index, item in enumerate(self.items)
             ),
             exp.alias_(exp.false(), "found"),
@@ -175,7 +184,7 @@ class _Search:
     def _as_states(self, values: Mapping[str, SqlValue]) -> list[exp.Expr]:
         """Values as the columns of the state variables."""
         return [
-            exp.alias_(_cast(value.sql, self.tags[name]), self.names[name], quoted=True)
+            exp.alias_(_cast(value.sql, self.sql_types[name]), self.names[name], quoted=True)
             for name, value in values.items()
         ]
 
@@ -209,7 +218,7 @@ class _Search:
             exp.alias_(
                 exp.case()
                 .when(ends.copy(), self._state_column(name))
-                .else_(_cast(value.sql, self.tags[name])),
+                .else_(_cast(value.sql, self.sql_types[name])),
                 f"next {self.names[name]}",
                 quoted=True,
             )
@@ -220,7 +229,7 @@ class _Search:
         )
         items = [
             exp.alias_(
-                exp.func("list_append", _column(_PATHS, f"item {index}"), _cast(i.sql, i.tag)),
+                exp.func("list_append", _column(_PATHS, f"item {index}"), _cast(i.sql, i.sql_type)),
                 f"item {index}",
                 quoted=True,
             )
@@ -246,7 +255,7 @@ class _Search:
     def _open(self) -> exp.Expr:
         """The paths of the last round; too many of them, and Python searches depth first."""
         count = exp.Window(this=exp.Count(this=exp.Star()))
-        many = exp.GT(this=count, expression=exp.Literal.number(MOST_OPEN))
+        many = exp.GT(this=count, expression=exp.Literal.number(MAX_OPEN_STATES))
         length = exp.func("len", _column(_PATHS, "item 0"))
         deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.deepest))
         endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), deep)
@@ -276,7 +285,9 @@ class _Search:
         ]
         if len(alike) == 1:
             item = self.items[0]
-            return exp.func("list_contains", _column(_PATHS, "item 0"), _cast(item.sql, item.tag))
+            return exp.func(
+                "list_contains", _column(_PATHS, "item 0"), _cast(item.sql, item.sql_type)
+            )
         return exp.Exists(this=exp.select(exp.Literal.number(1)).from_(steps).where(*alike))
 
     # -- the graph of MEMORIZE ---------------------------------------------------------------
@@ -289,7 +300,7 @@ class _Search:
         """
         keys = [f"item {index}" for index in range(len(self.items))]
         nothing = [
-            exp.alias_(_cast(exp.Null(), item.tag), key, quoted=True)
+            exp.alias_(_cast(exp.Null(), item.sql_type), key, quoted=True)
             for key, item in zip(keys, self.items, strict=True)
         ]
         first = exp.select(
@@ -315,7 +326,7 @@ class _Search:
     def _next_level(self, keys: Sequence[str], levels: int) -> exp.Select:
         """The rows that come after those of the last level, and that no level had."""
         items = [
-            exp.alias_(_cast(item.sql, item.tag), key, quoted=True)
+            exp.alias_(_cast(item.sql, item.sql_type), key, quoted=True)
             for key, item in zip(keys, self.items, strict=True)
         ]
         place = exp.Anonymous(
@@ -356,7 +367,7 @@ class _Search:
 
     def _are_items(self, table: str, keys: Sequence[str]) -> list[exp.Expr]:
         return [
-            exp.EQ(this=_column(table, key), expression=_cast(item.sql, item.tag))
+            exp.EQ(this=_column(table, key), expression=_cast(item.sql, item.sql_type))
             for key, item in zip(keys, self.items, strict=True)
         ]
 
@@ -395,9 +406,9 @@ def _column(table: str, name: str) -> exp.Expr:
     return exp.column(exp.to_identifier(name, quoted=True), table=exp.to_identifier(table))
 
 
-def _cast(value: exp.Expr, tag: SqlType) -> exp.Expr:
-    return exp.cast(value.copy(), tag.sql_type, dialect="duckdb")
+def _cast(value: exp.Expr, sql_type: SqlType) -> exp.Expr:
+    return exp.cast(value.copy(), sql_type.duckdb_type, dialect="duckdb")
 
 
 def _empty(element: SqlType) -> exp.Expr:
-    return exp.cast(exp.Array(expressions=[]), f"{element.sql_type}[]", dialect="duckdb")
+    return exp.cast(exp.Array(expressions=[]), f"{element.duckdb_type}[]", dialect="duckdb")

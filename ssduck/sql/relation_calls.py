@@ -49,13 +49,17 @@ def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValu
     Raises:
         NotSqlError: the world is not known yet.
     """
-    schemas = {value.tag.schema for value in values.values() if value.tag.type == "entity"}
+    schemas = {
+        value.sql_type.schema for value in values.values() if value.sql_type.type == "entity"
+    }
     if None in schemas:
         raise NotSqlError
     if len(schemas) > 1:
         return relation.across_worlds_expression
     schema = str(schemas.pop())
-    past = [value.column("tick") for value in values.values() if value.tag.past and value.column]
+    past = [
+        value.column("tick") for value in values.values() if value.sql_type.past and value.column
+    ]
     if past:
         return _at_ticks(formula, schema, past)
     return in_schema(formula, schema)

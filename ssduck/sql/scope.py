@@ -146,6 +146,6 @@ class ExpressionScope(ABC):
             NotSqlError: it is left to Python.
         """
         value = self.value(node)
-        if not value.tag.is_number or value.tag.nullable:
+        if not value.sql_type.is_number or value.sql_type.nullable:
             raise NotSqlError
         return value

@@ -20,13 +20,13 @@ from ssduck.sql.types import IDS, Signature, SqlType
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type
     for column in TABLES["entities"].columns
-    if column.type in ("real", "integer", "text", "flag")
+    if column.type in ("double", "integer", "string", "boolean")
 }
 ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
 
 
 # A part of more nodes than this is not written twice, or it would grow without end.
-MOST_COPIED = 100
+MAX_INLINE_LENGTH = 100
 
 
 class NotSqlError(Exception):
@@ -52,7 +52,7 @@ class SqlValue:
     Attributes:
         expression: the value; of an entity its id is taken if there is none, and at a recorded tick
             its key.
-        tag: its type.
+        sql_type: its type.
         column: of an entity, its columns.
         elements: of a list that is written out, its elements.
         fields: of a record, what its keys hold.
@@ -63,7 +63,7 @@ class SqlValue:
     """
 
     expression: exp.Expr | None
-    tag: SqlType
+    sql_type: SqlType
     column: Callable[[str], exp.Expr] | None = None
     elements: tuple[SqlValue, ...] | None = None
     fields: Mapping[str, SqlValue] = field(default_factory=dict)
@@ -79,7 +79,7 @@ class SqlValue:
             return self.expression
         if self.column is None:
             raise NotSqlError
-        if not self.tag.past:
+        if not self.sql_type.past:
             return self.column("id")
         ticks = exp.Mul(this=self.column("tick"), expression=exp.Literal.number(IDS))
         return exp.paren(exp.Add(this=ticks, expression=self.column("id")))
@@ -87,7 +87,7 @@ class SqlValue:
     @property
     def identity(self) -> exp.Expr:
         """The expression to compare: of an entity its id, at whatever tick it is."""
-        if self.tag.type == "entity" and self.tag.past and self.column is not None:
+        if self.sql_type.type == "entity" and self.sql_type.past and self.column is not None:
             return self.column("id")
         return self.sql
 
@@ -134,7 +134,7 @@ class StatementContext:
             return value
         self.note_possible_failure()
         is_none = exp.func("isnan", copied(value.sql))
-        case = exp.case().when(is_none, failure(value.tag)).else_(value.sql)
+        case = exp.case().when(is_none, failure(value.sql_type)).else_(value.sql)
         return replace(value, expression=case, domain=FloatDomain.INFINITE)
 
     def alias(self, name: str) -> str:
@@ -182,7 +182,7 @@ def copied(sql: exp.Expr) -> exp.Expr:
     Raises:
         NotSqlError: it is too long.
     """
-    if next(islice(sql.walk(), MOST_COPIED, None), None) is not None:
+    if next(islice(sql.walk(), MAX_INLINE_LENGTH, None), None) is not None:
         raise NotSqlError
     return sql.copy()
 
@@ -198,20 +198,20 @@ def with_values(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
     return put_in
 
 
-def column_tag(name: str) -> SqlType:
+def column_type(name: str) -> SqlType:
     """The type of a column of an entity."""
     return SqlType(_COLUMN_TYPES[name])
 
 
-def failure(tag: SqlType) -> exp.Expr:
+def failure(sql_type: SqlType) -> exp.Expr:
     """An expression that makes the statement fail where it is evaluated."""
     failing = exp.Anonymous(this="error", expressions=[exp.Literal.string("left to Python")])
-    return exp.cast(failing, tag.sql_type, dialect="duckdb")
+    return exp.cast(failing, sql_type.duckdb_type, dialect="duckdb")
 
 
-def or_failure(sql: exp.Expr, tag: SqlType) -> exp.Expr:
+def or_failure(sql: exp.Expr, sql_type: SqlType) -> exp.Expr:
     """The value, or a failure of the statement where there is none."""
-    return exp.Coalesce(this=sql, expressions=[failure(tag)])
+    return exp.Coalesce(this=sql, expressions=[failure(sql_type)])
 
 
 def wrapped(sql: exp.Expr) -> exp.Expr:

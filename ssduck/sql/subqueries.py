@@ -34,16 +34,16 @@ from ssduck.sql.sql_values import (
     FloatDomain,
     NotSqlError,
     SqlValue,
-    column_tag,
+    column_type,
     or_failure,
     wrapped,
 )
 from ssduck.sql.types import INTEGER, SqlType, merged
 
 # More rows than this are not unrolled.
-MOST_UNROLLED = 300
+MAX_UNROLLED = 300
 # More sources than this are not joined.
-MOST_SOURCES = 64
+MAX_SOURCES = 64
 _LISTS = ("list",)
 _VALUES = ("value", "val")
 _DICTS = ("dict", "dictionary")
@@ -127,7 +127,7 @@ def counted(around: ExpressionScope, query: Query) -> SqlValue:
 
 
 def _counted_list(found: SqlValue) -> SqlValue:
-    if found.tag.type != "list":
+    if found.sql_type.type != "list":
         raise NotSqlError
     return SqlValue(exp.func("len", found.sql.copy()), INTEGER)
 
@@ -160,7 +160,7 @@ def _never_empty(rows: Rows) -> bool:
     firsts = (
         [items[0] for _, items in rows.rows] if isinstance(rows, UnrolledRows) else rows.items[:1]
     )
-    return all(item.tag.type not in ("list", "any") for item in firsts)
+    return all(item.sql_type.type not in ("list", "any") for item in firsts)
 
 
 def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
@@ -170,12 +170,12 @@ def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
     if len(queries) != 1 or is_impure(queries[0]) or around.is_constant(queries[0]):
         return None
     result = _rows(around, queries[0])
-    if isinstance(result, UnrolledRows) or result.items[0].tag.type in ("list", "any"):
+    if isinstance(result, UnrolledRows) or result.items[0].sql_type.type in ("list", "any"):
         return None
     values = [
         _value(result, missing=True) if side is queries[0] else around.value(side) for side in sides
     ]
-    if any(value.tag.type == "list" for value in values):
+    if any(value.sql_type.type == "list" for value in values):
         return None  # nothing is an empty list
     compared = comparison(around.context, node.operator, *values).sql
     otherwise = exp.convert(node.operator == "!=")
@@ -215,7 +215,7 @@ def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
 
 
 def _list(rows: Subquery) -> SqlValue:
-    tag = _common(rows.items)
+    sql_type = _common(rows.items)
     domain = _domain(rows.items)
     listed = rows.items[0].sql.copy()
     if len(rows.items) > 1:
@@ -227,35 +227,35 @@ def _list(rows: Subquery) -> SqlValue:
         end = exp.Literal.number(rows.limit * len(rows.items))
         result = exp.func("list_slice", result, exp.Literal.number(1), end)
     subquery = exp.paren(rows.select(result))
-    whole = SqlType("list", tag)
-    empty = exp.cast(exp.Array(expressions=[]), whole.sql_type, dialect="duckdb")
+    whole = SqlType("list", sql_type)
+    empty = exp.cast(exp.Array(expressions=[]), whole.duckdb_type, dialect="duckdb")
     return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole, domain=domain)
 
 
 def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
     """The first item of the first row; where there is none, a failure unless it may be missing."""
     item = rows.items[0]
-    if rows.limit == 0 or item.tag.nullable:
+    if rows.limit == 0 or item.sql_type.nullable:
         raise NotSqlError
 
-    def first(what: exp.Expr, tag: SqlType) -> exp.Expr:
+    def first(what: exp.Expr, sql_type: SqlType) -> exp.Expr:
         result = exp.paren(rows.select(_aggregated("first", what.copy(), rows)))
-        return result if missing else or_failure(result, tag)
+        return result if missing else or_failure(result, sql_type)
 
-    if item.tag.type != "entity":
-        if not item.tag.is_sql or item.tag.type == "record":
+    if item.sql_type.type != "entity":
+        if not item.sql_type.is_sql or item.sql_type.type == "record":
             raise NotSqlError
         return SqlValue(
-            first(item.sql, item.tag),
-            item.tag,
+            first(item.sql, item.sql_type),
+            item.sql_type,
             may_exceed_double=item.may_exceed_double,
             domain=_domain(rows.items[:1]),
         )
     columns = item.column
     assert columns is not None
-    if item.tag.past:
+    if item.sql_type.past:
         raise NotSqlError
-    return SqlValue(None, item.tag, lambda name: first(columns(name), column_tag(name)))
+    return SqlValue(None, item.sql_type, lambda name: first(columns(name), column_type(name)))
 
 
 def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
@@ -267,8 +267,8 @@ def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
 
 def _unrolled_list(rows: UnrolledRows) -> SqlValue:
     every = [item for _, items in rows.rows for item in items]
-    tag = _common(every)
-    empty = exp.cast(exp.Array(expressions=[]), f"{tag.sql_type}[]", dialect="duckdb")
+    sql_type = _common(every)
+    empty = exp.cast(exp.Array(expressions=[]), f"{sql_type.duckdb_type}[]", dialect="duckdb")
     parts = [
         exp.case()
         .when(there, exp.Array(expressions=[item.sql.copy() for item in items]))
@@ -276,20 +276,20 @@ def _unrolled_list(rows: UnrolledRows) -> SqlValue:
         for there, items in rows.rows
     ]
     listed = exp.Anonymous(this="flatten", expressions=[exp.Array(expressions=parts)])
-    return SqlValue(listed, SqlType("list", tag), domain=_domain(every))
+    return SqlValue(listed, SqlType("list", sql_type), domain=_domain(every))
 
 
 def _unrolled_value(rows: UnrolledRows) -> SqlValue:
     if rows.is_risky:
         raise NotSqlError  # the rows behind the first one would not be evaluated
     firsts = [items[0] for _, items in rows.rows]
-    tag = _common(firsts)
-    if tag.type == "entity":
+    sql_type = _common(firsts)
+    if sql_type.type == "entity":
         raise NotSqlError
     case = exp.case()
     for there, items in rows.rows:
         case = case.when(there, items[0].sql.copy())
-    return SqlValue(or_failure(case, tag), tag, domain=_domain(firsts))
+    return SqlValue(or_failure(case, sql_type), sql_type, domain=_domain(firsts))
 
 
 def _domain(items: Sequence[SqlValue]) -> FloatDomain:
@@ -299,12 +299,17 @@ def _domain(items: Sequence[SqlValue]) -> FloatDomain:
 
 def _common(items: Sequence[SqlValue]) -> SqlType:
     """The one type of values that go into a list."""
-    tag = merged(item.tag for item in items)
-    if tag is None or not tag.comes_back or tag.nullable or tag.type == "record":
+    sql_type = merged(item.sql_type for item in items)
+    if (
+        sql_type is None
+        or not sql_type.comes_back
+        or sql_type.nullable
+        or sql_type.type == "record"
+    ):
         raise NotSqlError
     if any(item.may_exceed_double for item in items):
         raise NotSqlError
-    return tag
+    return sql_type
 
 
 # -- the rows of a nested query -------------------------------------------------------------
@@ -327,7 +332,7 @@ def _rows(around: ExpressionScope, query: Query) -> Rows:
         if around.context.possible_failures > before:
             raise NotSqlError  # an element that nothing mentions would not be evaluated
         result = list(product(*[values for values in lists if values is not None]))
-        if len(result) <= MOST_UNROLLED and not query.order and query.limit is None:
+        if len(result) <= MAX_UNROLLED and not query.order and query.limit is None:
             return _unrolled(around, query, aliases, result)
     inner = around.inside()
     before = around.context.possible_failures
@@ -344,7 +349,7 @@ def _rows(around: ExpressionScope, query: Query) -> Rows:
 
 def check_sources(query: Query) -> None:
     """Leaves to Python a product of so many sources that DuckDB would plan it for seconds."""
-    if len(query.sources) > MOST_SOURCES:
+    if len(query.sources) > MAX_SOURCES:
         raise NotSqlError
 
 
@@ -397,7 +402,7 @@ def _unrolled_row(
 
 def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:
     """Resolves the bare names of a nested query whose sources are in SQL already."""
-    shapes = [SourceType(alias, tag=inner.rows[alias].tag) for alias in aliases]
+    shapes = [SourceType(alias, sql_type=inner.rows[alias].sql_type) for alias in aliases]
     resolved = resolve(query, shapes, inner.names, inner.locals)
     inner.context.bare |= resolved.bare
     return resolved
@@ -412,12 +417,12 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
     result = []
     for key in keys:
         if inner.is_constant(key.value):
-            tag = inner.names.tag(key.value)
-            if inner.context.constants.setdefault(key.value, tag).type == "any":
+            sql_type = inner.names.sql_type(key.value)
+            if inner.context.constants.setdefault(key.value, sql_type).type == "any":
                 raise NotSqlError  # it may be an error
             continue
         value = inner.value(key.value)
-        if not (value.tag.is_number or value.tag.type in ("text", "flag")):
+        if not (value.sql_type.is_number or value.sql_type.type in ("string", "boolean")):
             raise NotSqlError
         if not isinstance(value.sql.unnest(), exp.Literal | exp.Boolean):
             this = inner.context.nan_checked(value).sql.copy()
@@ -448,7 +453,7 @@ def _written_out(around: ExpressionScope, node: Node) -> list[SqlValue] | None:
         return None
     if result.elements is not None:
         return list(result.elements)
-    return [result] if result.tag.type not in ("list", "any") else None
+    return [result] if result.sql_type.type not in ("list", "any") else None
 
 
 def _list_in(around: ExpressionScope, node: Node) -> Node:
@@ -472,13 +477,13 @@ def element(around: ExpressionScope, alias: str, node: Node) -> FromItem:
     schema = around.context.worlds.setdefault(node, around.names.world(node))
     if schema is not None:
         return world_table(schema, name)
-    tag = around.context.constants.setdefault(node, around.names.tag(node))
-    inner = tag.element if tag.type == "list" else tag
-    if not tag.is_sql or inner is None or inner.type == "record":
+    sql_type = around.context.constants.setdefault(node, around.names.sql_type(node))
+    inner = sql_type.element if sql_type.type == "list" else sql_type
+    if not sql_type.is_sql or inner is None or inner.type == "record":
         raise NotSqlError
-    parameter = around.context.parameter(alias, ParameterBinding("", node, tag=tag))
-    values_sql = exp.cast(parameter, tag.sql_type, dialect="duckdb")
-    return unnested(name, SqlValue(values_sql, tag))
+    parameter = around.context.parameter(alias, ParameterBinding("", node, sql_type=sql_type))
+    values_sql = exp.cast(parameter, sql_type.duckdb_type, dialect="duckdb")
+    return unnested(name, SqlValue(values_sql, sql_type))
 
 
 def _derived(around: ExpressionScope, name: str, query: Query) -> FromItem:
@@ -500,15 +505,15 @@ def _derived(around: ExpressionScope, name: str, query: Query) -> FromItem:
 
 def _derived_items(rows: Subquery, name: str) -> FromItem:
     (item,) = rows.items
-    if item.tag.type != "entity":
-        if not item.tag.is_sql or item.tag.type == "record":
+    if item.sql_type.type != "entity":
+        if not item.sql_type.is_sql or item.sql_type.type == "record":
             raise NotSqlError
         value = replace(item, expression=column_of(name, "value"), elements=None)
         return _derived_element(rows, name, value, {"value": item.sql})
     assert item.column is not None
     columns = {column: item.column(column) for column in ENTITY_COLUMNS}
-    value = entity_value(item.tag.schema, name)
-    if item.tag.nullable or item.tag.past:
+    value = entity_value(item.sql_type.schema, name)
+    if item.sql_type.nullable or item.sql_type.past:
         raise NotSqlError
     return _derived_element(rows, name, value, columns)
 
@@ -519,12 +524,14 @@ def _derived_records(rows: Subquery, name: str) -> FromItem:
     columns: dict[str, exp.Expr] = {}
     fields = {}
     for index, (key, item) in enumerate(zip(rows.names, rows.items, strict=True)):
-        if not item.tag.comes_back or item.tag.type == "entity" or item.tag.nullable:
+        if not item.sql_type.comes_back or item.sql_type.type == "entity" or item.sql_type.nullable:
             raise NotSqlError
         columns[f"f{index}"] = item.sql
         fields[key] = replace(item, expression=column_of(name, f"f{index}"), elements=None)
-    tag = SqlType("record", fields=tuple((key, field.tag) for key, field in fields.items()))
-    return _derived_element(rows, name, SqlValue(None, tag, fields=fields), columns)
+    sql_type = SqlType(
+        "record", fields=tuple((key, field.sql_type) for key, field in fields.items())
+    )
+    return _derived_element(rows, name, SqlValue(None, sql_type, fields=fields), columns)
 
 
 def _derived_element(

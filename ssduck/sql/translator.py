@@ -47,7 +47,7 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, StatementContext
 from ssduck.sql.types import INTEGER, SqlType
 
-_MOST_ROWS = 2**62
+_MAX_ROWS = 2**62
 _ENDS: tuple[Literal["first", "last"], ...] = ("first", "last")
 
 
@@ -182,20 +182,20 @@ class _Translator:
         if shape.moments:
             return self._past(shape)
         name = self.context.alias(shape.alias)
-        if shape.tag is None:
+        if shape.sql_type is None:
             assert shape.schema is not None
             return world_table(shape.schema, name)
-        if shape.tag.type == "record":
+        if shape.sql_type.type == "record":
             table = self.result.tables[shape.alias] = f"the rows of {name}"
-            return record_table(name, table, shape.tag)
-        tag = SqlType("list", shape.tag if shape.tag.is_sql else None)
-        binding = ParameterBinding("", source=shape.alias, tag=tag)
+            return record_table(name, table, shape.sql_type)
+        sql_type = SqlType("list", shape.sql_type if shape.sql_type.is_sql else None)
+        binding = ParameterBinding("", source=shape.alias, sql_type=sql_type)
         values_sql = exp.cast(
-            self.context.parameter(shape.alias, binding), tag.sql_type, dialect="duckdb"
+            self.context.parameter(shape.alias, binding), sql_type.duckdb_type, dialect="duckdb"
         )
-        if tag.element is None:
+        if sql_type.element is None:
             return counted_rows(name, values_sql)
-        return unnested(name, SqlValue(values_sql, tag))
+        return unnested(name, SqlValue(values_sql, sql_type))
 
     def _past(self, shape: SourceType) -> FromItem:
         """The past of a world, under a name that no column can have."""
@@ -206,14 +206,14 @@ class _Translator:
             return present_table(shape.schema, name)
         first, last = (
             self.context.parameter(
-                end, ParameterBinding("", source=shape.alias, end=end, tag=INTEGER)
+                end, ParameterBinding("", source=shape.alias, end=end, sql_type=INTEGER)
             )
             for end in _ENDS
         )
         id = None
         if shape.of_one:
             id = self.context.parameter(
-                "id", ParameterBinding("", source=shape.alias, end="id", tag=INTEGER)
+                "id", ParameterBinding("", source=shape.alias, end="id", sql_type=INTEGER)
             )
         if shape.moments == "window":
             tick = column_of(name, "tick")
@@ -235,7 +235,7 @@ class _Translator:
         return [
             shape
             if shape.has_values
-            else SourceType(shape.alias, tag=self.sql.rows[shape.alias].tag)
+            else SourceType(shape.alias, sql_type=self.sql.rows[shape.alias].sql_type)
             for shape in self.result.shapes
         ]
 
@@ -256,7 +256,7 @@ class _Translator:
         """Whether the sources are several lists that Python has."""
         shapes = self.result.shapes
         return len(shapes) > 1 and all(
-            s.has_values and s.tag is not None and s.tag.type != "record" for s in shapes
+            s.has_values and s.sql_type is not None and s.sql_type.type != "record" for s in shapes
         )
 
     def _pairs(self, node: Node) -> exp.Expr | None:
@@ -267,7 +267,9 @@ class _Translator:
         sides = sides_of(node)
         if sides is None:
             return None
-        live = (s for s in self.result.shapes if s.has_values and s.tag is None and not s.moments)
+        live = (
+            s for s in self.result.shapes if s.has_values and s.sql_type is None and not s.moments
+        )
         worlds = {shape.alias: shape.schema for shape in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
@@ -374,7 +376,7 @@ class _Translator:
         if limit is None:
             return None
         match limit:
-            case tree.Literal(value=number) if type(number) is int and number < _MOST_ROWS:
+            case tree.Literal(value=number) if type(number) is int and number < _MAX_ROWS:
                 if not left and not self.query.group:
                     return number
         if self.sql.is_constant(limit):
@@ -390,7 +392,9 @@ class _Translator:
         result = recursive_search(self.sql, self.query, self.selected, self.elements)
         plan.paths = True
         plan.graph = result.graph
-        plan.outputs = [OutputColumn(index, tag) for index, tag in enumerate(result.tags)]
+        plan.outputs = [
+            OutputColumn(index, sql_type) for index, sql_type in enumerate(result.sql_types)
+        ]
         plan.rest = PythonClauses(self.selected)
         self._finish(result.select)
         return plan
@@ -406,8 +410,8 @@ class _Translator:
             for shape in plan.shapes:
                 value = self.sql.rows[shape.alias]
                 try:
-                    if shape.has_values and value.tag.type in ("any", "record"):
-                        plan.elements[shape.alias] = self._column(value.sql, value.tag)
+                    if shape.has_values and value.sql_type.type in ("any", "record"):
+                        plan.elements[shape.alias] = self._column(value.sql, value.sql_type)
                     else:
                         plan.elements[shape.alias] = self._output(value)
                 except NotSqlError as error:
@@ -435,19 +439,19 @@ class _Translator:
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]
 
     def _output(self, value: SqlValue) -> OutputColumn:
-        if not value.tag.comes_back:
+        if not value.sql_type.comes_back:
             raise NotSqlError
         if value.domain == FloatDomain.NAN:  # to Python, one that is no number is not another
             self.columns.append(value.sql)
-            return OutputColumn(len(self.columns) - 1, value.tag)
-        return self._column(value.sql, value.tag)
+            return OutputColumn(len(self.columns) - 1, value.sql_type)
+        return self._column(value.sql, value.sql_type)
 
-    def _column(self, sql: exp.Expr, tag: SqlType) -> OutputColumn:
+    def _column(self, sql: exp.Expr, sql_type: SqlType) -> OutputColumn:
         text = sql.sql(dialect="duckdb")
         if text not in self.texts:
             self.texts[text] = len(self.columns)
             self.columns.append(sql)
-        return OutputColumn(self.texts[text], tag)
+        return OutputColumn(self.texts[text], sql_type)
 
     def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
         """Leaves a node to Python, and fetches its largest parts that SQL can express."""

@@ -18,7 +18,7 @@ IDS = 2**25
 class SqlType:
     """The type of a value, as plans depend on it.
 
-    >>> SqlType("list", SqlType("real")).sql_type
+    >>> SqlType("list", SqlType("double")).duckdb_type
     'DOUBLE[]'
 
     Attributes:
@@ -42,7 +42,7 @@ class SqlType:
     @property
     def is_number(self) -> bool:
         """Whether values are numbers."""
-        return self.type in ("real", "integer", "number")
+        return self.type in ("double", "integer", "number")
 
     @property
     def comes_back(self) -> bool:
@@ -50,7 +50,7 @@ class SqlType:
         match self.type:
             case "list":
                 return self.element is None or self.element.comes_back
-        return self.type in ("entity", "real", "integer", "text", "flag")
+        return self.type in ("entity", "double", "integer", "string", "boolean")
 
     @property
     def is_sql(self) -> bool:
@@ -60,14 +60,14 @@ class SqlType:
                 element = self.element
                 return element is None or (element.is_sql and element.type != "record")
             case "record":
-                return all(tag.is_sql for _, tag in self.fields)
-        return self.type in ("entity", "real", "integer", "number", "text", "flag")
+                return all(sql_type.is_sql for _, sql_type in self.fields)
+        return self.type in ("entity", "double", "integer", "number", "string", "boolean")
 
     @property
-    def sql_type(self) -> str:
+    def duckdb_type(self) -> str:
         """DuckDB's type of such values."""
         if self.type == "list":
-            return f"{self.element.sql_type if self.element else 'INTEGER'}[]"
+            return f"{self.element.duckdb_type if self.element else 'INTEGER'}[]"
         return _SQL_TYPES.get(self.type, "BIGINT")
 
     @property
@@ -79,18 +79,18 @@ class SqlType:
 _SQL_TYPES: dict[ValueType, str] = {
     "entity": "BIGINT",
     "integer": "BIGINT",
-    "real": "DOUBLE",
+    "double": "DOUBLE",
     "number": "DOUBLE",
-    "text": "VARCHAR",
-    "flag": "BOOLEAN",
+    "string": "VARCHAR",
+    "boolean": "BOOLEAN",
 }
 _WORDS: dict[ValueType, str] = {
     "entity": "an entity",
-    "real": "a number",
+    "double": "a number",
     "integer": "a number",
     "number": "a number",
-    "text": "a text",
-    "flag": "True or False",
+    "string": "a text",
+    "boolean": "True or False",
     "list": "a list",
     "record": "a dict",
     "nothing": "nothing",
@@ -108,19 +108,19 @@ class Signature:
 
 
 ANY = SqlType("any")
-DOUBLE = SqlType("real")
+DOUBLE = SqlType("double")
 INTEGER = SqlType("integer")
-STRING = SqlType("text")
-BOOLEAN = SqlType("flag")
+STRING = SqlType("string")
+BOOLEAN = SqlType("boolean")
 
 
-def merged(tags: Iterable[SqlType]) -> SqlType | None:
+def merged(sql_types: Iterable[SqlType]) -> SqlType | None:
     """The common type of several types; None if there are none.
 
     >>> merged([INTEGER, DOUBLE]).type, merged([STRING, INTEGER]).type
     ('number', 'any')
     """
-    distinct = list(dict.fromkeys(tags))
+    distinct = list(dict.fromkeys(sql_types))
     return reduce(_both, distinct) if distinct else None
 
 
@@ -130,7 +130,7 @@ def _both(a: SqlType, b: SqlType) -> SqlType:
     if a.is_number and b.is_number:
         return SqlType("number", nullable=a.nullable or b.nullable)
     if a.type == b.type == "list":
-        elements = [tag.element for tag in (a, b) if tag.element is not None]
+        elements = [sql_type.element for sql_type in (a, b) if sql_type.element is not None]
         length = a.length if a.length == b.length else None
         element = merged(elements)
         return SqlType("list", element, length) if element is None or element.is_sql else ANY

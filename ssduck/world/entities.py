@@ -351,7 +351,7 @@ class Entity(OpenRaveEntity):
 
     def _numbers(self, first: str, last: str) -> list[float]:
         with self.state.lock:
-            column = self.state.snapshot.tables["entities"].reals(first, last)[:, self._row()]
+            column = self.state.snapshot.tables["entities"].doubles(first, last)[:, self._row()]
             values: list[float] = column.tolist()
         return values
 

@@ -20,10 +20,10 @@ from ssduck.schema import Column, ColumnType
 
 # The types of Arrow by those of columns.
 ARROW_TYPES: dict[ColumnType, pa.DataType] = {
-    "real": pa.float64(),
+    "double": pa.float64(),
     "integer": pa.int64(),
-    "text": pa.string(),
-    "flag": pa.bool_(),
+    "string": pa.string(),
+    "boolean": pa.bool_(),
     "points": pa.list_(pa.list_(pa.float64(), 3)),
     "triples": pa.list_(pa.list_(pa.int32(), 3)),
 }
@@ -53,14 +53,14 @@ class LiveTable:
         live = [
             (name, kind)
             for name, kind in kinds.items()
-            if kind in ("real", "integer") and not _has_none(values.get(name, ()))
+            if kind in ("double", "integer") and not _has_none(values.get(name, ()))
         ]
-        # One block for all reals: neighbouring columns can be written in one go.
-        reals = [name for name, kind in live if kind == "real"]
-        self.block = np.zeros((len(reals), count))
-        self._row = {name: row for row, name in enumerate(reals)}
+        # One block for all doubles: neighbouring columns can be written in one go.
+        doubles = [name for name, kind in live if kind == "double"]
+        self.block = np.zeros((len(doubles), count))
+        self._row = {name: row for row, name in enumerate(doubles)}
         for name, kind in live:
-            if kind == "real":
+            if kind == "double":
                 self._numbers[name] = self.block[self._row[name]]
             else:
                 self._numbers[name] = np.zeros(count, dtype=np.int64)
@@ -111,8 +111,8 @@ class LiveTable:
         self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
         self.version = next(_versions)
 
-    def flags(self, name: str) -> npt.NDArray[np.uint8]:
-        """A column of flags, 0 or 1."""
+    def booleans(self, name: str) -> npt.NDArray[np.uint8]:
+        """A column of booleans, 0 or 1."""
         column: npt.NDArray[np.uint8] = (
             self._others[name].fill_null(False).to_numpy(zero_copy_only=False)
         )
@@ -122,12 +122,12 @@ class LiveTable:
         """The buffer of a column of numbers."""
         return self._numbers[name]
 
-    def reals(self, first: str, last: str) -> Array:
-        """The buffers of neighbouring columns of reals, (columns, rows)."""
+    def doubles(self, first: str, last: str) -> Array:
+        """The buffers of neighbouring columns of doubles, (columns, rows)."""
         return self.block[self._row[first] : self._row[last] + 1]
 
     def places(self, names: Sequence[str]) -> slice | Indices:
-        """The rows of `block` that are some columns of reals; a slice if these are neighbours."""
+        """The rows of `block` that are some columns of doubles; a slice if these are neighbours."""
         rows = [self._row[name] for name in names]
         if rows == list(range(rows[0], rows[0] + len(rows))):
             return slice(rows[0], rows[0] + len(rows))

@@ -120,7 +120,7 @@ class Snapshot:
 
         The table of joints has to have been asked for.
         """
-        told = self.tables["joints"].reals("position", "effort").T.copy()
+        told = self.tables["joints"].doubles("position", "effort").T.copy()
         first = 0
         found = {}
         for _, body in self._layout.bodies:
@@ -270,15 +270,15 @@ class Snapshot:
             narrow = NarrowPhase(
                 solids,
                 of,
-                table.reals("x", "z").T.copy(),
-                table.reals("qw", "qz").T.copy(),
-                table.reals("xmin", "zmax").T.copy(),
+                table.doubles("x", "z").T.copy(),
+                table.doubles("qw", "qz").T.copy(),
+                table.doubles("xmin", "zmax").T.copy(),
                 starts,
                 self.calls,
                 sorts.margins,
             )
             entities = self.tables["entities"]
-            boxes = entities.reals("xmin", "zmax").copy()
+            boxes = entities.doubles("xmin", "zmax").copy()
             self._shapes = ShapeQueries(narrow, numbers, sorts, boxes, entities["id"].copy())
         return self._shapes
 
@@ -435,7 +435,7 @@ class Snapshot:
         self._still = still
         self._frames = still, moving
         if joints is not None:
-            self.tables["joints"].reals("position", "effort")[:] = joints.T
+            self.tables["joints"].doubles("position", "effort")[:] = joints.T
         if "contacts" in wanted:
             self._write_contacts(contacts)
         self.sensing.readings = readings
@@ -465,17 +465,17 @@ class Snapshot:
     def _write_frames(self, still: LinkPoses, moving: LinkPoses, *, anew: bool) -> None:
         """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""
         layout = self._layout
-        entities = self.tables["entities"].reals("x", "zmax")
+        entities = self.tables["entities"].doubles("x", "zmax")
         if anew:
             layout.still.write_entities(still, entities)
         layout.moving.write_entities(moving, entities)
         parts = (layout.still, still), (layout.moving, moving)
         if "links" in self._read:
             for part, frames in parts:
-                part.write_links(frames, self.tables["links"].reals("x", "zmax"))
+                part.write_links(frames, self.tables["links"].doubles("x", "zmax"))
         if "shapes" in self._read:
             for part, frames in parts:
-                part.write_shapes(frames, self.tables["shapes"].reals("x", "zmax"))
+                part.write_shapes(frames, self.tables["shapes"].doubles("x", "zmax"))
 
     def _finish(self) -> None:
         """Date the tables that were written, and let their readers see it."""
@@ -489,7 +489,7 @@ class Snapshot:
                 table.written()
         # Of what was a tick before, it was said then.
         if not self.tables["entities"].whole and not self._is_past:
-            self._warn_of_unknown(self.tables["entities"].reals("x", "zmax"))
+            self._warn_of_unknown(self.tables["entities"].doubles("x", "zmax"))
 
     def _warn_of_unknown(self, numbers: Array) -> None:
         """Say once of each entity that the simulator has lost where it is."""
@@ -511,7 +511,7 @@ class Snapshot:
         numbers = np.array(rows, dtype=np.float64).reshape(-1, 18)
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
             table[name][:] = numbers[:, column]
-        table.reals("ax", "fz")[:] = numbers[:, 4:].T
+        table.doubles("ax", "fz")[:] = numbers[:, 4:].T
 
     def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
         table = self.tables["sensings"]

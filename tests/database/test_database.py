@@ -310,7 +310,7 @@ def test_stepping_is_seen_by_the_next_query(sim):
 
 
 def test_many_texts_do_not_pile_up(ss, monkeypatch):
-    monkeypatch.setattr("ssduck.interpreter.planner.MOST_PLANS", 10)
+    monkeypatch.setattr("ssduck.interpreter.planner.MAX_PLANS", 10)
     for number in range(25):
         assert ss.eval(f"SELECT id FROM kitchen WHERE z(this) > {number + 10} AS list;") == []
     assert sum(map(len, ss._planner._plans.values())) <= 10

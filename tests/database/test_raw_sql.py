@@ -11,11 +11,11 @@ from ssduck.sql.relations.registry import RELATIONS
 # A literal for each type of parameter; entities are the rows a and b.
 LITERALS = {
     "place": "{'x': 0.0, 'y': 0.0, 'z': 1.0}",
-    "real": "0.5",
+    "double": "0.5",
     "integer": "1",
     "number": "1",
     "list": "[0.0, 0.0, 0.0]",
-    "text": "'joint1'",
+    "string": "'joint1'",
 }
 # Names of worlds that SQL has to quote, and some that it need not.
 NAMES = ("sim", "Übung", "on")

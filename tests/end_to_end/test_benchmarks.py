@@ -123,9 +123,9 @@ def test_grids_and_rays(monkeypatch):
     assert all(len(row) == len(adapters.HEADER) for row in rows)
 
 
-@pytest.mark.parametrize("many", [1, 7, adapters.MOST_RAYS])
+@pytest.mark.parametrize("many", [1, 7, adapters.MAX_RAYS])
 def test_all_rays_are_cast(monkeypatch, many):
-    monkeypatch.setattr(adapters, "MOST_RAYS", many)
+    monkeypatch.setattr(adapters, "MAX_RAYS", many)
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
         grid = ss.eval(f"{adapters.ALL} map(0.9, 0.5);")

@@ -165,7 +165,7 @@ def test_longer_ways(ss, form, most, monkeypatch):
     program, search, _ = HANOI[form]
     longer = program.replace("level == 7", f"level == {most}")
     longer = longer.replace("MEMORIZE 7", f"MEMORIZE {most}")
-    monkeypatch.setattr(problems, "MOST_MOVES", most)
+    monkeypatch.setattr(problems, "MAX_MOVES", most)
     expected = search()
     assert len(expected) > 1
     assert ss.eval(longer) == expected

@@ -17,7 +17,7 @@ from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.schema import MOST_IDS
+from ssduck.schema import ID_FACTOR
 from tests.support import pairs
 from tests.support.pairs import Shape
 from tests.support.solids import (
@@ -142,7 +142,7 @@ def test_parts_of_all_pairs_are_as_all(monkeypatch):
     two = [pairs.pair(kinds, int(random.integers(1000))) for kinds in COMBINATIONS * 3]
     together = pairs.verdicts(two, 0.01)
     monkeypatch.setattr(gjk, "PAIRS_AT_ONCE", 7)
-    monkeypatch.setattr(gjk, "MOST_POINTS", 20)
+    monkeypatch.setattr(gjk, "MAX_POINTS", 20)
     for found, expected in zip(pairs.verdicts(two, 0.01), together, strict=True):
         assert found.tolist() == expected.tolist()
 
@@ -355,7 +355,7 @@ def test_ids_of_all_that_are_near():
         tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64)
     )
     assert shapes.all_within(0.4) == []
-    pairs = [divmod(number, MOST_IDS) for number in shapes.all_within(0.5)]
+    pairs = [divmod(number, ID_FACTOR) for number in shapes.all_within(0.5)]
     assert pairs == [(3, 5), (3, 7), (5, 3), (7, 3)]
     assert shapes.all_colliding(MIN_DEPTH) == []
 

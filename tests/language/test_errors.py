@@ -8,7 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import (
-    MOST_OF_LINE,
+    MAX_LINE_LENGTH,
     ArgumentError,
     EvaluationError,
     FunctionError,
@@ -417,7 +417,7 @@ def test_what_is_told_of_a_long_program_is_short(program):
     place = mark.index("^")
     span = caught.value.span
     assert line[place : place + 5] == program[span.start : span.start + 5][: len(line) - place]
-    assert max(len(line), len(mark)) <= 4 + 1 + MOST_OF_LINE
+    assert max(len(line), len(mark)) <= 4 + 1 + MAX_LINE_LENGTH
 
 
 def test_long_offending_text_over_several_lines_is_marked_on_its_first():

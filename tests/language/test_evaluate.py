@@ -530,7 +530,7 @@ def test_zeros_are_one_group(ss, key):
 
 
 def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
-    monkeypatch.setattr(evaluate, "MOST_COMPILED", 50)
+    monkeypatch.setattr(evaluate, "MAX_COMPILED", 50)
     evaluate._COMPILED.clear()
     for number in range(200):
         ss.eval(f"{number} + 1;")
@@ -540,7 +540,7 @@ def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
 def test_relations_of_programs_that_are_gone_are_forgotten(ss, monkeypatch):
     from ssduck.language.parser import parse
 
-    monkeypatch.setattr(evaluate, "MOST_COMPILED", 1)
+    monkeypatch.setattr(evaluate, "MAX_COMPILED", 1)
     for number in range(5):
         with pytest.raises(SelectScriptError):
             ss.eval(f"above({number}, 1);")

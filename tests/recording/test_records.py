@@ -345,7 +345,7 @@ def test_others_read_the_folder_as_it_is(folder, table):
     scanned = duckdb.sql(f"SELECT * FROM '{str(place).replace(chr(39), chr(39) * 2)}/**/*.parquet'")
     columns = ssduck.schema.TABLES[table].names
     assert scanned.columns == [*columns, "episode", "world"]
-    kept = {"real": "DOUBLE", "integer": "BIGINT", "text": "VARCHAR", "flag": "BOOLEAN"}
+    kept = {"double": "DOUBLE", "integer": "BIGINT", "string": "VARCHAR", "boolean": "BOOLEAN"}
     types = [kept[column.type] for column in ssduck.schema.TABLES[table].columns]
     assert [str(type) for type in scanned.types[:-2]] == types
     assert [str(type) for type in scanned.types[-2:]] == ["BIGINT", "VARCHAR"]

@@ -74,7 +74,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 @pytest.fixture
 def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
     """A world of falling balls; a file takes its ticks ten at a time, and each time a checkpoint."""
-    monkeypatch.setattr(recorders, "RING_TICKS", RING)
+    monkeypatch.setattr(recorders, "BUFFERED_TICKS", RING)
     monkeypatch.setattr(writer, "LONG_LOG", 1)
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(BALLS):
@@ -407,7 +407,7 @@ SCRIPT = """
 import os, sys, time, pybullet, ssduck
 from ssduck.database import recorders
 from ssduck.database.writer import WriterConnection
-recorders.RING_TICKS = 10
+recorders.BUFFERED_TICKS = 10
 client = pybullet.connect(pybullet.DIRECT)
 ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
 for place in range(3):

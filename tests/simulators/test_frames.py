@@ -15,7 +15,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import ssduck
-from ssduck.formatting import MOST_NAMED
+from ssduck.formatting import MAX_NAMED
 from tests.support.arm import ARM, HIGH, LIMIT, LOW, POSE, TWIST, unsettle
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
@@ -591,10 +591,10 @@ def test_what_pybullet_saves_needs_no_box(client, make):
 
 
 def test_many_bodies_are_one_warning(client):
-    for _ in range(MOST_NAMED + 3):
+    for _ in range(MAX_NAMED + 3):
         heightfield(client)
     with pytest.warns(UserWarning, match=r"body_0, body_1, .*, body_49 and 3 more: ") as said:
-        ssduck.World.attach(client, names={n: f"body_{n}" for n in range(MOST_NAMED + 3)})
+        ssduck.World.attach(client, names={n: f"body_{n}" for n in range(MAX_NAMED + 3)})
     assert len(said) == 1
 
 

@@ -197,7 +197,7 @@ def test_planes_are_solid_below_and_endless():
 
 def argument_of(place, parameter):
     """What a parameter may be in raw SQL: a row, a number, or a text."""
-    return {"real": "0.5", "text": "'lid'"}.get(parameter.type, "aba"[place])
+    return {"double": "0.5", "string": "'lid'"}.get(parameter.type, "aba"[place])
 
 
 @pytest.mark.parametrize("relation", RELATIONS.values(), ids=lambda r: r.name)

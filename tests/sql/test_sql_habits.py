@@ -19,7 +19,7 @@ from ssduck.errors import (
     UnknownNameError,
 )
 from ssduck.interpreter import query_runner as queries
-from ssduck.interpreter.linter import MOST_UNKNOWN
+from ssduck.interpreter.linter import MAX_UNKNOWN
 
 PEOPLE = [
     {"name": "Ada", "age": 36, "group": "a"},
@@ -579,7 +579,7 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
         ss.add_variable("names", ["can", *(f"no {number}" for number in range(1000))])
         with pytest.warns(ProgramWarning) as caught:
             assert ss.eval(f"{K} WHERE id IN names AS list;") == ["can"]
-    assert len(caught) == MOST_UNKNOWN
+    assert len(caught) == MAX_UNKNOWN
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,7 @@ def test_pairs_are_the_same_however_many_are_compared_together(
         "SELECT tick(a.this), id(a.this), id(b.this) FROM a=lab{}, b=lab{} "
         "WHERE near(a.this, b.this, 0.12) AS list;"
     )
-    monkeypatch.setattr(many_ticks, "MOST_TOGETHER", together)
+    monkeypatch.setattr(many_ticks, "MAX_BATCH_SIZE", together)
     found = comings.eval(program)
     wanted: list[Any] = []
     for tick in comings.past("lab").ticks:

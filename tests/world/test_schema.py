@@ -32,7 +32,7 @@ def test_the_columns_of_a_table_are_declared_once(name: str) -> None:
 @pytest.mark.parametrize("name", RECORDED)
 def test_rows_of_ticks_begin_with_the_tick_and_its_time(name: str) -> None:
     columns = RECORDED[name].tick_columns
-    assert (columns.integers[0], columns.reals[0]) == ("tick", "time")
+    assert (columns.integers[0], columns.doubles[0]) == ("tick", "time")
 
 
 @pytest.mark.parametrize("name", HISTORIES)

@@ -16,7 +16,7 @@ from ssduck.schema import FORGOTTEN_AFTER
 from ssduck.simulators.pybullet import rays as pybullet_rays
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import SensorSpec, find_scene, read_sensor
-from ssduck.simulators.sensor_types import MOST_RAYS, SENSOR_TYPES
+from ssduck.simulators.sensor_types import MAX_RAYS, SENSOR_TYPES
 from ssduck.world.sensor_readings import Reading
 from tests.support.urdf import collision, joint, link, robot
 
@@ -914,7 +914,7 @@ def test_more_rays_than_pybullet_takes_in_one_call(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
     camera = world.add_sensor("depth_camera", "mast", width=200, height=150, fov=40, max_range=5)
-    assert camera.rays == 30_000 > pybullet_rays.MOST_RAYS
+    assert camera.rays == 30_000 > pybullet_rays.MAX_RAYS
     assert camera.depth == pytest.approx(np.full((150, 200), 1.5), abs=EXACT)
 
 
@@ -1366,7 +1366,7 @@ def test_sensors_stay_what_they_are_while_a_query_runs(mast):
 def test_the_greatest_number_of_rays():
     kind = SENSOR_TYPES["depth_camera"]
     assert kind.fault({"width": 1000.0, "height": 1000.0, "fov": 50.0}) is None
-    assert MOST_RAYS == 1000 * 1000
+    assert MAX_RAYS == 1000 * 1000
     assert kind.fault({"width": 1001.0, "height": 1000.0, "fov": 50.0})[0] == "width"
 
 

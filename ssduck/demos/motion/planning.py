@@ -16,7 +16,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Flags
 
 # The largest number of consecutive steps of a tree towards the other.
-MOST_STEPS = 50
+MAX_STEPS = 50
 
 
 class Space(Protocol):
@@ -87,7 +87,7 @@ def plan(
         node = _grow(space, grown, space.sample(rng), max_growth, steps=1)
         if node is None:
             continue
-        meeting = _grow(space, other, grown.nodes[node], max_growth, steps=MOST_STEPS)
+        meeting = _grow(space, other, grown.nodes[node], max_growth, steps=MAX_STEPS)
         if meeting is not None and np.allclose(other.nodes[meeting], grown.nodes[node]):
             ahead, back = (node, meeting) if iteration % 2 == 0 else (meeting, node)
             return np.concatenate((trees[0].path(ahead), trees[1].path(back)[::-1][1:]))

@@ -22,7 +22,7 @@ from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
 
 # The largest number of different errors of one trigger that become warnings.
-MOST_WARNINGS = 100
+MAX_WARNINGS = 100
 # Functions whose values change though their arguments do not.
 _CHANGING = IMPURE | {"getTime", "var"}
 
@@ -241,7 +241,7 @@ class _Log:
         self.failures += 1
         self.error = error
         message = f"trigger {self.name!r}: its {what} failed: {type(error).__name__}: {error}"
-        if message not in self._warned and len(self._warned) < MOST_WARNINGS:
+        if message not in self._warned and len(self._warned) < MAX_WARNINGS:
             self._warned.add(message)
             warn(message, TriggerWarning)
 

@@ -40,7 +40,7 @@ from ssduck.world.layout import EntityInfo
 Ids = npt.NDArray[np.int64]
 
 # So many pairs of shapes are compared together.
-MOST_TOGETHER = 1 << 15
+MAX_BATCH_SIZE = 1 << 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ class EntityShapes:
         start = 0
         while start < len(counts):
             before = ends[start - 1] if start else 0
-            end = int(np.searchsorted(ends, before + MOST_TOGETHER, side="right"))
+            end = int(np.searchsorted(ends, before + MAX_BATCH_SIZE, side="right"))
             run = np.arange(start, max(end, start + 1))
             holds[run], known[run] = self._some(first, second, run, question, calls)
             start = int(run[-1]) + 1

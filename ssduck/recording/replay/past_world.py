@@ -13,7 +13,7 @@ from ssduck.world.world import World
 
 # Tables that are read from what stands for a simulator; the others are copied from the record.
 _READ = frozenset(name for name in ON_DEMAND if TABLES[name].key)
-_ENTITY_REALS = TABLES["entities"].tick_columns.reals
+_ENTITY_DOUBLES = TABLES["entities"].tick_columns.doubles
 
 
 class PastWorld(World):
@@ -30,7 +30,7 @@ class PastWorld(World):
         self._begin(posed, snapshot, record.world.name, record.world.camera)
         self._record = record
         entities = snapshot.tables["entities"]
-        self._recorded = entities.block[entities.places(_ENTITY_REALS)].copy()
+        self._recorded = entities.block[entities.places(_ENTITY_DOUBLES)].copy()
 
     @property
     def origin(self) -> World:
@@ -41,7 +41,7 @@ class PastWorld(World):
         super()._take()
         # Other tables are worked out of poses; this one is to the last digit as it was.
         entities = self.snapshot.tables["entities"]
-        entities.block[entities.places(_ENTITY_REALS)] = self._recorded
+        entities.block[entities.places(_ENTITY_DOUBLES)] = self._recorded
         entities.written()
 
     def ask(self, tables: Iterable[str]) -> None:

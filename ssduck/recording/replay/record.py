@@ -38,10 +38,10 @@ from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
 # So many ticks are kept as worlds.
-MOST_WORLDS = 256
+MAX_WORLDS = 256
 # After so many questions about a tick all shapes of it are placed.
 FEW = 8
-MOST_ASKED = 100_000
+MAX_REQUESTED = 100_000
 
 # What is told of two entities at a tick: the tick, their ids, and 1, or 0 where it is not known.
 PAIR = ("tick", "a", "b", "known")
@@ -148,7 +148,7 @@ class Record:
         with self.world.lock:
             self._place_of(tick)
             if tick not in self._worlds:
-                while len(self._worlds) >= MOST_WORLDS:
+                while len(self._worlds) >= MAX_WORLDS:
                     self._worlds.popitem(last=False)
                 self._worlds[tick] = PastWorld(RecordedTick(self, tick), *self.taken(tick))
             self._worlds.move_to_end(tick)
@@ -267,7 +267,7 @@ class Record:
         self._asked[tick] = self._asked.get(tick, 0) + 1
         if tick in self._worlds or self._asked[tick] > FEW or len(set(ids)) < len(ids):
             return self.at(tick).shapes()
-        if len(self._asked) > MOST_ASKED:
+        if len(self._asked) > MAX_REQUESTED:
             self._asked.clear()
         ordered = sorted(ids)
         poses = [

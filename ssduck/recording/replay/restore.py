@@ -20,7 +20,7 @@ _NAN = float("nan")
 # Tables that only a simulator knows; their rows are copied from the record.
 _COPIED = frozenset(name for name in ON_DEMAND if not TABLES[name].key)
 _STATE = (*POSE, "vx", "vy", "vz", "wx", "wy", "wz")
-_ENTITY_REALS = TABLES["entities"].tick_columns.reals
+_ENTITY_DOUBLES = TABLES["entities"].tick_columns.doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class SnapshotRestorer:
         by_id = np.argsort(rows["id"])
         listed = [member.id for member in placing.template.members]
         order = by_id[np.searchsorted(rows["id"][by_id], listed)]
-        reals = np.array([rows[name] for name in _ENTITY_REALS])[:, order]
+        doubles = np.array([rows[name] for name in _ENTITY_DOUBLES])[:, order]
         own_states = np.array([rows[name] for name in _STATE])[:, order].T
         states = np.concatenate((own_states, self._states_of_links(tick)))
         states[placing.bases[:, 0], 7:] = states[placing.bases[:, 1], 7:]
@@ -106,7 +106,7 @@ class SnapshotRestorer:
         snapshot.take(posed, members)
         # To the last digit as it was.
         entities = snapshot.tables["entities"]
-        entities.block[entities.places(_ENTITY_REALS)] = reals
+        entities.block[entities.places(_ENTITY_DOUBLES)] = doubles
         entities.written()
         for table in _COPIED & self._tables:
             told = self._rows.rows(table, tick)
@@ -143,8 +143,8 @@ class SnapshotRestorer:
         rows = self._rows.rows(self._links, tick)
         keys = np.array([rows[name] for name in ("entity", "link")])
         unknown = np.full(len(rows["tick"]), _NAN)
-        reals = [rows.get(name, unknown) for name in _STATE]
-        return np.array(reals)[:, np.lexsort(keys[::-1])].T
+        doubles = [rows.get(name, unknown) for name in _STATE]
+        return np.array(doubles)[:, np.lexsort(keys[::-1])].T
 
     def _joints(self, tick: int, layout: TableLayout) -> dict[Body, Array]:
         if "joints" not in self._tables:

@@ -14,7 +14,7 @@ from ssduck.recording.buffers import TickBuffer
 
 # So many ticks are fetched at once, and so many blocks of them kept.
 BLOCK = 64
-MOST_BLOCKS = 8
+MAX_BLOCKS = 8
 
 
 class RowCache:
@@ -39,7 +39,7 @@ class RowCache:
         last = min((number + 1) * BLOCK - 1, int(self._ticks.numbers[-1]))
         key = number, last
         if key not in self._blocks:
-            while len(self._blocks) >= MOST_BLOCKS:
+            while len(self._blocks) >= MAX_BLOCKS:
                 self._blocks.popitem(last=False)
             self._blocks[key] = {}
         self._blocks.move_to_end(key)

@@ -56,8 +56,8 @@ def all_columns(
 def waiting_rows(table: str, view: str) -> str:
     """A SELECT of the rows of a table that wait in a buffer, which DuckDB sees as a view."""
     columns = RECORDED[table].tick_columns
-    listed = column_list((*columns.integers, *columns.reals))
-    listed += "".join(f", {quoted(name)}::BOOLEAN AS {quoted(name)}" for name in columns.flags)
+    listed = column_list((*columns.integers, *columns.doubles))
+    listed += "".join(f", {quoted(name)}::BOOLEAN AS {quoted(name)}" for name in columns.booleans)
     return f"SELECT {listed} FROM {quoted(view)} WHERE tick >= 0"  # noqa: S608
 
 
@@ -75,9 +75,9 @@ def history(table: Table, rows: str, entities: str, model: Callable[[str], str])
     stored = table.tick_columns
     listed = column_list(table.names, lambda name: "rows" if name in stored.names else "model")
     if table.name == "links":  # that of a body of one link is as the body
-        reals = column_list(stored.reals)
+        doubles = column_list(stored.doubles)
         rows += (
-            f" UNION ALL SELECT tick, id, 0, {reals} FROM ({entities}) AS entities "  # noqa: S608
+            f" UNION ALL SELECT tick, id, 0, {doubles} FROM ({entities}) AS entities "  # noqa: S608
             f"WHERE id IN (SELECT id FROM {model('entities')} WHERE links = 1)"
         )
     keys = column_list(table.key)

@@ -130,7 +130,7 @@ class MemoryStore(TickStore, TickArchive):
         rows = self._between(table, first, last)
         ticks = rows["tick"].to_numpy()
         rows = rows.filter(pa.array((ticks >= first) & (ticks <= last)))
-        for name in RECORDED[table].tick_columns.flags:
+        for name in RECORDED[table].tick_columns.booleans:
             place = rows.column_names.index(name)
             rows = rows.set_column(place, name, rows[name].cast(pa.bool_()))
         return rows

@@ -123,7 +123,7 @@ class ParquetStore(TickStore):
             return rows.select(names)
         if table == "links":
             rows = _ordered(pa.concat_tables([rows, self._bodies_as_links(rows, entities)]))
-        for name in TABLES[table].tick_columns.flags:
+        for name in TABLES[table].tick_columns.booleans:
             place = rows.column_names.index(name)
             rows = rows.set_column(place, name, rows[name].cast(pa.bool_()))
         return with_model(table, rows, self._models[table], names)

@@ -18,7 +18,7 @@ from ssduck.simulators.interface import RayHits
 from ssduck.simulators.pybullet.console import pybullet
 
 # PyBullet refuses more rays than its maximum in one call, and returns nothing for the maximum.
-MOST_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
+MAX_RAYS: int = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1
 # Waking other threads takes longer than casting fewer rays than this.
 WORTH_THREADS = 50
 _ALL_THREADS = 0
@@ -60,10 +60,10 @@ def _cast(client: int, starts: Array, ends: Array, number: int = -1) -> tuple[In
     threads = 1 if total < WORTH_THREADS else _ALL_THREADS
     hits = [
         hit
-        for first in range(0, total, MOST_RAYS)
+        for first in range(0, total, MAX_RAYS)
         for hit in pybullet.rayTestBatch(
-            starts[first : first + MOST_RAYS],
-            ends[first : first + MOST_RAYS],
+            starts[first : first + MAX_RAYS],
+            ends[first : first + MAX_RAYS],
             numThreads=threads,
             reportHitNumber=number,
             physicsClientId=client,

@@ -16,7 +16,7 @@ def of_entity(
     formula: str,
     about: str,
     unit: str = "",
-    element: ValueType = "real",
+    element: ValueType = "double",
     recorded_formula: str = "",
     aliases: tuple[str, ...] = (),
 ) -> Relation:

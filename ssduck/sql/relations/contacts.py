@@ -9,7 +9,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "inContact",
         A_B,
-        "flag",
+        "boolean",
         "(least(a.id, b.id), greatest(a.id, b.id)) IN "
         "(SELECT contacts.a, contacts.b FROM contacts WHERE contacts.force > 0)",
         "Checks if the physics solver found a contact of a and b in the last step whose normal "
@@ -22,7 +22,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "contactForce",
         A_B,
-        "real",
+        "double",
         "CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE COALESCE(map_extract_value((SELECT "
         "map(list((pair[1], pair[2])), list(total)) FROM (SELECT [contacts.a, contacts.b] AS pair, "
         "sum(contacts.force) AS total FROM contacts GROUP BY ALL) AS summed), "

@@ -33,16 +33,16 @@ def _sliced(
 
 
 ENTITY_RELATIONS: tuple[Relation, ...] = (
-    of_entity("id", "text", "object.name", "Returns the name of an object, unique in its world."),
+    of_entity("id", "string", "object.name", "Returns the name of an object, unique in its world."),
     of_entity(
-        "type", "text", "object.kind", "Returns the kind of an object: robot, kinbody or sensor."
+        "type", "string", "object.kind", "Returns the kind of an object: robot, kinbody or sensor."
     ),
     of_entity(
         "tick", "integer", "object.tick", "Returns the number of the tick that object is of."
     ),
     of_entity(
         "time",
-        "real",
+        "double",
         "object.time",
         "Returns the simulated time of the tick that object is of.",
         "s",
@@ -61,7 +61,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     *(
         of_entity(
             f"is{kind}",
-            "flag",
+            "boolean",
             f"object.kind = '{kind.lower()}'",
             f"Checks if object is of type {kind}.",
         )
@@ -78,7 +78,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     *(
         of_entity(
             axis,
-            "real",
+            "double",
             f"object.{axis}",
             f"Returns the {axis} coordinate of the object's link frame in the world.",
             "m",
@@ -101,7 +101,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     ),
     of_entity(
         "volume",
-        "real",
+        "double",
         "CASE WHEN object.kind = 'kinbody' THEN (object.xmax - object.xmin) "
         "* (object.ymax - object.ymin) * (object.zmax - object.zmin) / 8 ELSE 0.0::DOUBLE END",
         "Returns the product of the three half-extents of the object's axis-aligned box: an "
@@ -110,7 +110,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     ),
     of_entity(
         "aabbVolume",
-        "real",
+        "double",
         "(object.xmax - object.xmin) * (object.ymax - object.ymin) * (object.zmax - object.zmin)",
         "Returns the volume of the object's axis-aligned box.",
         "m^3",
@@ -121,7 +121,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
             Parameter("a", "place", "an entity or a point [x, y, z]"),
             Parameter("b", "place", "an entity or a point [x, y, z]"),
         ),
-        "real",
+        "double",
         "sqrt((a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2)",
         "Returns the distance between the positions of two objects, or between two points "
         "given as lists. The size of the objects does not matter.",
@@ -131,7 +131,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "above",
         A_B,
-        "flag",
+        "boolean",
         f"{_FOOTPRINT} AND b.z >= a.zmax AND a.id <> b.id",
         "Checks if the position of b is above a: x and y within the box of a, edges "
         "included, and z at its top or higher.",
@@ -139,7 +139,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "below",
         A_B,
-        "flag",
+        "boolean",
         f"{_FOOTPRINT} AND 2 * b.z < a.zmin + a.zmax AND a.zmax < 'infinity'::DOUBLE "
         "AND a.id <> b.id",
         "Checks if the position of b is below the centre of a: x and y within the box of a, "
@@ -148,13 +148,15 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "within",
         A_B,
-        "flag",
+        "boolean",
         "b.x > a.xmin AND b.x < a.xmax AND b.y > a.ymin AND b.y < a.ymax "
         "AND b.z > a.zmin AND b.z < a.zmax AND a.id <> b.id",
         "Checks if the position of b is inside the box of a, edges excluded.",
     ),
-    of_entity("isEnabled", "flag", "object.enabled", "Checks if object takes part in collisions."),
-    of_entity("isVisible", "flag", "object.visible", "Checks if object is drawn."),
+    of_entity(
+        "isEnabled", "boolean", "object.enabled", "Checks if object takes part in collisions."
+    ),
+    of_entity("isVisible", "boolean", "object.visible", "Checks if object is drawn."),
     of_entity(
         "environmentID", "integer", "object.id", "Returns the number of the object in its world."
     ),

@@ -41,10 +41,10 @@ def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
         name,
         (
             *ENTITY,
-            Parameter("joint", "text", "the name of a joint that has limits", optional=True),
-            Parameter("share", "real", "a share of its range, from 0 to 1", optional=True),
+            Parameter("joint", "string", "the name of a joint that has limits", optional=True),
+            Parameter("share", "double", "a share of its range, from 0 to 1", optional=True),
         ),
-        "flag",
+        "boolean",
         condition.format(most, usual),
         f"{about} {_OPENNESS} What has no joints with limits is neither open nor closed. "
         f"{_MISSING}",
@@ -65,8 +65,8 @@ JOINT_UDFS: dict[str, tuple[Callable[..., float | None], tuple[str, ...]]] = {
 JOINT_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "joint",
-        (*ENTITY, Parameter("name", "text", "the name of a revolute or prismatic joint")),
-        "real",
+        (*ENTITY, Parameter("name", "string", "the name of a revolute or prismatic joint")),
+        "double",
         f'"joints position"({_OF}, name)',
         "Returns the position of a joint of the object: radians of a revolute one, metres of a "
         f"prismatic one. {_MISSING}",

@@ -24,7 +24,11 @@ ODE_RELATIONS: tuple[Relation, ...] = (
     of_entity("pos", "list", "[object.x, object.y, object.z]", "Returns position(object).", "m"),
     *(
         of_entity(
-            f"pos{axis}", "real", f"object.{axis.lower()}", f"Returns {axis.lower()}(object).", "m"
+            f"pos{axis}",
+            "double",
+            f"object.{axis.lower()}",
+            f"Returns {axis.lower()}(object).",
+            "m",
         )
         for axis in "XYZ"
     ),
@@ -51,7 +55,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "three.",
         formula_with_options="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy "
         "WHEN 2 THEN object.vz ELSE error('linearVelocity: axis is to be 0, 1 or 2') END",
-        result_with_options="real",
+        result_with_options="double",
         unit="m/s",
     ),
     of_entity(
@@ -70,7 +74,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
     ),
     of_entity(
         "mass",
-        "real",
+        "double",
         "object.mass",
         "Returns the mass of all links; 0 for what cannot move.",
         "kg",
@@ -103,19 +107,19 @@ ODE_RELATIONS: tuple[Relation, ...] = (
     ),
     of_entity(
         "gravityMode",
-        "flag",
+        "boolean",
         "object.mass > 0",
         "Checks if gravity acts on the object: in PyBullet, on all that have a mass.",
     ),
     of_entity(
         "hasBody",
-        "flag",
+        "boolean",
         "object.mass > 0",
         "Checks if the object moves under forces: if it has a mass.",
     ),
     shape_relation(
         "collision",
-        "flag",
+        "boolean",
         GeometryQuery(ShapeQueries.collides, (DEEP,)),
         "Checks if a and b collide: collides(a, b).",
         is_symmetric=True,
@@ -124,7 +128,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
     *(
         of_entity(
             name,
-            "flag",
+            "boolean",
             "object.id IN (SELECT shapes.entity FROM shapes JOIN geometries ON geometries.id = "  # noqa: S608
             f"shapes.geometry GROUP BY ALL HAVING bool_and(geometries.type {of}))",
             f"Checks if all of the object's shapes are {words}; False without a shape.",

@@ -27,7 +27,7 @@ def _seen(name: str, condition: str, about: str) -> Relation:
     return Relation(
         name,
         (*A_B, Parameter("viewer", "entity", "an entity that looks along its own +x")),
-        "flag",
+        "boolean",
         f"a.id <> b.id AND {formula}",
         f"{about}, as seen by the viewer: of the differences of the two positions along its own "
         "x (forward) and y (left) the larger one decides; if they are alike, that along x.",
@@ -50,7 +50,7 @@ REGION_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "inBox",
         (*ENTITY, *_CORNERS),
-        "flag",
+        "boolean",
         "object.x BETWEEN min.x AND max.x AND object.y BETWEEN min.y AND max.y "
         "AND object.z BETWEEN min.z AND max.z",
         "Checks if the position of the object is in an axis-aligned box, its sides included.",
@@ -58,7 +58,7 @@ REGION_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "fitsBox",
         (*ENTITY, *_CORNERS),
-        "flag",
+        "boolean",
         "object.xmin >= min.x AND object.xmax <= max.x AND object.ymin >= min.y "
         "AND object.ymax <= max.y AND object.zmin >= min.z AND object.zmax <= max.z "
         "AND object.xmin <= object.xmax",
@@ -69,9 +69,9 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         (
             *ENTITY,
             Parameter("centre", "place", "an entity or a point [x, y, z]"),
-            Parameter("r", "real", "a radius, m"),
+            Parameter("r", "double", "a radius, m"),
         ),
-        "flag",
+        "boolean",
         "sqrt((object.x - centre.x) ** 2 + (object.y - centre.y) ** 2 "
         "+ (object.z - centre.z) ** 2) <= r",
         "Checks if the position of the object is in a sphere, its surface included.",

@@ -59,7 +59,7 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
     query = relation.geometry
     assert query is not None
     element = "DOUBLE[]" if relation.element == "list" else "DOUBLE"
-    types = {"flag": "BOOLEAN", "real": "DOUBLE", "list": f"{element}[]"}
+    types = {"boolean": "BOOLEAN", "double": "DOUBLE", "list": f"{element}[]"}
     return GeometryUdf(
         udf_name(query.function),
         query.function,

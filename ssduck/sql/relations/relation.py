@@ -19,11 +19,11 @@ from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 ValueType: TypeAlias = Literal[
     "entity",
     "place",
-    "real",
+    "double",
     "integer",
     "number",
-    "text",
-    "flag",
+    "string",
+    "boolean",
     "list",
     "record",
     "nothing",
@@ -49,7 +49,7 @@ class Relation:
     """A function of entities that runs as SQL.
 
     >>> box = Parameter("object", "entity", "an entity")
-    >>> height = Relation("height", (box,), "real", "object.zmax - object.zmin", "Its height.")
+    >>> height = Relation("height", (box,), "double", "object.zmax - object.zmin", "Its height.")
     >>> height.usage
     'height(object) -> float'
     >>> height.macro()
@@ -89,7 +89,7 @@ class Relation:
     result_with_options: ValueType | None = None
     unit: str = ""
     is_symmetric: bool = False
-    element: ValueType = "real"
+    element: ValueType = "double"
     across_worlds: str = ""
     geometry: GeometryQuery | None = None
     candidate_pairs: CandidatePairs | None = None
@@ -155,7 +155,7 @@ class Relation:
     @cached_property
     def may_be_infinite(self) -> bool:
         """Whether the result may be infinite: the box of a plane is."""
-        return self.result in ("real", "list") and self.depends_on_shapes
+        return self.result in ("double", "list") and self.depends_on_shapes
 
     @cached_property
     def depends_on_shapes(self) -> bool:
@@ -335,10 +335,10 @@ def _overloads(relation: Relation, schema: str | None) -> str:
 _RESULT_WORDS: dict[ValueType, str] = {
     "entity": "object",
     "place": "object",
-    "real": "float",
+    "double": "float",
     "integer": "int",
-    "text": "str",
-    "flag": "bool",
+    "string": "str",
+    "boolean": "bool",
     "list": "list",
     "nothing": "nothing",
     "number": "number",

@@ -12,7 +12,7 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "isSensing",
         _SENSOR_AND_OTHER,
-        "flag",
+        "boolean",
         "(s.id, e.id) IN (SELECT sensor, entity FROM sensings)",
         "Checks if sensor s perceives e now: if one of its rays, pixels or contact points ends "
         "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
@@ -23,7 +23,7 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "sensingAmount",
         _SENSOR_AND_OTHER,
-        "real",
+        "double",
         "COALESCE(map_extract_value((SELECT map(list((sensor, entity)), list(hits / rays)) "
         "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
         "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "

@@ -35,7 +35,7 @@ def shape_relation(
     parameters: tuple[Parameter, ...] = A_B,
     unit: str = "",
     is_symmetric: bool = False,
-    element: ValueType = "real",
+    element: ValueType = "double",
     candidate_pairs: CandidatePairs | None = None,
     aliases: tuple[str, ...] = (),
 ) -> Relation:
@@ -85,7 +85,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     Relation(
         "overlaps",
         A_B,
-        "flag",
+        "boolean",
         "a.id <> b.id AND a.xmin <= b.xmax AND b.xmin <= a.xmax AND a.ymin <= b.ymax "
         "AND b.ymin <= a.ymax AND a.zmin <= b.zmax AND b.zmin <= a.zmax",
         "Checks if the axis-aligned boxes of a and b meet, touching included. Of two intervals "
@@ -95,7 +95,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "collides",
-        "flag",
+        "boolean",
         GeometryQuery(
             ShapeQueries.collides,
             (DEEP,),
@@ -106,13 +106,13 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "given. What rests on something is pressed into it by 1e-5 m or so, or stays as far away "
         "as the margins of the simulator are: inContact and touching tell of resting, "
         "collides(a, b, 1e-3) of intrusion. A depth below 0 is an error.",
-        parameters=(*A_B, Parameter("depth", "real", "a depth, m", optional=True)),
+        parameters=(*A_B, Parameter("depth", "double", "a depth, m", optional=True)),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(COLLIDING, DEEP, "depth"),
     ),
     shape_relation(
         "penetration",
-        "real",
+        "double",
         GeometryQuery(ShapeQueries.penetration, otherwise=ZERO),
         "Returns the depth of the deepest penetration of the shapes of a and b: how far they "
         "would have to be moved to be apart; 0 if they are.",
@@ -121,7 +121,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "clearance",
-        "real",
+        "double",
         GeometryQuery(
             ShapeQueries.clearance,
             bound=None,
@@ -138,7 +138,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "touching",
-        "flag",
+        "boolean",
         GeometryQuery(
             ShapeQueries.touching,
             ("0.001",),
@@ -152,18 +152,18 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "touches. The collision margins of the two shapes are added to eps: the simulator keeps "
         "what rests on each other as far apart, 2 mm for two hulls in PyBullet (the column margin "
         "of the table of shapes). near(a, b, d) goes by the surfaces alone.",
-        parameters=(*A_B, Parameter("eps", "real", "a distance, m", optional=True)),
+        parameters=(*A_B, Parameter("eps", "double", "a distance, m", optional=True)),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(TOUCHING, "0.001", "eps"),
     ),
     shape_relation(
         "near",
-        "flag",
+        "boolean",
         GeometryQuery(
             ShapeQueries.near, ("d",), bound="d", pairs="on pairs whose boxes are at most d apart"
         ),
         "Checks if the clearance of a and b is at most d.",
-        parameters=(*A_B, Parameter("d", "real", "a distance, m")),
+        parameters=(*A_B, Parameter("d", "double", "a distance, m")),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(WITHIN, "d"),
     ),
@@ -184,7 +184,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "on",
-        "flag",
+        "boolean",
         GeometryQuery(
             ShapeQueries.on,
             bound=f"0.001 + {MARGINS}",
@@ -200,7 +200,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "supports",
-        "flag",
+        "boolean",
         GeometryQuery(
             ShapeQueries.supports,
             bound=f"0.001 + {MARGINS}",
@@ -217,7 +217,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "restsOn",
-        "flag",
+        "boolean",
         GeometryQuery(
             ShapeQueries.rests_on,
             bound=None,
@@ -231,7 +231,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "inside",
-        "real",
+        "double",
         GeometryQuery(ShapeQueries.inside, otherwise=ZERO),
         "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
         "0 if b has no volume. Open meshes have none: see solidVolume. What is between the legs of "
@@ -239,7 +239,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "contains",
-        "flag",
+        "boolean",
         GeometryQuery(ShapeQueries.contains),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a. What is "
         "between the legs of a table is in its hull: enclosed asks for walls.",
@@ -247,7 +247,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "enclosed",
-        "flag",
+        "boolean",
         GeometryQuery(ShapeQueries.encloses, _ORIENTATION_A),
         "Checks if b is within walls of a, as in a cup, a drawer or a room: along at least two of "
         "the three axes of a's link frame, rays from the centre of the box of b meet a on both "
@@ -258,7 +258,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "nextTo",
-        "flag",
+        "boolean",
         GeometryQuery(
             ShapeQueries.beside,
             (_BESIDE, *_ORIENTATION_A, *_ORIENTATION_B),
@@ -277,7 +277,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     ),
     shape_relation(
         "solidVolume",
-        "real",
+        "double",
         GeometryQuery(ShapeQueries.volume, pairs=""),
         "Returns the sum of the volumes of the object's shapes, infinity for a plane, 0 for an "
         "open mesh.",
