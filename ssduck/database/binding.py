@@ -197,7 +197,11 @@ class BoundWorld:
         snapshot = self.world.snapshot
         if tick is None or tick == snapshot.number:
             return
-        new = [name for name in snapshot.names_with_changed_margins if name not in self._changed_margins]
+        new = [
+            name
+            for name in snapshot.names_with_changed_margins
+            if name not in self._changed_margins
+        ]
         if new:
             self._changed_margins.update(new)
             warn(

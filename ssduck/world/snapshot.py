@@ -113,7 +113,9 @@ class Snapshot:
     @property
     def body_groups(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
         """The bodies that are read together, and where their frames are at this tick."""
-        return zip((self._layout.static_bodies, self._layout.moving_bodies), self._frames, strict=True)
+        return zip(
+            (self._layout.static_bodies, self._layout.moving_bodies), self._frames, strict=True
+        )
 
     def joints(self) -> dict[Body, Array]:
         """Of each body's joints, position, velocity and effort at this tick, (joints, 3).
@@ -410,7 +412,9 @@ class Snapshot:
         if still is None:
             still = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
         with_velocities = "links" in wanted or layout.moving_bodies.sensors_on_links
-        moving = simulator.read_link_poses(layout.moving_bodies.bodies, with_velocities=with_velocities)
+        moving = simulator.read_link_poses(
+            layout.moving_bodies.bodies, with_velocities=with_velocities
+        )
         joints = None
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
@@ -455,7 +459,9 @@ class Snapshot:
 
     def _perceiving(self, layout: TableLayout, coming: int, *, together: bool) -> list[EntityInfo]:
         """The sensors that are asked for: all of them together, or some."""
-        asked = {id: at for id, at in self._requested_sensors.items() if coming - at <= FORGOTTEN_AFTER}
+        asked = {
+            id: at for id, at in self._requested_sensors.items() if coming - at <= FORGOTTEN_AFTER
+        }
         self._requested_sensors = asked
         if not (together or asked):
             return []

@@ -123,7 +123,10 @@ class SnapshotRestorer:
             layout = TableLayout(members, is_external=False)
             posed = StaticSimulator(
                 0.0,
-                {part.bodies: _nowhere(part) for part in (layout.static_bodies, layout.moving_bodies)},
+                {
+                    part.bodies: _nowhere(part)
+                    for part in (layout.static_bodies, layout.moving_bodies)
+                },
                 {body: np.zeros((len(body.joints), 3)) for _, body in layout.bodies},
                 frozenset(),
                 frozenset(),
@@ -131,7 +134,9 @@ class SnapshotRestorer:
             template.take(posed, members)
             laid = template.layout
             starts = _starts(laid)
-            sources = tuple(_sources(part, laid, starts) for part in (laid.static_bodies, laid.moving_bodies))
+            sources = tuple(
+                _sources(part, laid, starts) for part in (laid.static_bodies, laid.moving_bodies)
+            )
             bases = [(start, laid.rows[id]) for id, start in starts.items()]
             self._placings[ids] = _Placing(
                 template, sources, np.array(bases, dtype=np.intp).reshape(-1, 2)
