@@ -152,7 +152,7 @@ class Obstacles:
         moving: Collection[int] | None = None,
         self_clearance: float | None = None,
     ) -> Flags:
-        """Whether the robot keeps clear in each of some postures, (n,).
+        """Checks whether the robot keeps clear in each of some postures, (n,).
 
         Args:
             bases: (n, 4, 4), poses of the base link.
