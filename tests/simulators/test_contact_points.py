@@ -46,10 +46,10 @@ def test_points_equal_those_of_pybullet(pile):
 def test_all_points_are_read_as_records(pile):
     """The fast way is taken, and the values are those of the slow one."""
     points = pybullet.getContactPoints(physicsClientId=pile)
-    records = contacts._records(points)  # noqa: SLF001
+    records = contacts._records(points)
     assert records is not None
-    by_field = contacts._columns_by_field(points)  # noqa: SLF001
-    for name, values in contacts._columns(points).items():  # noqa: SLF001
+    by_field = contacts._columns_by_field(points)
+    for name, values in contacts._columns(points).items():
         np.testing.assert_array_equal(values, by_field[name])
 
 
@@ -57,13 +57,13 @@ def test_all_points_are_read_as_records(pile):
 def test_points_of_another_layout_are_no_records(pile, odd):
     first, *others = pybullet.getContactPoints(physicsClientId=pile)
     changed = [(odd, *first[1:]), *others]
-    assert contacts._records(changed) is None  # noqa: SLF001
+    assert contacts._records(changed) is None
 
 
 def test_a_large_number_is_read_one_field_at_a_time(pile):
     first, *others = pybullet.getContactPoints(physicsClientId=pile)
     changed = [(2**40, *first[1:]), *others]
-    assert contacts._columns(changed)["flags"].tolist()[0] == 2**40  # noqa: SLF001
+    assert contacts._columns(changed)["flags"].tolist()[0] == 2**40
 
 
 def test_no_points(pile):
