@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.interface import CameraView, Contact, LinkPoses, Simulator
+from ssduck.simulators.interface import CameraView, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
 
@@ -127,11 +127,11 @@ class SensorReader:
         self._pictures: dict[int, int] = {}
         self._rays: dict[int, Array] = {}
 
-    def twin(self) -> SensorReader:
+    def clone(self) -> SensorReader:
         """The same switches, without a reading."""
-        twin = SensorReader()
-        twin._off = set(self._off)
-        return twin
+        clone = SensorReader()
+        clone._off = set(self._off)
+        return clone
 
     def is_on(self, id: int) -> bool:
         """Whether a sensor is switched on."""
@@ -145,7 +145,7 @@ class SensorReader:
             self._off.add(id)
         self._forget(id)
 
-    def ask_picture(self, id: int, tick: int) -> bool:
+    def request_picture(self, id: int, tick: int) -> bool:
         """Note that a camera's picture is asked for; tells whether its reading lacks it."""
         self._pictures[id] = tick
         reading = self.readings.get(id)
@@ -196,7 +196,7 @@ class SensorReader:
         simulator: Simulator,
         scan: TickContext,
         posed: Sequence[SensorPose],
-        contacts: Sequence[Contact],
+        contacts: ContactPoints,
     ) -> Mapping[int, Reading]:
         """The readings at a tick: new ones of these sensors, the last ones of the others."""
         if scan.anew:
@@ -290,7 +290,7 @@ def posed(
 ) -> list[SensorPose]:
     """Where these sensors are, in the order of the rows."""
     found = []
-    for part, frames in ((layout.still, still), (layout.moving, moving)):
+    for part, frames in ((layout.static_bodies, still), (layout.moving_bodies, moving)):
         if ids.isdisjoint(member.id for member in part.sensors):
             continue
         positions, matrices = part.sensor_poses(frames)
@@ -310,29 +310,25 @@ def has_rays(member: EntityInfo) -> bool:
 
 def _host(member: EntityInfo, layout: TableLayout) -> int:
     """The handle of the body that a sensor sits on."""
-    body = layout.members[layout.rows[member.mount[0]]].body
+    body = layout.entities[layout.rows[member.mount[0]]].body
     assert body is not None
     return body.handle
 
 
-def _touched(member: EntityInfo, scan: TickContext, contacts: Sequence[Contact]) -> Reading:
+def _touched(member: EntityInfo, scan: TickContext, contacts: ContactPoints) -> Reading:
     """The contacts of the link that a sensor sits on, or of the whole body."""
     host = _host(member, scan.layout)
     spec = member.sensor
     link = member.mount[1] if spec is not None and spec.link is not None else None
-    found = []
-    for contact in contacts:
-        sides = (
-            (contact.body_a, contact.link_a, contact.point_a, contact.body_b),
-            (contact.body_b, contact.link_b, contact.point_b, contact.body_a),
-        )
-        for own, own_link, point, other in sides:
-            if own == host != other and contact.force > 0 and link in (None, own_link):
-                found.append((other, point, contact.force))
+    pressed = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
+    own = (contacts.bodies == host) & pressed[:, None]
+    if link is not None:
+        own &= contacts.links == link
+    rows, sides = np.nonzero(own)
     return Reading(
         scan.tick,
         scan.time,
-        scan.entities(np.array([other for other, _, _ in found], dtype=np.intp)),
-        np.array([point for _, point, _ in found]).reshape(-1, 3),
-        forces=np.array([force for _, _, force in found], dtype=np.float64),
+        scan.entities(contacts.bodies[rows, 1 - sides]),
+        contacts.points[rows, sides],
+        forces=contacts.forces[rows],
     )

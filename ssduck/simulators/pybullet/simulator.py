@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
 from typing import Any, TypeVar
 
@@ -25,7 +25,7 @@ from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     Body,
     CameraView,
-    Contact,
+    ContactPoints,
     Kind,
     LinkPoses,
     MotorTarget,
@@ -43,6 +43,7 @@ from ssduck.simulators.pybullet.clients import handles_of
 from ssduck.simulators.pybullet.collision_margins import margins_of
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
+from ssduck.simulators.pybullet.contacts import read_contacts
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
 from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, set_motor
@@ -269,22 +270,9 @@ class PyBulletSimulator:
         now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
         return {b for b, tag in zip(bodies, now, strict=True) if tag == tags.get(b.handle)}
 
-    def read_contacts(self) -> Iterable[Contact]:
-        """Yields the contacts of the last step, without PyBullet's points of separate shapes."""
-        for entry in self._call(lambda: pybullet.getContactPoints(physicsClientId=self.client)):
-            if entry[8] <= 0.0:
-                yield Contact(
-                    body_a=entry[1],
-                    link_a=entry[3] + 1,
-                    body_b=entry[2],
-                    link_b=entry[4] + 1,
-                    point_a=entry[5],
-                    point_b=entry[6],
-                    normal=entry[7],
-                    depth=-entry[8],
-                    force=entry[9],
-                    friction=_friction(entry),
-                )
+    def read_contacts(self) -> ContactPoints:
+        """Returns the contact points of the last step, without those of separate shapes."""
+        return self._call(lambda: read_contacts(self.client))
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
@@ -519,10 +507,3 @@ def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[fl
         colours.append((entry[1], shapes[entry[1]], entry[7]))
         shapes[entry[1]] += 1
     return colours
-
-
-def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:
-    """Returns the friction force on body A, along two directions normal to the contact normal."""
-    (first, along), (second, beside) = (entry[10], entry[11]), (entry[12], entry[13])
-    x, y, z = (first * a + second * b for a, b in zip(along, beside, strict=True))
-    return x, y, z
