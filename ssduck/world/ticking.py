@@ -34,11 +34,11 @@ class TickSink(Protocol):
     def tables(self) -> Collection[str]:
         """The tables that each tick is to have."""
 
-    def note(self, snapshot: Snapshot) -> None:
-        """Keep a tick, if it is one to be kept; the caller holds its world."""
+    def record(self, snapshot: Snapshot) -> None:
+        """Records a tick if it is due; the caller holds its world."""
 
-    def note_masses(self, snapshot: Snapshot) -> None:
-        """Take note of masses that were read anew."""
+    def check_masses(self, snapshot: Snapshot) -> None:
+        """Compares masses that were read anew with the recorded ones."""
 
 
 class SteppedSimulation(Observable):
@@ -190,7 +190,7 @@ class SteppedSimulation(Observable):
             recorder = reference()
             if recorder is not None:
                 try:
-                    recorder.note(self.snapshot)
+                    recorder.record(self.snapshot)
                 except SelectScriptError as error:  # a full disk is no trouble of the others
                     failed = failed or error
         if failed is not None:
@@ -215,7 +215,7 @@ class SteppedSimulation(Observable):
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
-                recorder.note_masses(self.snapshot)
+                recorder.check_masses(self.snapshot)
 
     def _take_asked(self) -> None:
         if self._simulator.is_external:
@@ -258,7 +258,7 @@ class SteppedSimulation(Observable):
             if self.snapshot.ask(()):
                 self._take()
             else:
-                recorder.note(self.snapshot)
+                recorder.record(self.snapshot)
 
     def forget(self, recorder: TickSink) -> None:
         """Let a recorder keep no more ticks."""
