@@ -23,7 +23,7 @@ def excerpt(
         chosen: the ids of the entities; a sensor brings the body that it sits on.
         source: what runs them now.
     """
-    members = {member.id: member for member in snapshot.load_order}
+    members = {info.id: info for info in snapshot.load_order}
     everyone = {*chosen, *(members[id].mount[0] for id in chosen if members[id].sensor is not None)}
     sensors = sensors_of(snapshot, everyone)
     originals = list(originals_of(snapshot, everyone))
@@ -38,9 +38,9 @@ def tick_of(snapshot: Snapshot) -> TickToCopy:
 def sensors_of(snapshot: Snapshot, chosen: Container[int]) -> list[SensorSpec]:
     """The sensors of a tick that are among these entities, on or off as they are."""
     return [
-        replace(member.sensor, powered=snapshot.sensing.is_on(member.id))
-        for member in snapshot.load_order
-        if member.sensor is not None and member.id in chosen
+        replace(info.sensor, powered=snapshot.sensing.is_on(info.id))
+        for info in snapshot.load_order
+        if info.sensor is not None and info.id in chosen
     ]
 
 
@@ -48,12 +48,12 @@ def originals_of(snapshot: Snapshot, chosen: Container[int]) -> Iterator[BodyToC
     """What a tick tells of some bodies, in load order."""
     where = {body: (part, told) for part, told in snapshot.body_groups for body in part.bodies}
     joints = snapshot.joints() if snapshot.has("joints") else {}
-    for member in snapshot.load_order:
-        body = member.body
-        if body is None or member.id not in chosen:
+    for info in snapshot.load_order:
+        body = info.body
+        if body is None or info.id not in chosen:
             continue
         part, told = where[body]
         run = part.runs[body]
         link_poses = LinkPoses(told.positions[run], told.matrices[run], told.states[run])
         unknown = np.full((len(body.joints), 3), np.nan)
-        yield BodyToCopy(member.name, body, link_poses, joints.get(body, unknown)[:, :2])
+        yield BodyToCopy(info.name, body, link_poses, joints.get(body, unknown)[:, :2])

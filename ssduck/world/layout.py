@@ -60,7 +60,7 @@ class EntityInfo:
 
 def margins_of(members: Iterable[EntityInfo]) -> float:
     """How far apart two shapes of some entities may be that touch by their margins, metres."""
-    bodies = (member.body for member in members if member.body is not None)
+    bodies = (info.body for info in members if info.body is not None)
     return 2.0 * max((shape.margin for body in bodies for shape in body.shapes), default=0.0)
 
 
@@ -80,8 +80,8 @@ class TableLayout:
     """
 
     def __init__(self, members: Iterable[EntityInfo], is_external: bool) -> None:
-        self.entities = sorted(members, key=lambda member: member.kind != "sensor")
-        self.rows = {member.id: row for row, member in enumerate(self.entities)}
+        self.entities = sorted(members, key=lambda info: info.kind != "sensor")
+        self.rows = {info.id: row for row, info in enumerate(self.entities)}
         self.bodies = [(m.id, m.body) for m in self.entities if m.body is not None]
         # In the tables of links and of shapes, where each body's begin.
         links = [len(body.links) for _, body in self.bodies]
@@ -118,40 +118,40 @@ class BodyGroup:
         layout: TableLayout,
         first: Mapping[int, tuple[int, int]],
     ) -> None:
-        self.bodies = tuple(member.body for member in members if member.body is not None)
+        self.bodies = tuple(info.body for info in members if info.body is not None)
         counts = [len(body.links) for body in self.bodies]
         starts = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
         self._bases = starts[:-1]
         runs = map(slice, starts[:-1].tolist(), starts[1:].tolist())
         self.runs = dict(zip(self.bodies, runs, strict=True))
-        self._link_rows = _runs([first[member.id][0] for member in members], counts)
+        self._link_rows = _runs([first[info.id][0] for info in members], counts)
         shape_counts = [len(body.shapes) for body in self.bodies]
-        self._shape_rows = _runs([first[member.id][1] for member in members], shape_counts)
+        self._shape_rows = _runs([first[info.id][1] for info in members], shape_counts)
         self._shapes = [
             replace(shape, frame=start + shape.frame)
             for start, body in zip(starts.tolist(), self.bodies, strict=False)
             for shape in body.shapes
         ]
         self._owners = np.repeat(np.arange(len(self.bodies)), shape_counts).tolist()
-        start_of = dict(zip((member.id for member in members), starts.tolist(), strict=False))
-        sensors = [member for member in layout.entities if member.mount[0] in start_of]
+        start_of = dict(zip((info.id for info in members), starts.tolist(), strict=False))
+        sensors = [info for info in layout.entities if info.mount[0] in start_of]
         self.sensors = tuple(sensors)
         self._mounts = [
             PlacedGeometry(
-                start_of[member.mount[0]] + member.mount[1],
+                start_of[info.mount[0]] + info.mount[1],
                 _POINT,
-                np.array(member.sensor.position),
-                np.array(member.sensor.orientation),
+                np.array(info.sensor.position),
+                np.array(info.sensor.orientation),
             )
-            for member in sensors
-            if member.sensor is not None
+            for info in sensors
+            if info.sensor is not None
         ]
         # A product with a constant quaternion is one with a matrix: the products of 1, i, j, k.
         self._turns = np.array(
             [multiply(np.eye(4), np.tile(m.orientation, (4, 1))) for m in self._mounts]
         )
         # The rows of the table of entities, and the frames that they tell of.
-        rows = [layout.rows[member.id] for member in (*members, *sensors)]
+        rows = [layout.rows[info.id] for info in (*members, *sensors)]
         self._rows = np.array(rows, dtype=np.intp)
         mounts = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         self.sensors_on_links = bool(np.setdiff1d(mounts, self._bases).size)
