@@ -554,8 +554,8 @@ class Snapshot:
             if info.id not in self._warned:
                 self._warned.add(info.id)
                 warn(
-                    f"{info.name}: the simulator returns a pose or a velocity that is no number; "
-                    "values that depend on it are NULL",
+                    f"{info.name}: the simulator gives a pose or a velocity that is no number; "
+                    "what depends on it is NULL",
                 )
 
     def _write_contacts(self, contacts: Sequence[Contact]) -> None:

@@ -81,7 +81,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
         self.camera = camera
-        self._begin_ticking(simulator, snapshot, name)
+        self._init_ticking(simulator, snapshot, name)
         self._origin: World | None = None
 
     @classmethod
