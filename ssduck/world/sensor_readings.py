@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.interface import CameraView, Contact, LinkPoses, Simulator
+from ssduck.simulators.interface import CameraView, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
 
@@ -200,7 +200,7 @@ class SensorReader:
         simulator: Simulator,
         context: TickContext,
         poses: Sequence[SensorPose],
-        contacts: Sequence[Contact],
+        contacts: ContactPoints,
     ) -> Mapping[int, Reading]:
         """Returns the readings at a tick: new ones of some sensors, the last ones of the others."""
         if context.is_discontinuous:
@@ -332,26 +332,20 @@ def _host(info: EntityInfo, layout: TableLayout) -> int:
     return body.handle
 
 
-def _contact_reading(
-    info: EntityInfo, context: TickContext, contacts: Sequence[Contact]
-) -> Reading:
+def _contact_reading(info: EntityInfo, context: TickContext, contacts: ContactPoints) -> Reading:
     """Returns the reading of a contact sensor: contacts of its link, or of the whole body."""
     host = _host(info, context.layout)
     spec = info.sensor
     link = info.mount[1] if spec is not None and spec.link is not None else None
-    touching = []
-    for contact in contacts:
-        sides = (
-            (contact.body_a, contact.link_a, contact.point_a, contact.body_b),
-            (contact.body_b, contact.link_b, contact.point_b, contact.body_a),
-        )
-        for body, body_link, point, other in sides:
-            if body == host != other and contact.force > 0 and link in (None, body_link):
-                touching.append((other, point, contact.force))
+    presses = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
+    own = (contacts.bodies == host) & presses[:, None]
+    if link is not None:
+        own &= contacts.links == link
+    rows, sides = np.nonzero(own)
     return Reading(
         context.tick,
         context.time,
-        context.entities(np.array([other for other, _, _ in touching], dtype=np.intp)),
-        np.array([point for _, point, _ in touching]).reshape(-1, 3),
-        forces=np.array([force for _, _, force in touching], dtype=np.float64),
+        context.entities(contacts.bodies[rows, 1 - sides]),
+        contacts.points[rows, sides],
+        forces=contacts.forces[rows],
     )

@@ -30,7 +30,8 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, TABLES
-from ssduck.simulators.interface import Body, Contact, LinkPoses, Simulator
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
+from ssduck.world.contact_rows import contact_rows
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.run_numbers import new_run
@@ -53,7 +54,7 @@ class _TickState:
     static: LinkPoses
     moving: LinkPoses
     joints: Array | None
-    contacts: Sequence[Contact]
+    contacts: ContactPoints
     readings: Mapping[int, Reading]
     sensors: frozenset[int]
 
@@ -489,9 +490,9 @@ class Snapshot:
         sensors = self._sensors_to_read(layout, number, all_sensors="sensings" in tables)
         due = self.sensing.due(context, sensors, is_external=simulator.is_external)
         poses = sensor_poses(layout, static, moving, due)
-        contacts: list[Contact] = []
+        contacts = ContactPoints.none()
         if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
-            contacts = list(simulator.read_contacts())
+            contacts = simulator.read_contacts()
         readings = self.sensing.read(simulator, context, poses, contacts)
         ids = frozenset(info.id for info in sensors)
         return _TickState(static, moving, joints, contacts, readings, ids)
@@ -558,16 +559,20 @@ class Snapshot:
                     "what depends on it is NULL",
                 )
 
-    def _write_contacts(self, contacts: Sequence[Contact]) -> None:
+    def _write_contacts(self, contacts: ContactPoints) -> None:
+        """Writes the contacts, sorted by a, its link, b, its link, and the points."""
         table = self.tables["contacts"]
-        ids = {body.handle: id for id, body in self._layout.bodies}
-        rows = sorted(_contact_row(contact, ids) for contact in contacts)
-        if len(rows) != table.count:
-            table.fill(len(rows), {})
-        numbers = np.array(rows, dtype=np.float64).reshape(-1, 18)
+        if len(contacts) != table.count:
+            table.fill(len(contacts), {})
+        if not len(contacts):
+            return
+        ids = np.zeros(1 + max(body.handle for _, body in self._layout.bodies), dtype=np.int64)
+        for id, body in self._layout.bodies:
+            ids[body.handle] = id
+        sides, numbers = contact_rows(contacts, ids[contacts.bodies])
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
-            table[name][:] = numbers[:, column]
-        table.doubles("ax", "fz")[:] = numbers[:, 4:].T
+            table[name][:] = sides[:, column]
+        table.doubles("ax", "fz")[:] = numbers.T
 
     def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
         table = self.tables["sensings"]
@@ -582,17 +587,3 @@ class Snapshot:
         numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
         for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
             table[name][:] = numbers[:, column]
-
-
-def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:
-    """Returns the row of a contact, with a < b: normal from b to a, force on a."""
-    a = (ids[contact.body_a], contact.link_a)
-    b = (ids[contact.body_b], contact.link_b)
-    points, sign = (*contact.point_a, *contact.point_b), 1.0
-    if a > b:
-        a, b = b, a
-        points, sign = (*contact.point_b, *contact.point_a), -1.0
-    normal = [sign * component for component in contact.normal]
-    components = zip(normal, contact.friction, strict=True)
-    force = [contact.force * along + sign * across for along, across in components]
-    return (*a, *b, *points, *normal, contact.depth, contact.force, *force)
