@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -11,7 +11,7 @@ import numpy as np
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Contact, LinkPoses
+from ssduck.simulators.interface import DEFAULT_BACKEND, Body, ContactPoints, LinkPoses
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +64,9 @@ class StaticSimulator:
         """Returns the margins as described."""
         return [body.margins for body in bodies]
 
-    def read_contacts(self) -> Iterable[Contact]:
+    def read_contacts(self) -> ContactPoints:
         """Returns no contacts: they come from a physics solver."""
-        return ()
+        return ContactPoints.none()
 
     def step(self, count: int) -> None:  # noqa: ARG002
         """Raises `UnsupportedError`."""

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.interface import CameraView, Contact, LinkPoses, Simulator
+from ssduck.simulators.interface import CameraView, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
 
@@ -196,7 +196,7 @@ class SensorReader:
         simulator: Simulator,
         scan: TickContext,
         posed: Sequence[SensorPose],
-        contacts: Sequence[Contact],
+        contacts: ContactPoints,
     ) -> Mapping[int, Reading]:
         """The readings at a tick: new ones of these sensors, the last ones of the others."""
         if scan.anew:
@@ -315,24 +315,20 @@ def _host(member: EntityInfo, layout: TableLayout) -> int:
     return body.handle
 
 
-def _touched(member: EntityInfo, scan: TickContext, contacts: Sequence[Contact]) -> Reading:
+def _touched(member: EntityInfo, scan: TickContext, contacts: ContactPoints) -> Reading:
     """The contacts of the link that a sensor sits on, or of the whole body."""
     host = _host(member, scan.layout)
     spec = member.sensor
     link = member.mount[1] if spec is not None and spec.link is not None else None
-    found = []
-    for contact in contacts:
-        sides = (
-            (contact.body_a, contact.link_a, contact.point_a, contact.body_b),
-            (contact.body_b, contact.link_b, contact.point_b, contact.body_a),
-        )
-        for own, own_link, point, other in sides:
-            if own == host != other and contact.force > 0 and link in (None, own_link):
-                found.append((other, point, contact.force))
+    pressed = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
+    own = (contacts.bodies == host) & pressed[:, None]
+    if link is not None:
+        own &= contacts.links == link
+    rows, sides = np.nonzero(own)
     return Reading(
         scan.tick,
         scan.time,
-        scan.entities(np.array([other for other, _, _ in found], dtype=np.intp)),
-        np.array([point for _, point, _ in found]).reshape(-1, 3),
-        forces=np.array([force for _, _, force in found], dtype=np.float64),
+        scan.entities(contacts.bodies[rows, 1 - sides]),
+        contacts.points[rows, sides],
+        forces=contacts.forces[rows],
     )

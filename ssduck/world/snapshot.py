@@ -29,7 +29,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, TABLES
-from ssduck.simulators.interface import Body, Contact, LinkPoses, Simulator
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.run_numbers import new_run
@@ -423,9 +423,9 @@ class Snapshot:
         perceiving = self._perceiving(layout, coming, together="sensings" in wanted)
         due = self.sensing.due(scan, perceiving, is_external=simulator.is_external)
         sensors = posed(layout, still, moving, due)
-        contacts: list[Contact] = []
+        contacts = ContactPoints.none()
         if "contacts" in wanted or not all(has_rays(sensor.member) for sensor in sensors):
-            contacts = list(simulator.read_contacts())
+            contacts = simulator.read_contacts()
         readings = self.sensing.read(simulator, scan, sensors, contacts)
         # All of this tick is read before anything of the last one is overwritten.
         self._note_flags(simulator, same=same)
@@ -508,16 +508,20 @@ class Snapshot:
                     "what follows from it is NULL",
                 )
 
-    def _write_contacts(self, contacts: Sequence[Contact]) -> None:
+    def _write_contacts(self, contacts: ContactPoints) -> None:
+        """Writes the contacts, sorted by a, its link, b, its link, and the points."""
         table = self.tables["contacts"]
-        ids = {body.handle: id for id, body in self._layout.bodies}
-        rows = sorted(_contact_row(contact, ids) for contact in contacts)
-        if len(rows) != table.count:
-            table.fill(len(rows), {})
-        numbers = np.array(rows, dtype=np.float64).reshape(-1, 18)
+        if len(contacts) != table.count:
+            table.fill(len(contacts), {})
+        if not len(contacts):
+            return
+        ids = np.zeros(1 + max(body.handle for _, body in self._layout.bodies), dtype=np.int64)
+        for id, body in self._layout.bodies:
+            ids[body.handle] = id
+        sides, numbers = _contact_rows(contacts, ids[contacts.bodies])
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
-            table[name][:] = numbers[:, column]
-        table.doubles("ax", "fz")[:] = numbers[:, 4:].T
+            table[name][:] = sides[:, column]
+        table.doubles("ax", "fz")[:] = numbers.T
 
     def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
         table = self.tables["sensings"]
@@ -534,15 +538,37 @@ class Snapshot:
             table[name][:] = numbers[:, column]
 
 
-def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:
-    """A contact with a < b; its normal points from b to a, its force is that on a."""
-    a = (ids[contact.body_a], contact.link_a)
-    b = (ids[contact.body_b], contact.link_b)
-    points, way = (*contact.point_a, *contact.point_b), 1.0
-    if a > b:
-        a, b = b, a
-        points, way = (*contact.point_b, *contact.point_a), -1.0
-    normal = [way * part for part in contact.normal]
-    sides = zip(normal, contact.friction, strict=True)
-    force = [contact.force * along + way * across for along, across in sides]
-    return (*a, *b, *points, *normal, contact.depth, contact.force, *force)
+def _contact_rows(contacts: ContactPoints, entities: Indices) -> tuple[Indices, Array]:
+    """Returns contacts with a < b, normals from b to a and forces on a, in order.
+
+    Args:
+        contacts: the contacts.
+        entities: (n, 2), the ids of their bodies.
+
+    Returns:
+        (n, 4), a, its link, b and its link; (n, 14), the points, the normal, the depth, the normal
+        force and the whole force.
+    """
+    (a, b), (link_a, link_b) = entities.T, contacts.links.T
+    swapped = (a > b) | ((a == b) & (link_a > link_b))
+    first = swapped.astype(np.intp)
+    sides = np.zeros((len(contacts), 4), dtype=np.int64)
+    rows = np.arange(len(contacts))
+    for column, side in ((0, first), (2, 1 - first)):
+        sides[:, column], sides[:, column + 1] = entities[rows, side], contacts.links[rows, side]
+    sign = np.where(swapped, -1.0, 1.0)[:, None]
+    normals = sign * contacts.normals
+    forces = contacts.forces[:, None] * normals + sign * contacts.frictions
+    numbers = np.column_stack(
+        (
+            contacts.points[rows, first],
+            contacts.points[rows, 1 - first],
+            normals,
+            contacts.depths,
+            contacts.forces,
+            forces,
+        )
+    )
+    # Points that coincide differ in their forces.
+    order = np.lexsort((contacts.forces, *numbers.T[5::-1], *sides.T[::-1]))
+    return sides[order], numbers[order]
