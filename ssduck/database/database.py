@@ -138,7 +138,7 @@ class Database:
             ]
             for world, _ in sorted(there, key=lambda each: each[0].serial):
                 asked = worlds is None or any(world is other for other in worlds)
-                stack.enter_context(world.held(tables if asked else ()))
+                stack.enter_context(world.pinned(tables if asked else ()))
             for _, bound in there:
                 if bound.history is not None and bound.history.recorder is not None:
                     stack.enter_context(bound.history.recorder.read_lock)
@@ -207,14 +207,14 @@ class Database:
             bound = self._worlds.entry(world)
             check_is_live(world)
             if recording is not None:
-                check_names(recording, world.snapshot.members)
+                check_names(recording, world.snapshot.entities)
             self._worlds.record(bound, recording)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
         """Also writes the ticks of a world to a folder from now on."""
         with self._lock:
             check_is_live(world)
-            check_names(recording, world.snapshot.members)
+            check_names(recording, world.snapshot.entities)
             return self._recorders.to_folder(world, recording, path, self.schema_of(world))
 
     def record_of(self, world: World) -> Record:
@@ -249,7 +249,7 @@ class Database:
             EvaluationError: the world is not recorded, or not at that time.
         """
         record = self.record_of(world)
-        with self._lock, world.held():
+        with self._lock, world.pinned():
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording
@@ -263,7 +263,7 @@ class Database:
                 world = bound.reference()
                 recorder = bound.history.recorder if bound.history is not None else None
                 if world is not None and recorder is not None and bound.schemas:
-                    with world.held():
+                    with world.pinned():
                         recorder.flush()
                         numbers = recorder.ticks.numbers
                         found[bound.schemas[0]] = int(numbers[-1])

@@ -49,8 +49,8 @@ class Schemas:
         self._connection.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
         for table in TABLES.values():
             rows = exp.select("*").from_(exp.table_(bound.live(table.name), quoted=True))
-            if table.name in bound.world.snapshot.untold:
-                _refuse(rows, bound.world.snapshot.untold[table.name])
+            if table.name in bound.world.snapshot.unavailable:
+                _refuse(rows, bound.world.snapshot.unavailable[table.name])
             view = _with_second_names(table, rows.sql("duckdb"))
             self._make_view(name, table.name, view)
         self.make_history(name, bound)
@@ -166,6 +166,6 @@ def _with_second_names(table: Table, rows: str) -> str:
 def _refuse(rows: exp.Select, why: str) -> None:
     """Makes a SELECT fail when it is read; DuckDB would skip a condition on no rows."""
     failing = exp.func("error", exp.Literal.string(why)).as_("why")
-    rows.join(exp.select(failing).subquery("untold"), join_type="cross", copy=False)
+    rows.join(exp.select(failing).subquery("unavailable"), join_type="cross", copy=False)
     rows.set("expressions", [exp.Star(except_=[exp.column("why")])])
     rows.where(exp.column("why").is_(exp.null()), copy=False)

@@ -162,7 +162,7 @@ class Execution(Namespace, ABC):
             program = self._with_overrides(program)
             plan_of = partial(self._planner.plan, frame=frame)
             stand_ins = {
-                name: [m.name for m in world.snapshot.members if m.body and m.body.has_stand_ins]
+                name: [m.name for m in world.snapshot.entities if m.body and m.body.has_stand_ins]
                 for name, world in self._database.worlds.items()
             }
             return "\n\n".join(

@@ -41,7 +41,7 @@ class RecordingMethods(ABC):
     def record(self, world: str | World, recording: Recording | None) -> None:
         """Records the ticks of a world from now on, in place of the recording before.
 
-        The record begins with the present tick. The record before is dropped, unless it is in a
+        The recording begins with the current tick. The one before is dropped, unless it is in a
         file.
 
         Args:

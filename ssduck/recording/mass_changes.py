@@ -28,7 +28,7 @@ class MassChanges:
     def warn(self, world: SteppedSimulation) -> None:
         """Reads the masses of a recorded world, and warns once of each body whose mass changed."""
         with suppress(SimulatorError):  # the simulator may be gone
-            world.ask((MASSES,))
+            world.request_tables((MASSES,))
         new = list(self._names.values())[self._warned :]
         self._warned += len(new)
         if new:

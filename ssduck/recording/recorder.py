@@ -125,7 +125,7 @@ class Recorder:
         for table, count in counts.items():
             rows.copy(snapshot, table, self.buffers[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
-        if not snapshot.is_whole:  # the store has NULL where the buffer has NaN
+        if not snapshot.is_complete:  # the store has NULL where the buffer has NaN
             error = error or self._error_of(self.flush)
         if error is not None:
             raise error
@@ -258,7 +258,7 @@ class Recorder:
             self._rows = RecordedRows(snapshot, self.recording.entities)
             masses = snapshot.masses
             new = [
-                member.weighed(masses.get(member.id, member.masses))
+                member.with_masses(masses.get(member.id, member.masses))
                 for member in self._rows.members
                 if member.id not in self.members
             ]

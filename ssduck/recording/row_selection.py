@@ -35,13 +35,13 @@ class RecordedRows:
     def __init__(self, snapshot: Snapshot, names: Collection[str] | None) -> None:
         self._layout = snapshot.layout
         self._flags = snapshot.disabled, snapshot.hidden
-        members = self._layout.members
+        members = self._layout.entities
         self.members = members if names is None else chosen_members(members, names)
         self._ids = np.array([member.id for member in self.members], dtype=np.int64)
         ids = {member.id for member in self.members}
         self._link_selections = [
             _select_links(part, self._layout, ids)
-            for part in (self._layout.still, self._layout.moving)
+            for part in (self._layout.static_bodies, self._layout.moving_bodies)
         ]
         self._link_count = sum(len(links.indices) for links in self._link_selections)
         self._fixed_rows: dict[str, Indices | None] = {
@@ -103,7 +103,7 @@ class RecordedRows:
             return
         live: LiveTable = snapshot.tables[table]
         columns, selected = TABLES[table].tick_columns, self._selected_rows(snapshot, table)
-        doubles = live.block[live.places(columns.doubles)]
+        doubles = live.block[live.block_rows(columns.doubles)]
         buffer.doubles[:, rows] = doubles if selected is None else doubles[:, selected]
         if table not in self._fixed_rows:
             for name in columns.integers[1:]:
@@ -126,7 +126,7 @@ class RecordedRows:
     def _copy_link_poses(self, snapshot: Snapshot, buffer: RowBuffer, rows: slice) -> None:
         buffer.doubles[0, rows] = snapshot.time
         first = rows.start
-        for links, (_, frames) in zip(self._link_selections, snapshot.parts, strict=True):
+        for links, (_, frames) in zip(self._link_selections, snapshot.body_groups, strict=True):
             if not len(links.indices):
                 continue
             target = slice(first, first + len(links.indices))

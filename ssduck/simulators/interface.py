@@ -8,7 +8,7 @@ quaternions w, x, y, z.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
@@ -127,7 +127,7 @@ class LinkPoses:
     states: Array
 
     def states_at(self, points: Array, links: Indices) -> Array:
-        """The states of some links, stated at other points of them.
+        """Returns the states of some links, stated at other points of them.
 
         Args:
             points: (m, 3), points of the links, in the world.
@@ -143,32 +143,35 @@ class LinkPoses:
 
 
 @dataclass(frozen=True)
-class Contact:
-    """A contact point of the physics solver, in the world; the normal points from b to a.
+class ContactPoints:
+    """Contact points of the physics solver, in the world; normals point from body b to body a.
 
     Attributes:
-        body_a: the handle of body a.
-        link_a: the link of body a.
-        body_b: the handle of body b.
-        link_b: the link of body b.
-        point_a: on a.
-        point_b: on b.
-        normal: of length 1.
-        depth: how deep the shapes are in each other, m.
-        force: along the normal, N.
-        friction: the friction force on a, N.
+        bodies: (n, 2), the handles of bodies a and b.
+        links: (n, 2), the links of bodies a and b.
+        points: (n, 2, 3), the points on a and on b, m.
+        normals: (n, 3), of length 1.
+        depths: (n,), the penetration depths, m.
+        forces: (n,), the forces along the normals, N.
+        frictions: (n, 3), the friction forces on a, N.
     """
 
-    body_a: int
-    link_a: int
-    body_b: int
-    link_b: int
-    point_a: tuple[float, float, float]
-    point_b: tuple[float, float, float]
-    normal: tuple[float, float, float]
-    depth: float
-    force: float
-    friction: tuple[float, float, float]
+    bodies: Indices
+    links: Indices
+    points: Array
+    normals: Array
+    depths: Array
+    forces: Array
+    frictions: Array
+
+    @classmethod
+    def none(cls) -> ContactPoints:
+        """Returns no contact points."""
+        pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
+        return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
+
+    def __len__(self) -> int:
+        return len(self.depths)
 
 
 @dataclass(frozen=True)
@@ -260,13 +263,13 @@ class Simulator(Protocol):
         """The bodies that are not drawn; the same object until they change."""
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """The bodies that came and those that went since the last call; None if none did.
+        """Returns the bodies that came and those that went since the last call; None if none did.
 
         A `Body` stays the same object until it goes. A body that comes back is a new object.
         """
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
-        """The poses of all links of some bodies, body after body, as they are now.
+        """Returns the poses of all links of some bodies, body after body, as they are now.
 
         The arrays are not written to afterwards.
 
@@ -277,19 +280,21 @@ class Simulator(Protocol):
         """
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """The position, velocity and effort of the joints of some bodies, (joints, 3)."""
+        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3)."""
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The masses of the links of some bodies, kg; of a body that is gone, the last ones."""
+        """Returns the masses of bodies' links, kg; the last known ones if a body is gone."""
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The collision margins of the shapes of some bodies, m; of one that is gone, the last."""
+        """Returns the margins of bodies' shapes, m; the last known ones if a body is gone."""
 
-    def read_contacts(self) -> Iterable[Contact]:
-        """The contacts of the last step."""
+    def read_contacts(self) -> ContactPoints:
+        """Returns the contact points of the last step."""
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """The first body that each ray hits now. A ray does not hit a body that it begins in.
+        """Returns the first body that each ray hits now.
+
+        A ray does not hit a body that it begins in.
 
         Args:
             starts: (n, 3), the starts of the rays.
@@ -298,7 +303,7 @@ class Simulator(Protocol):
         """
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        """The colour image of a camera on a body, without shadows, (height, width, 3)."""
+        """Returns the colour image of a camera on a body, without shadows, (height, width, 3)."""
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""
@@ -313,7 +318,7 @@ class Simulator(Protocol):
         """Sets motors of a body for the next steps, by the index of the joint's link."""
 
     def has_constraint(self, body: Body, other: Body) -> bool:
-        """Whether a fixed constraint connects a link of a body to the base of another."""
+        """Checks whether a fixed constraint connects a link of a body to the base of another."""
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
         """Adds a fixed constraint between a link of a body and the base of another, as they are."""
@@ -333,10 +338,10 @@ class Simulator(Protocol):
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        """The colour image of a camera, (height, width, 3), with or without shadows."""
+        """Returns the colour image of a camera, (height, width, 3), with or without shadows."""
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """The handle of the body in each pixel of that image, (height, width); -1 for none."""
+        """Returns the handle of the body in each pixel, (height, width); -1 for none."""
 
     def close(self) -> None:
         """Releases the simulation; one that the user made goes on running."""

@@ -163,7 +163,7 @@ class Entity(OpenRaveEntity):
     def mass(self) -> float:
         """Kilograms of all links; 0 for a sensor and for what cannot move."""
         with self.state.lock:
-            self.state.ask([MASSES])
+            self.state.request_tables([MASSES])
             return self._numbers("mass", "mass")[0]
 
     @property
@@ -325,15 +325,15 @@ class Entity(OpenRaveEntity):
     def visible(self, on: bool) -> None:
         self.state.show(self, on)
 
-    def body_of(self, member: EntityInfo, verb: str) -> Body:
+    def body_of(self, info: EntityInfo, verb: str) -> Body:
         """What it is made of, by its entry in the world; `verb` says what for.
 
         Raises:
             ArgumentError: it is a sensor.
         """
-        if member.body is None:
+        if info.body is None:
             raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
-        return member.body
+        return info.body
 
     def column(self, name: str) -> Any:
         """Its value in a column of the table of entities; None for an unknown one."""
@@ -358,7 +358,7 @@ class Entity(OpenRaveEntity):
     def _table(self, name: str) -> list[dict[str, Any]]:
         with self.state.lock:
             self._row()
-            self.state.ask([name, MASSES] if name == "links" else [name])
+            self.state.request_tables([name, MASSES] if name == "links" else [name])
             self._row()  # asking may have taken a tick
             table = self.state.snapshot.tables[name]
             own = table.arrow.filter(pa.array(table["entity"] == self.id))
@@ -473,13 +473,13 @@ class Sensor(OpenRaveSensor, Entity):
     @property
     def host(self) -> int:
         """The id of the body that it sits on."""
-        member = self.state.snapshot.members[self._row()]
-        return member.mount[0]
+        info = self.state.snapshot.entities[self._row()]
+        return info.mount[0]
 
     @property
     def spec(self) -> SensorSpec:
         """What the sensor is, and where it sits."""
-        spec = self.state.snapshot.members[self._row()].sensor
+        spec = self.state.snapshot.entities[self._row()].sensor
         assert spec is not None
         return spec
 

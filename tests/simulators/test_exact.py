@@ -35,7 +35,7 @@ def exactly(client, **how):
 
 
 def body_of(world, handle):
-    return next(m.body for m in world.snapshot.members if m.body and m.body.handle == handle)
+    return next(m.body for m in world.snapshot.entities if m.body and m.body.handle == handle)
 
 
 def depth(geometry, point):
@@ -124,7 +124,7 @@ def test_capsules_of_mjcf_files_are_as_they_are_written(client, model):
             radius = float(geom.get("size").split()[0])
             written[radius, round(float(np.linalg.norm(ends[1] - ends[0])), 6)] += 1
     pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)
-    bodies = [member.body for member in exactly(client).snapshot.members]
+    bodies = [member.body for member in exactly(client).snapshot.entities]
     shapes = [shape.geometry for body in bodies for shape in body.shapes]
     found = Counter(
         (round(g.size[0], 6), round(g.size[1], 6)) for g in shapes if g.type == "capsule"
@@ -164,7 +164,7 @@ def test_shapes_of_mjcf_files_are_as_far_as_pybullet_says(client, model):
 def test_numbers_of_files_are_kept_as_they_are_written(client):
     """PyBullet saves single floats; 0.08 is not to become 0.07999999821186066."""
     pybullet.loadMJCF(str(LIBRARY / "mjcf" / "ant.xml"), physicsClientId=client)
-    (body,) = [m.body for m in exactly(client).snapshot.members]
+    (body,) = [m.body for m in exactly(client).snapshot.entities]
     leg = next(shape for shape in body.shapes if shape.frame == 1)
     assert leg.geometry.size == (0.08, pytest.approx(0.2 * 2**0.5, abs=1e-15), 0.0)
     assert leg.position == pytest.approx([0.1, 0.1, 0.0], abs=1e-8)
@@ -403,12 +403,12 @@ def test_what_was_said_of_a_body_is_not_said_of_the_next_one(client):
         (0, [], "no mesh"),
         (0, 3.5, "no mesh"),
         (0, (TETRA,), "no mesh"),
-        (0, ([[0, 0]], SIDES), r"vertices are to be numbers \(n, 3\)"),
-        (0, ([["a", 0, 0]] * 3, SIDES), "vertices are to be"),
+        (0, ([[0, 0]], SIDES), r"vertices must be numbers \(n, 3\)"),
+        (0, ([["a", 0, 0]] * 3, SIDES), "vertices must be"),
         (0, (TETRA[:2], SIDES), "at least three"),
         (0, ([*TETRA[:3], [0, 0, float("inf")]], SIDES), "vertex 3 is not finite"),
-        (0, (TETRA, [[0, 1]]), "faces are to be"),
-        (0, (TETRA, []), "faces are to be"),
+        (0, (TETRA, [[0, 1]]), "faces must be"),
+        (0, (TETRA, []), "faces must be"),
         (0, (TETRA, [[0, 1, 4]]), "face 0 is .*; the vertices have the numbers 0 to 3"),
         (0, (TETRA, [[0, 1, 2], [0, 1, -1]]), "face 1 is"),
         (0, (TETRA, [[0, 1, 1.5]]), "face 0 is"),

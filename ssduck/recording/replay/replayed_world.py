@@ -73,21 +73,21 @@ class ReplayedWorld(PastWorld):
         """
         time = validation.seconds(time, "a time")
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             times = self._record.ticks.times
             place = place_at(self.name, time, times, float(times[-1]))
             self._tick = int(self._record.ticks.numbers[place])
             self._take_tick()
         return self
 
-    def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
+    def advance(self, count: int, on_progress: Callable[[int], object] | None = None) -> None:
         """Go on by so many recorded times, telling no follower.
 
         Raises:
             EvaluationError: the record ends before that.
         """
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             place = int(np.searchsorted(self._times, self.time, side="right")) - 1 + count
             if place >= len(self._times):
                 raise EvaluationError(
@@ -95,8 +95,8 @@ class ReplayedWorld(PastWorld):
                 )
             if count:
                 self._tick = int(self._firsts[place])
-            if watch is not None:
-                watch(count)
+            if on_progress is not None:
+                on_progress(count)
             self._take_tick()
 
     def _take(self) -> None:

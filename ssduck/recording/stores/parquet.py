@@ -208,7 +208,7 @@ class ParquetRecording:
         Raises:
             RecordError: they cannot be written, as the disk is full, say; they stay buffered.
         """
-        with self._world.held():
+        with self._world.pinned():
             self._recorder.flush()
             return self._folder.last_tick
 
@@ -223,7 +223,7 @@ class ParquetRecording:
         self._recorder.mass_changes.warn(self._world)
         self.flush()
         self._folder.finish()
-        self._world.forget(self._recorder)
+        self._world.remove_recorder(self._recorder)
         self._recorders.remove(self._recorder)
 
     def __enter__(self) -> Self:

@@ -20,7 +20,7 @@ def new_client() -> Iterator[int]:
     """
     client = _connected()
     if client < 0:
-        # Worlds that are no longer referenced hold their clients until they are collected.
+        # Worlds that are no longer referenced keep their clients until they are collected.
         gc.collect()
         client = _connected()
     if client < 0:
@@ -40,6 +40,6 @@ def _connected() -> int:
 
 
 def handles_of(client: int) -> list[int]:
-    """The numbers of the client's bodies."""
+    """Returns the numbers of the client's bodies."""
     count = pybullet.getNumBodies(client)
     return list(map(pybullet.getBodyUniqueId, range(count), repeat(client)))
