@@ -200,10 +200,10 @@ class SteppedSimulation(Observable):
             if recorder is not None:
                 try:
                     recorder.record(self.snapshot)
-                except SelectScriptError as error:  # a full disk is no trouble of the others
-                    failed = failed or error
-        if failed is not None:
-            raise failed
+                except SelectScriptError as error:  # the other recorders still get the tick
+                    failure = failure or error
+        if failure is not None:
+            raise failure
 
     # -- tables and queries -----------------------------------------------------------------
 
