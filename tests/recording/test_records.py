@@ -1001,4 +1001,4 @@ def test_killed_recorders_leave_whole_records(seed):
     """The short form of `python -m tools.kill`."""
     run = kill.Run(kill.KINDS["both"])
     run.add(seed)
-    assert run.found == {}
+    assert run.faults == {}
