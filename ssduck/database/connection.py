@@ -341,7 +341,7 @@ def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
 
 
 def _is_duckdb_error(error: Exception) -> bool:
-    """Tells whether DuckDB raised an error; it raises a RuntimeError at Ctrl-C."""
+    """Checks whether DuckDB raised an error; it raises a RuntimeError at Ctrl-C."""
     if isinstance(error, RuntimeError):
         return "interrupted" in str(error).lower()
     return isinstance(error, duckdb.Error)

@@ -232,7 +232,7 @@ class Database:
             return history.record
 
     def is_recorded(self, world: World) -> bool:
-        """Tells whether the ticks of a world are recorded."""
+        """Checks whether the ticks of a world are recorded."""
         return self._worlds.entry(world).history is not None
 
     def export(

@@ -98,7 +98,7 @@ class ReferencedTables:
 
 
 def reads_recorded_masses(sql: str) -> bool:
-    """Tells whether a statement reads recorded masses: the column, or all columns."""
+    """Checks whether a statement reads recorded masses: the column, or all columns."""
     return _MASS_HISTORIES.search(sql) is not None and _MASS_OR_ALL.search(sql) is not None
 
 

@@ -96,7 +96,7 @@ def _text(values: Sequence[str]) -> SqlType:
 
 
 def _has_lone_surrogate(text: str) -> bool:
-    """Tells whether a text has half of a surrogate pair, which UTF-8 cannot encode."""
+    """Checks whether a text has half of a surrogate pair, which UTF-8 cannot encode."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -133,7 +133,7 @@ def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> SqlType
 
 
 def is_exactly(value: Any, sql_type: SqlType) -> bool:
-    """Tells whether a value has a type, and comes back from SQL as it is: 3 is no real, 3.0 is.
+    """Checks whether a value has a type, and comes back from SQL as it is: 3 is no real, 3.0 is.
 
     Args:
         value: any value.

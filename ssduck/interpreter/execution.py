@@ -109,10 +109,10 @@ class Execution(Namespace, ABC):
         """Returns the program with users' functions in the place of those they override."""
         if not self._overrides:
             return program
-        found = self._override_cache.get(program)
-        if found is None:
-            found = self._override_cache[program] = with_overrides(program, self._overrides)
-        return found
+        overridden = self._override_cache.get(program)
+        if overridden is None:
+            overridden = self._override_cache[program] = with_overrides(program, self._overrides)
+        return overridden
 
     def _run(self, program: Program) -> Any:
         """Returns the value of a program, or its explanation."""
@@ -150,11 +150,11 @@ class Execution(Namespace, ABC):
         """Returns the names of all entities in the record of a world."""
         try:
             members = self._database.record_of(world).members
-        except SelectScriptError:  # nothing is kept of it
+        except SelectScriptError:  # it is not recorded
             return set()
         return {member.name for member in members.values()}
 
-    # -- what a program becomes -------------------------------------------------------------
+    # -- explanations ------------------------------------------------------------------------
 
     def _explanation(self, program: Program) -> str:
         """Returns the SQL of the last statement's queries, and what Python evaluates."""
@@ -213,10 +213,12 @@ class Execution(Namespace, ABC):
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
         age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
 
-        def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
-            found = self._planner.run(query, Frame(self, placeholders=given), _accept_columns)
-            listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
-            return listed
+        def rows(query: Query, placeholders: dict[str, Any]) -> list[list[Any]]:
+            selected = self._planner.run(
+                query, Frame(self, placeholders=placeholders), _accept_columns
+            )
+            fetched: list[list[Any]] = formed(selected, lambda part: list(map(list, part.values)))
+            return fetched
 
         with self._worlds_held(node):
             series = self._temporal.series(node, frame, self._database.record_of, rows)
@@ -245,13 +247,15 @@ class Execution(Namespace, ABC):
         """Returns the value of a relation outside a query, by a query of one row."""
         query = self._relation_queries.get(node)
         if query is None:
-            names = [Placeholder(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
-            asked = Call(node.span, node.name, tuple(names), node.name_span)
-            query = self._relation_queries[node] = Query(node.span, (asked,), ())
+            placeholders = [
+                Placeholder(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)
+            ]
+            call = Call(node.span, node.name, tuple(placeholders), node.name_span)
+            query = self._relation_queries[node] = Query(node.span, (call,), ())
         together = entities_together(values, frame.own_elements())
         if together is None:
             return None
-        given = {f"argument_{index}": value for index, value in enumerate(together)}
+        values_by_name = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
         with self._database.held(RELATIONS[node.name].inputs, worlds):
             for argument, value in zip(node.arguments, together, strict=True):
@@ -262,9 +266,9 @@ class Execution(Namespace, ABC):
                 moment = value.moment if isinstance(value, Entity) else None
                 if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
-            return self._planner.relation(query, Frame(self, placeholders=given))
+            return self._planner.relation(query, Frame(self, placeholders=values_by_name))
 
-    # -- what else expressions see -----------------------------------------------------------
+    # -- the rest of the scope (`EvaluationScope`) -------------------------------------------
 
     @abstractmethod
     def query(self, node: Query, frame: Frame) -> Any:
@@ -281,7 +285,7 @@ class Execution(Namespace, ABC):
 
     @contextmanager
     def _worlds_held(self, *nodes: Node) -> Iterator[None]:
-        """Holds all worlds at their tick, with the tables read that relations look up."""
+        """Holds all worlds at their tick, and reads the tables that relations look up."""
         tables = frozenset().union(*map(self.tables_read, nodes))
         with self._database.held(tables, self.worlds_of(nodes) if tables else ()):
             yield

@@ -247,7 +247,7 @@ MISTAKES = [
     ([], "v{1e999 - 1e999} = 1;", ArgumentError, "1e999 - 1e999", "a finite number"),
     ([], "v{False} = 1;", ArgumentError, "False", "a horizon is a number of seconds"),
     ([], "v{v} = 1;", UnknownNameError, "v", "no variable 'v'"),
-    ([], "v{5} = w;", ArgumentError, "v{5} = w", "a world is no value to be kept"),
+    ([], "v{5} = w;", ArgumentError, "v{5} = w", "a world cannot be kept"),
     ([], "v{} = [a.this];", ArgumentError, "v{} = [a.this]", "has no history"),
     (["u = [a.this];"], "v{} = u;", ArgumentError, "v{} = u", "has no history"),
     ([], "w{1.5};", EvaluationError, "w{1.5}", "'w' is recorded from 0 s to 0 s"),
