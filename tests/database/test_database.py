@@ -529,7 +529,7 @@ def test_tables_columns_and_functions_are_commented(sim):
         if name != "geometries":
             assert views.pop(f"{name}_history") == f"A row is {row}, at each recorded tick."
         if name in MODELS:
-            told = f"What is the same at each recorded tick. A row is {row}."
+            told = f"Values that are the same at all recorded ticks. A row is {row}."
             assert views.pop(f"{name}_model") == told
     assert views == {}
     for place in ("temp", "sim"):

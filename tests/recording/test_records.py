@@ -877,7 +877,7 @@ def test_files_of_another_version_or_damaged(tmp_path, client, about, told):
 def test_names_that_recorded_runs_have_are_taken(tmp_path, client):
     with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client))
-        with pytest.raises(ArgumentError, match="a recorded run is called so in SQL"):
+        with pytest.raises(ArgumentError, match="a recorded run has it in SQL"):
             ss.add_variable("lab_record_0", world)
         with pytest.raises(ArgumentError, match="no entity 'nobody'"):
             ss.record("lab", Recording(entities=("nobody",)))
