@@ -213,7 +213,7 @@ class Database:
             self._worlds.record(bound, recording)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
-        """Also writes the ticks of a world to a folder from now on."""
+        """Writes the ticks of a world to a folder, too, from now on."""
         with self._lock:
             check_is_live(world)
             check_names(recording, world.snapshot.members)

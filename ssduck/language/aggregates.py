@@ -31,7 +31,7 @@ _OF_NONE: dict[str, Callable[[], Any]] = {"count": int, "sum": int, "uniq": list
 
 
 def over_rows(node: Node) -> list[Call]:
-    """The aggregates in a part of a query with groups that are over the rows of a group.
+    """Returns the aggregates in a part of a query with groups that are over the rows of a group.
 
     An aggregate of a nested query, or of a list that is written out, is of that list;
     `count(uniq(x))` is of the list that `uniq(x)` makes of the rows.
@@ -51,7 +51,7 @@ def _is_uniq(node: Node) -> bool:
 
 @known
 def _counts_rows(node: Node) -> bool:
-    """Whether the node contains an aggregate of a number; `*` counts as one."""
+    """Checks whether the node contains an aggregate of a number; `*` counts as one."""
     match node:
         case Query():
             return False
@@ -61,7 +61,7 @@ def _counts_rows(node: Node) -> bool:
 
 
 def is_one_group(query: Query) -> bool:
-    """Whether all rows of a query are one group."""
+    """Checks whether all rows of a query are one group."""
     if query.group:
         return False
     if query.having is not None:
@@ -70,12 +70,12 @@ def is_one_group(query: Query) -> bool:
 
 
 def is_grouped(query: Query) -> bool:
-    """Whether a query has groups."""
+    """Checks whether a query has groups."""
     return bool(query.group) or is_one_group(query)
 
 
 def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
-    """Whether SELECT gives one row a group.
+    """Checks whether SELECT gives one row a group.
 
     Args:
         query: the query.
@@ -88,7 +88,7 @@ def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
 
 
 def _is_of_rows(argument: Node) -> bool:
-    """Whether an argument cannot be a list that is the same for all rows."""
+    """Checks whether an argument cannot be a list that is the same for all rows."""
     return isinstance(argument, Literal) or bool(free_aliases(argument))
 
 
@@ -116,7 +116,7 @@ class GroupFunction:
         )
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
-        """The value for a group.
+        """Returns the value for a group.
 
         Args:
             rows: of the group.
@@ -194,7 +194,7 @@ def check_one_group(query: Query, selected: Sequence[Node]) -> None:
 
 
 def _of_one_row(node: Node, own: set[str | None]) -> Iterator[Node]:
-    """The parts outside of aggregates that depend on a row."""
+    """Yields the parts outside of aggregates that depend on a row."""
     if not free_aliases(node) & own or node in over_rows(node):
         return
     if isinstance(node, Binary | Unary | If | ListLiteral) or over_rows(node):

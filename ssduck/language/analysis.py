@@ -54,7 +54,7 @@ def known(look: Callable[[Node], T]) -> Callable[[Node], T]:
 
 @known
 def free_aliases(node: Node) -> frozenset[str | None]:
-    """The aliases whose `this` a part mentions, and that no query in it has as a source."""
+    """Returns the aliases whose `this` a part mentions, and that no query in it has as a source."""
     if isinstance(node, This):
         return frozenset((node.alias,))
     if isinstance(node, UnresolvedName):
@@ -76,13 +76,13 @@ def free_aliases(node: Node) -> frozenset[str | None]:
 
 
 def sees_outside(query: Query) -> bool:
-    """Whether a nested query sees rows of the queries around it."""
+    """Checks whether a nested query sees rows of the queries around it."""
     return bool(free_aliases(query))
 
 
 @known
 def is_impure(node: Node) -> bool:
-    """Whether evaluation has side effects, so that the order and number of evaluations matter."""
+    """Checks whether evaluation has side effects, so that its order and number matter."""
     match node:
         case Assignment():
             return True
@@ -99,7 +99,7 @@ def is_impure(node: Node) -> bool:
 
 @known
 def calls_of(node: Node) -> frozenset[str]:
-    """The functions that a part calls."""
+    """Returns the functions that a part calls."""
     own: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
     own = (node.key,) if isinstance(node, QualifiedName) else own
     own = (
@@ -110,13 +110,13 @@ def calls_of(node: Node) -> frozenset[str]:
 
 @known
 def forms_of(node: Node) -> frozenset[str]:
-    """The result forms that a part names."""
+    """Returns the result forms that a part names."""
     own = (node.name,) if isinstance(node, AdapterClause) else ()
     return frozenset(own).union(*map(forms_of, node.children()))
 
 
 def states(query: Query) -> frozenset[str]:
-    """The state variables of a hierarchical query."""
+    """Returns the state variables of a hierarchical query."""
     if query.recursion is None:
         return frozenset()
     parts = (*query.recursion.start, *query.recursion.step)
@@ -124,18 +124,18 @@ def states(query: Query) -> frozenset[str]:
 
 
 def changing(query: Query) -> frozenset[str]:
-    """The variables that may differ from row to row of a query: those that it assigns."""
+    """Returns the variables that may differ from row to row of a query: those that it assigns."""
     return frozenset(part.name for part in query.walk() if isinstance(part, Assignment))
 
 
 def mentions(node: Node, names: Collection[str]) -> bool:
-    """Whether a part reads one of these variables."""
+    """Checks whether a part reads one of these variables."""
     return not variables_of(node).isdisjoint(names)
 
 
 @known
 def variables_of(node: Node) -> frozenset[str]:
-    """The variables that a node reads.
+    """Returns the variables that a node reads.
 
     >>> from ssduck.language.parser import parse
     >>> sorted(variables_of(parse("x = y + z{1.0};").statements[0]))
@@ -147,7 +147,7 @@ def variables_of(node: Node) -> frozenset[str]:
 
 
 def aliases_of(query: Query) -> list[str]:
-    """The aliases of a query's sources.
+    """Returns the aliases of a query's sources.
 
     Raises:
         ArgumentError: two have the same name.

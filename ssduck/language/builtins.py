@@ -49,7 +49,7 @@ class Function:
     def of(
         cls, name: str, call: Callable[..., Any], help: str | None = None, hints: object = None
     ) -> Function:
-        """A user's function; its arity is that of its signature."""
+        """Returns a user's function; its arity is that of its signature."""
         least, most = _arity(call)
         text = help if help is not None else inspect.getdoc(call) or f"Usage: {name}(...)"
         return cls(name, call, text, least, most, hints=hints)
@@ -82,7 +82,7 @@ class Function:
             raise self._failed(error, error_text(error)) from error
 
     def _refused(self, arguments: Sequence[Any]) -> str:
-        """The message for arguments that a built-in function does not take."""
+        """Returns the message for arguments that a built-in function does not take."""
         taken = ", ".join(map(argument_in_words, arguments)) or "no arguments"
         usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
         return f"{self.name} does not take {taken}: it is {usage}"
@@ -92,7 +92,7 @@ class Function:
 
 
 def _copied(value: Any) -> Any:
-    """A copy of a list or a dict, and of what is in it; handles stay what they are."""
+    """Returns a copy of a list or a dict, and of what is in it; handles stay what they are."""
     if type(value) is list:
         return [part if type(part) in ATOMS else _copied(part) for part in value]
     if type(value) is dict:
@@ -101,7 +101,7 @@ def _copied(value: Any) -> Any:
 
 
 def _given(value: Any) -> Any:
-    """The result of a function: lists and dicts copied, NumPy's numbers converted to Python's."""
+    """Returns the result of a function, with lists and dicts copied and NumPy's numbers converted."""
     if type(value) is list:
         return [part if type(part) in ATOMS else _given(part) for part in value]
     if type(value) is tuple:
@@ -123,7 +123,7 @@ def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
 
 
 def _uniq(values: list[Any]) -> list[Any]:
-    """The distinct values, in order of first appearance."""
+    """Returns the distinct values, in order of first appearance."""
     if ATOMS.issuperset(map(type, values)):
         return list(dict.fromkeys(values))
     distinct: dict[Any, Any] = {}
@@ -137,7 +137,7 @@ def _avg(values: list[Any]) -> Any:
 
 
 def _of_elements(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A function of the elements of a list; the letters of a text are not elements."""
+    """Returns a function of the elements of a list; the letters of a text are not elements."""
 
     @wraps(call)
     def of_list(values: Any) -> Any:

@@ -127,11 +127,11 @@ class Clauses:
         self._limit = None if rest.limit is None else compiler.thunk(rest.limit)
 
     def holds(self, frame: Frame) -> bool:
-        """Whether a row fulfils the conditions."""
+        """Checks whether a row fulfils the conditions."""
         return all(condition(frame) for condition in self._conditions)
 
     def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
-        """The selected values of rows."""
+        """Returns the selected values of rows."""
         limit = self.count(outer)
         kept: Iterable[Frame] = filter(self.holds, rows) if self._conditions else rows
         rest = self._rest
@@ -188,7 +188,7 @@ class Clauses:
         limit: int | None,
         outer: Frame,
     ) -> Selected:
-        """The selected values of all rows or paths, if there are no groups, or one."""
+        """Returns the selected values of all rows or paths, if there are no groups, or one."""
         if self._rest.is_one_group:
             frames = [row(entry) for entry in found]
             is_wanted = self._is_wanted(frames, outer)
@@ -203,13 +203,13 @@ class Clauses:
         return Rows(selected.values[:limit], names)
 
     def _is_wanted(self, rows: list[Frame], outer: Frame) -> bool:
-        """Whether HAVING holds of a group."""
+        """Checks whether HAVING holds of a group."""
         if self._having is None or self._rest.having is None:
             return True
         return truth(self._having(rows, outer), self._rest.having)
 
     def _distinct(self, frames: list[Frame]) -> Rows:
-        """The distinct rows of these frames, in order of first appearance."""
+        """Returns the distinct rows of these frames, in order of first appearance."""
         rows = self.items.rows(frames)
         several = rows.names if isinstance(rows.names, list) else [rows.names] * len(frames)
         first: dict[Any, tuple[Any, Any]] = {}
@@ -219,7 +219,7 @@ class Clauses:
         return self.items.gathered([names for names, _ in kept], [values for _, values in kept])
 
     def count(self, outer: Frame) -> int | None:
-        """The limit of rows, paths or groups; None for all."""
+        """Returns the limit of rows, paths or groups; None for all."""
         node = self._rest.limit
         if node is None or self._limit is None:
             return None
@@ -238,24 +238,24 @@ class SelectedItems:
         self._fixed = tuple(name for name in self._names if isinstance(name, str))
 
     def values(self, frame: Frame) -> tuple[Any, ...]:
-        """The selected values of a row."""
+        """Returns the selected values of a row."""
         return tuple([item(frame) for item in self._items])
 
     def names(self, frame: Frame) -> tuple[Any, ...]:
-        """The column names of a row."""
+        """Returns the column names of a row."""
         if len(self._fixed) == len(self._names):
             return self._fixed
         return tuple([name if isinstance(name, str) else name(frame) for name in self._names])
 
     def rows(self, frames: list[Frame]) -> Rows:
-        """The rows of these frames."""
+        """Returns the rows of these frames."""
         values = [self.values(frame) for frame in frames]
         if len(self._fixed) == len(self._names):
             return Rows(values, self._fixed)
         return Rows(values, [self.names(frame) for frame in frames])
 
     def gathered(self, names: list[tuple[Any, ...]], values: list[tuple[Any, ...]]) -> Rows:
-        """The rows of values that were selected before."""
+        """Returns the rows of values that were selected before."""
         fixed = len(self._fixed) == len(self._names)
         return Rows(values, self._fixed if fixed else names)
 
@@ -272,7 +272,7 @@ class _Aggregated:
         self._fixed = tuple(name for name in self._names if isinstance(name, str))
 
     def row(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
-        """The row of a group; None where HAVING excludes it."""
+        """Returns the row of a group; None where HAVING excludes it."""
         if not is_there:
             return Rows([], self._fixed)
         values = [tuple(item(frames, outer) for item in self._items)]
@@ -299,7 +299,7 @@ def _sorted(
 
 
 def checked_count(value: Any, what: str, node: Node) -> int:
-    """A number of rows, of levels or of results.
+    """Returns a number of rows, of levels or of results.
 
     Raises:
         EvaluationError: it is none.
@@ -312,7 +312,7 @@ def checked_count(value: Any, what: str, node: Node) -> int:
 
 
 def printed(value: Any, node: Node) -> str:
-    """A value as a group's key: an entity by its name, a text without quotes.
+    """Returns a value as a group's key: an entity by its name, a text without quotes.
 
     Raises:
         EvaluationError: it cannot be printed.
@@ -357,7 +357,7 @@ class LockstepSource(Sequence[Any]):
         return self._elements[place]
 
     def beside(self, other: Any) -> Sequence[Any]:
-        """The entities at the tick of another one."""
+        """Returns the entities at the tick of another one."""
         return self._by_tick.get(other.moment.tick, ())
 
 
@@ -386,7 +386,7 @@ def _products(values: Sequence[Iterable[Any]]) -> Iterator[tuple[Any, ...]]:
 def combinations(
     aliases: Sequence[str], values: Sequence[Iterable[Any]], outer: Frame
 ) -> Iterator[dict[str | None, Any]]:
-    """The elements of the sources by alias, for each combination of them, the last fastest."""
+    """Yields each combination of the sources' elements, by alias; the last source varies fastest."""
     around: dict[str | None, Any] = dict(outer.elements)
     around.pop(None, None)
     for elements in _products(values):
@@ -402,7 +402,7 @@ def row_frames(
     outer: Frame,
     kept: dict[Node, Any],
 ) -> Iterator[Frame]:
-    """The frames of all rows of a query, in order; each counts as one evaluation step."""
+    """Yields the frames of all rows of a query, in order; each counts as one evaluation step."""
     look = outer.scope.meter.combination_counter()
     for elements in combinations(aliases, values, outer):
         look()

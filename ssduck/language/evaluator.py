@@ -60,10 +60,10 @@ class EvaluationScope(Protocol):
     """The part of the interpreter that an evaluator needs."""
 
     def variable(self, name: str) -> Any:
-        """A variable's value, or an UnknownNameError."""
+        """Returns a variable's value, or an UnknownNameError."""
 
     def has_variable(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Checks whether there is a variable of that name."""
 
     def assign(self, name: str, value: Any) -> None:
         """Sets a variable."""
@@ -72,37 +72,37 @@ class EvaluationScope(Protocol):
         """Sets a variable that keeps its values for that many seconds."""
 
     def past_value(self, name: str, *age: Any) -> Any:
-        """The past value of a variable; all kept values if no age is given."""
+        """Returns the past value of a variable; all kept values if no age is given."""
 
     def check_call(self, node: Call) -> None:
         """Rejects an unknown function, or a wrong number of arguments."""
 
     def resolved_name(self, name: str) -> str:
-        """The name under which the function is called: marked if a user's function replaces it."""
+        """Returns the name that calls a function: marked if a user's function replaces it."""
 
     def is_users(self, name: str) -> bool:
-        """Whether that is a user's function."""
+        """Checks whether that is a user's function."""
 
     def builtin(self, name: str) -> Callable[[list[Any]], Any] | None:
-        """A built-in function of plain values, whether or not a user's function replaces it."""
+        """Returns a built-in function of plain values, even if a user's function replaces it."""
 
     def function(self, name: str) -> Callable[[list[Any]], Any] | None:
-        """A function that is no relation."""
+        """Returns a function that is no relation."""
 
     def over_time(self, node: Call, frame: Frame) -> Any:
-        """The value of a call whose argument is evaluated at each recorded tick."""
+        """Returns the value of a call whose argument is evaluated at each recorded tick."""
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
-        """The value of a function call."""
+        """Returns the value of a function call."""
 
     def query(self, node: Query, frame: Frame) -> Any:
-        """The value of a nested query, which sees the rows of the outer ones."""
+        """Returns the value of a nested query, which sees the rows of the outer ones."""
 
     def names(self) -> list[str]:
-        """The names of all variables and functions."""
+        """Returns the names of all variables and functions."""
 
     def deferred(self, node: Node) -> LazyList:
-        """A list of the running program for the query that uses it."""
+        """Returns a list of the running program for the query that uses it."""
 
     @property
     def meter(self) -> UsageMeter:
@@ -163,7 +163,7 @@ class Frame:
         cached: dict[Node, Any],
         columns: Sequence[Any] = (),
     ) -> Frame:
-        """The frame of a row of a query that this one is around."""
+        """Returns the frame of a row of a query that this one is around."""
         return Frame(
             self.scope,
             elements,
@@ -175,7 +175,7 @@ class Frame:
         )
 
     def independent(self) -> Frame:
-        """The frame for a query that depends on no row around it."""
+        """Returns the frame for a query that depends on no row around it."""
         return Frame(
             self.scope,
             self.elements,
@@ -188,11 +188,11 @@ class Frame:
         )
 
     def own_elements(self) -> list[Any]:
-        """The elements of this query, and of those around it that it depends on."""
+        """Returns the elements of this query, and of those around it that it depends on."""
         return [e for alias, e in self.elements.items() if self.outer_elements.get(alias) is not e]
 
     def value(self, node: Node) -> Any:
-        """The value of an expression.
+        """Returns the value of an expression.
 
         Raises:
             SelectScriptError: with the offending part's place.
@@ -248,7 +248,7 @@ class ExpressionCompiler:
         self._memorize = memorize
 
     def thunk(self, node: Node) -> Thunk:
-        """The node as a function of a frame."""
+        """Returns the node as a function of a frame."""
         known = self._known.get(node)
         if known is not None:
             return known
@@ -258,7 +258,7 @@ class ExpressionCompiler:
         return _cached(node, thunk, attrgetter("state")) if node in self._of_state else thunk
 
     def condition(self, node: Node) -> Callable[[Frame], bool]:
-        """The node as a condition: a function of a frame that returns True or False."""
+        """Returns the node as a condition: a function of a frame that returns True or False."""
         thunk = self.thunk(node)
         if is_decided(node):
             return thunk  # which is True or False
@@ -270,7 +270,7 @@ class ExpressionCompiler:
         return holds
 
     def calls_once(self, node: Node) -> bool:
-        """Whether the node is a call that is evaluated once a row, however often it is written."""
+        """Checks whether a node is a call that is evaluated once a row, even if it is repeated."""
         return (
             self._memorize
             and isinstance(node, Call)
@@ -279,7 +279,7 @@ class ExpressionCompiler:
         )
 
     def is_deferred(self, node: Node) -> bool:
-        """Whether a part is a variable that holds a list for the query that uses it."""
+        """Checks whether a part is a variable that holds a list for the query that uses it."""
         return (
             isinstance(node, Name)
             and self._scope.has_variable(node.name)
@@ -426,7 +426,7 @@ class ExpressionCompiler:
         return call
 
     def _remembered(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
-        """A call of a user's function, evaluated once a row, and once for equal arguments."""
+        """Returns a call of a user's function that runs once a row, and once for equal arguments."""
         key, name = written(node), node.name
         function = self._scope.function(name)
         assert function is not None
@@ -460,7 +460,7 @@ class ExpressionCompiler:
         return element
 
     def made(self, node: Node) -> Any:
-        """The value of a node that depends on nothing."""
+        """Returns the value of a node that depends on nothing."""
         return self._thunk(node)(Frame(self._scope))
 
     def _choice(self, node: If) -> Thunk:
@@ -509,7 +509,7 @@ class ExpressionCompiler:
         return assign if horizon is None else _placed(node, assign)
 
     def _horizon(self, node: Node) -> Thunk:
-        """The time for which an assignment keeps values, in seconds."""
+        """Returns the time for which an assignment keeps values, in seconds."""
         if isinstance(node, UnboundedHorizon):
             return lambda _: math.inf
         value = self.thunk(node)
@@ -559,7 +559,7 @@ def _variable(frame: Frame, name: str) -> Any:
 
 
 def resolved(deferred: LazyList, frame: Frame) -> Any:
-    """The value of a deferred list in the query that uses it.
+    """Returns the value of a deferred list in the query that uses it.
 
     Raises:
         UnknownNameError: the query has no such source.

@@ -33,7 +33,7 @@ def simple_paths(
     longest: int | None,
     count: Callable[[], None],
 ) -> Iterator[list[T]]:
-    """The simple paths from a root to a vertex that is found, shortest first.
+    """Yields the simple paths from a root to a vertex that is found, shortest first.
 
     All simple paths of any length are more than anybody can wait for: without a longest length
     they are those that are as short as the shortest.
@@ -60,7 +60,7 @@ def simple_paths(
 
 
 def _shortest(roots: Sequence[Vertex[T]]) -> int:
-    """The number of vertices of the shortest path; 0 if there is none."""
+    """Returns the number of vertices of the shortest path; 0 if there is none."""
     return min((1 + root.distance for root in roots if root.distance is not None), default=0)
 
 

@@ -115,7 +115,7 @@ class _States:
         self._picks: dict[int, Callable[[tuple[Any, ...]], Any]] = {}
 
     def __call__(self, state: dict[str, Any]) -> Steps:
-        """The rows of a state."""
+        """Returns the rows of a state."""
         try:
             key = self.keys.exact(state.values())
         except ArgumentError:  # it cannot be told apart from others
@@ -132,7 +132,7 @@ class _States:
         return tee(self._made(state, self._calls_of(state, key)), 1)[0]
 
     def _calls_of(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Iterator[Calls]:
-        """The results of users' functions for each row of a state."""
+        """Yields the results of users' functions for each row of a state."""
         if key is None or self._called_with is None:
             return iter(dict, None)
         pick = self._picks.get(len(state))  # CONNECT BY may set more variables than START WITH
@@ -143,11 +143,11 @@ class _States:
 
 
 def _nothing(_: object) -> None:
-    """The key of a state for calls that mention none of its variables."""
+    """Returns the key of a state for calls that mention none of its variables."""
 
 
 def _again(steps: Steps) -> Iterator[PathStep]:
-    """The rows of a state from the first one."""
+    """Yields the rows of a state from the first one."""
     return tee(steps)[1]  # the other one is what it was given
 
 
@@ -187,7 +187,7 @@ class Hierarchy:
         )
 
     def selected(self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]) -> Selected:
-        """The paths.
+        """Returns the paths.
 
         Args:
             outer: what is around the query.
@@ -275,7 +275,7 @@ class Hierarchy:
         return steps
 
     def _selection(self, step: PathStep) -> RowSelection:
-        """The selected values of a row, evaluated on first use."""
+        """Returns the selected values of a row, evaluated on first use."""
         if step.selection is None:
             step.selection = self._selected_of(step.frame)
         return step.selection
@@ -291,14 +291,14 @@ class Hierarchy:
         return selection
 
     def _key(self, step: PathStep, keys: ValueKeys) -> int:
-        """The key by which rows are distinguished."""
+        """Returns the key by which rows are distinguished."""
         selection = step.selection or self._selection(step)
         if selection.key is None:
             selection.key = keys.of(selection.values, selection.names)
         return selection.key
 
     def _after(self, step: PathStep, states: _States) -> Iterator[PathStep]:
-        """The rows of the state after a row; all of CONNECT BY sees the state before it."""
+        """Yields the rows of the state after a row; all of CONNECT BY sees the state before it."""
         if step.after is None:
             state = dict(step.frame.local)
             for name, value in self._next:
@@ -314,7 +314,7 @@ class Hierarchy:
     def _depth_first(
         self, outer: Frame, states: _States, state: dict[str, Any]
     ) -> Iterator[list[PathStep]]:
-        """The paths in depth-first order of the sources."""
+        """Yields the paths in depth-first order of the sources."""
         unique = self._recursion.unique
         tells_apart = unique or self._recursion.no_cycle
         keys = states.keys
@@ -354,7 +354,7 @@ class Hierarchy:
     def _graph_paths(
         self, outer: Frame, states: _States, state: dict[str, Any]
     ) -> Iterator[list[PathStep]]:
-        """The simple paths through the graph of distinct selected rows, shortest first."""
+        """Yields the simple paths through the graph of distinct selected rows, shortest first."""
         levels = self._number(self._recursion.memorize, "MEMORIZE", outer)
         roots, vertices = self._graph(states, state, levels)
         return simple_paths(roots, vertices, levels, outer.scope.meter.step)
@@ -362,7 +362,7 @@ class Hierarchy:
     def _graph(
         self, states: _States, state: dict[str, Any], levels: int | None
     ) -> tuple[list[Vertex[PathStep]], list[Vertex[PathStep]]]:
-        """The distinct rows that are reached, breadth first, and those of the first level.
+        """Returns the distinct rows that are reached, breadth first, and those of the first level.
 
         Without a number of levels there are as many as it takes to find a path.
         """
@@ -398,7 +398,7 @@ class Hierarchy:
 def _assignments(
     parts: Sequence[Node], compiler: ExpressionCompiler
 ) -> list[tuple[str | None, Thunk]]:
-    """The state variables and their values; without a name, the other expressions."""
+    """Returns the state variables and their values; without a name, the other expressions."""
     return [
         (part.name, compiler.thunk(part.value))
         if isinstance(part, Assignment)
@@ -408,7 +408,7 @@ def _assignments(
 
 
 def _called_with(query: Query, compiler: ExpressionCompiler) -> frozenset[str] | None:
-    """The state variables that calls of users' functions mention.
+    """Returns the state variables that calls of users' functions mention.
 
     None where there is no such call, or where each state has rows of its own.
     """
@@ -422,7 +422,7 @@ def _called_with(query: Query, compiler: ExpressionCompiler) -> frozenset[str] |
 def _read(
     nodes: Sequence[Node], names: frozenset[str], compiler: ExpressionCompiler
 ) -> frozenset[str] | None:
-    """The variables that the nodes read; None if unknown."""
+    """Returns the variables that the nodes read; None if unknown."""
     read = [part for node in nodes for part in node.walk() if isinstance(part, Name | TimeIndex)]
     if any(compiler.is_deferred(part) for part in read):
         return None

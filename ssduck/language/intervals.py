@@ -23,7 +23,7 @@ Interval: TypeAlias = list[float]
 
 
 def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interval]:
-    """The maximal intervals during which something held, in order.
+    """Returns the maximal intervals during which something held, in order.
 
     >>> intervals_of([0.0, 0.5, 1.0, 1.5], [True, True, False, True])
     [[0.0, 1.0], [1.5, 1.5]]
@@ -46,7 +46,7 @@ def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interv
 
 
 def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]:
-    """The list [time, value] at the first tick, and at each tick where the value changes.
+    """Returns the list [time, value] at the first tick, and at each tick where the value changes.
 
     >>> changes_of([0.0, 0.5, 1.0], ["on", "on", "off"])
     [[0.0, 'on'], [1.0, 'off']]
@@ -143,5 +143,5 @@ ABOUT_INTERVALS = (
 
 
 def are_intervals(values: Sequence[Any]) -> bool:
-    """Whether two values are intervals: lists of two numbers, not entities."""
+    """Checks whether two values are intervals: lists of two numbers, not entities."""
     return len(values) == 2 and all(isinstance(v, list) and len(v) == 2 for v in values)

@@ -40,7 +40,7 @@ class Memo:
         self._is_worth_it = True
 
     def __call__(self, arguments: list[Any]) -> Any:
-        """The result of the function for these values."""
+        """Returns the result of the function for these values."""
         if not self._is_worth_it:
             return self._call(arguments)
         self._asked += 1

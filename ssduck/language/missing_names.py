@@ -12,7 +12,7 @@ from ssduck.formatting import first_line, short_repr
 def no_element(
     alias: str | None, elements: Mapping[str | None, Any], span: SourceSpan
 ) -> SelectScriptError:
-    """The error for `this`, or `alias.this`, where there is no such source."""
+    """Returns the error for `this`, or `alias.this`, where there is no such source."""
     names = [name for name in elements if name is not None]
     if alias is not None:
         return UnknownNameError(
@@ -29,7 +29,7 @@ def no_element(
 
 
 def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
-    """The error for a bare name that is no key of the current element, a dict."""
+    """Returns the error for a bare name that is no key of the current element, a dict."""
     texts = [key for key in keys if isinstance(key, str)]
     return UnknownNameError(
         f"there is no key, variable or function {short_repr(name)}",
@@ -38,7 +38,7 @@ def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownName
 
 
 def is_a_key(name: str) -> UnknownNameError:
-    """The error for an unknown variable, where the current element has a key of that name."""
+    """Returns the error for an unknown variable whose name is a key of the current element."""
     return UnknownNameError(
         f"there is no variable {short_repr(name)}; write this.{first_line(name)}"
     )

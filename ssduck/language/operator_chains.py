@@ -47,7 +47,7 @@ class OperandRow:
         self._ends.append(end)
 
     def node(self) -> Node:
-        """The node of the whole chain."""
+        """Returns the node of the whole chain."""
         if len(self._operands) > MAX_NESTING:
             span = SourceSpan(self._start, self._ends[-1])
             return OperatorChain(
@@ -60,7 +60,7 @@ class OperandRow:
 
 
 def conjuncts(node: Node | None) -> Iterator[Node]:
-    """The parts of a condition that are joined by AND, in order; one part if they are too many.
+    """Yields the parts of a condition that AND joins, in order; the whole if they are too many.
 
     >>> from ssduck.language.parser import parse
     >>> [part.outline() for part in conjuncts(parse("a AND b AND c;").statements[0])]

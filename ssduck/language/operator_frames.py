@@ -19,17 +19,17 @@ class OperandCompiler(Protocol):
     """Compiles operands to functions of frames."""
 
     def thunk(self, node: Node) -> Thunk:
-        """A part as a function of a frame."""
+        """Returns a part as a function of a frame."""
 
     def condition(self, node: Node) -> Callable[[Frame], bool]:
-        """A part as a condition."""
+        """Returns a part as a condition."""
 
     def made(self, node: ListLiteral) -> Any:
-        """A list that is written out, made once."""
+        """Returns a list that is written out, made once."""
 
 
 def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
-    """`-x`, `+x`, `NOT x`, `x IS NULL`."""
+    """Compiles `-x`, `+x`, `NOT x` or `x IS NULL`."""
     if node.operator == "NOT":
         holds = compiler.condition(node.operand)
         return lambda frame: not holds(frame)
@@ -40,7 +40,7 @@ def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
 
 
 def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
-    """Two sides with an operator between them."""
+    """Returns two sides with an operator between them."""
     sign = node.operator
     if sign in CHAINS:
         return _decided(compiler, sign, (node.left, node.right))
@@ -69,7 +69,7 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
 
 
 def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
-    """Many operands of one level, from the left."""
+    """Returns many operands of one level, from the left."""
     if node.operators[0] in CHAINS:
         return _decided(compiler, node.operators[0], node.operands)
     first, *others = map(compiler.thunk, node.operands)
@@ -88,7 +88,7 @@ def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
 
 
 def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
-    """One operator of a chain: one of the language, or a user's function in its place."""
+    """Returns one operator of a chain: one of the language, or a user's function in its place."""
     if sign in OPERATORS:
         return lambda _, left, right: apply(sign, left, right, span)
     call, is_in = Call(span, sign, (), span), written_name(sign) == "in"
@@ -98,7 +98,7 @@ def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
 
 
 def _operand(compiler: OperandCompiler, node: Node) -> Thunk:
-    """A side of an operator, which keeps nothing of it: a list is made once."""
+    """Returns a side of an operator, which keeps nothing of it: a list is made once."""
     if not isinstance(node, ListLiteral) or not _is_written_out(node):
         return compiler.thunk(node)
     fixed = compiler.made(node)
@@ -112,7 +112,7 @@ def _is_written_out(node: Node) -> bool:
 
 
 def is_decided(node: Node) -> bool:
-    """Whether a part is True or False because operands are asked one after another."""
+    """Checks whether a part is True or False because operands are asked one after another."""
     match node:
         case Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
             return sign in CHAINS
@@ -122,7 +122,7 @@ def is_decided(node: Node) -> bool:
 def _decided(
     compiler: OperandCompiler, sign: str, operands: tuple[Node, ...]
 ) -> Callable[[Frame], bool]:
-    """AND, OR: what comes next counts if what was before does not decide."""
+    """Compiles AND or OR: evaluation stops at the first operand that decides."""
     decides = sign == "OR"
     parts = [(compiler.thunk(operand), operand) for operand in operands]
 

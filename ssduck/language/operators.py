@@ -19,7 +19,7 @@ MAX_ELEMENTS = 10_000_000
 
 
 def _is_like(text: Any, pattern: Any) -> bool:
-    """Whether a text is as a pattern says: `%` for any letters, `_` for any one."""
+    """Checks whether a text is as a pattern says: `%` for any letters, `_` for any one."""
     if not isinstance(text, str) or not isinstance(pattern, str):
         raise TypeError
     return _pattern(pattern).fullmatch(text) is not None
@@ -33,7 +33,7 @@ def _pattern(pattern: str) -> re.Pattern[str]:
 
 
 def _remainder(left: Any, right: Any) -> Any:
-    """A remainder: of a text, Python's % would be its formatting, of whatever length."""
+    """Returns a remainder: of a text, Python's % would be its formatting, of whatever length."""
     if isinstance(left, str | bytes | bytearray):
         raise TypeError("texts have no remainder")
     return left % right
@@ -67,7 +67,7 @@ CHAINS = frozenset(("AND", "OR"))
 
 
 def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> Any:
-    """The value of a binary operator other than AND and OR.
+    """Returns the value of a binary operator other than AND and OR.
 
     Raises:
         EvaluationError: a division by zero, or a result that is too large.
@@ -95,7 +95,7 @@ def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> A
 
 
 def _is_endless(sign: str, left: Any, right: Any) -> bool:
-    """Whether a power, a product or a repetition would take all time and memory there is."""
+    """Checks whether a power, a product or a repetition would take all time and memory there is."""
     if isinstance(left, int) and isinstance(right, int):
         if sign == "^":
             return abs(left) > 1 and right * left.bit_length() > MAX_BITS
@@ -120,7 +120,7 @@ def check_size(value: Any, span: SourceSpan) -> None:
 
 
 def _leaves(values: list[Any], counted: dict[int, int]) -> int:
-    """The number of elements of a list and of the lists in it; each list is counted once."""
+    """Returns the number of elements of a list and of all lists in it."""
     count = len(values)
     for value in values:
         if type(value) is not list:
@@ -136,7 +136,7 @@ def _leaves(values: list[Any], counted: dict[int, int]) -> int:
 
 
 def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
-    """The value of - or +.
+    """Returns the value of - or +.
 
     Raises:
         ArgumentError: a sign before what is no number.
@@ -152,7 +152,7 @@ def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
 
 
 def truth(value: Any, node: Node) -> bool:
-    """Whether a value holds.
+    """Checks whether a value holds.
 
     Raises:
         EvaluationError: it is neither true nor false.
@@ -166,7 +166,7 @@ def truth(value: Any, node: Node) -> bool:
 
 
 def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
-    """An element of a value.
+    """Returns an element of a value.
 
     Raises:
         EvaluationError: there is no such element.
@@ -192,7 +192,7 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
 
 
 def _no_such(value: Any, index: Any, span: SourceSpan, error: Exception) -> EvaluationError:
-    """Of an element that is not there, with what is there."""
+    """Returns the error for a missing element, with the elements that there are."""
     missing = f"no element {short_repr(index)}"
     if isinstance(value, dict):
         keys = list(islice(value, MAX_KEYS))

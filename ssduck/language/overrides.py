@@ -41,17 +41,17 @@ _MARK = " of the user"
 
 
 def marked_name(name: str) -> str:
-    """The marked name under which a user's function is called that replaces a built-in one."""
+    """Returns the marked name of a user's function that replaces a built-in one."""
     return name + _MARK
 
 
 def written_name(name: str) -> str:
-    """A function's name as programs write it."""
+    """Returns a function's name as programs write it."""
     return name.removesuffix(_MARK)
 
 
 def with_overrides(program: Program, names: Collection[str]) -> Program:
-    """A program in which users' functions stand where they replace something.
+    """Returns a program in which users' functions stand where they replace something.
 
     Args:
         program: as it was parsed.

@@ -68,7 +68,7 @@ class SelectScriptTokenizer(Tokenizer):
 
 
 def is_reserved(name: str) -> bool:
-    """Whether a program could not call a variable so."""
+    """Checks whether a program could not call a variable so."""
     return name.upper() in RESERVED or name.upper() in ("TRUE", "FALSE", "THIS")
 
 
@@ -140,7 +140,7 @@ class _Parser(SqlForms):
         return node
 
     def at_assignment(self) -> bool:
-        """Whether `name =` or `name{…} =` comes next."""
+        """Checks whether `name =` or `name{…} =` comes next."""
         if not self.at(TokenType.VAR):
             return False
         offset = 1
@@ -169,14 +169,14 @@ class _Parser(SqlForms):
         return Assignment(self.since(start), name.text, horizon, value)
 
     def plain_assignment(self, what: str) -> Assignment:
-        """An assignment to what has no history."""
+        """Returns an assignment to what has no history."""
         if is_kind(self.ahead(), TokenType.L_BRACE):
             self.index += 1
             self.fail(f"expected '=' ({what} has no history)")
         return self.assignment()
 
     def state(self) -> Node:
-        """An assignment to a state variable, or what is evaluated beside those."""
+        """Returns an assignment to a state variable, or what is evaluated beside those."""
         if self.at_assignment():
             return self.plain_assignment("a state variable")
         return self.expression()
@@ -229,18 +229,18 @@ class _Parser(SqlForms):
         return self.dotted(query)
 
     def assigned(self) -> Node:
-        """An assignment that stands as a whole in SELECT or WHERE."""
+        """Returns an assignment that stands as a whole in SELECT or WHERE."""
         self.descend()
         node = replace(self.assignment(), is_bare=True)
         self.depth -= 1
         return node
 
     def selected(self) -> Node:
-        """An item of SELECT: a value, perhaps with a name, or an assignment to a variable."""
+        """Returns an item of SELECT: a value, named or not, or an assignment to a variable."""
         return self.assigned() if self.at_assignment() else self.item()
 
     def filtered(self) -> Node:
-        """A part of WHERE: a condition, or an assignment to a variable."""
+        """Returns a part of WHERE: a condition, or an assignment to a variable."""
         return self.assigned() if self.at_assignment() else self.condition()
 
     def source(self) -> Source:
@@ -343,7 +343,7 @@ class _Parser(SqlForms):
         return left
 
     def operator_level(self, left: Node) -> int:
-        """The level of the operator that comes next, -1 if none does.
+        """Returns the level of the operator that comes next, -1 if none does.
 
         Args:
             left: what is on its left side; a name is not compared by a single `=`.
@@ -463,7 +463,7 @@ class _Parser(SqlForms):
         return result
 
     def choice(self) -> If:
-        """`IF(condition; …; …)`; an `IF` that is a whole else branch is a branch of this one."""
+        """Parses `IF(condition; …; …)`; an `IF` that is the whole else branch becomes a branch."""
         start = self.here()
         self.index += 2
         branches = [self.branch(start)]
@@ -483,7 +483,7 @@ class _Parser(SqlForms):
         return If(self.since(start), first.condition, first.then, otherwise, tuple(further))
 
     def branch(self, start: SourceSpan) -> Branch:
-        """`condition; then, …`; without a then it is True, as in the published grammar."""
+        """Parses `condition; then, …`; without values it is True, as in the published grammar."""
         condition = self.statement()
         self.note_condition(condition)
         if self.at(TokenType.R_PAREN):
@@ -492,7 +492,7 @@ class _Parser(SqlForms):
         return Branch(self.since(start), condition, self.parts())
 
     def at_last_choice(self) -> bool:
-        """Whether an `IF(…)` comes next, and then the end of the one that it is in."""
+        """Checks whether an `IF(…)` comes next, and then the end of the one that it is in."""
         if not self.at_word("IF") or not is_kind(self.ahead(), TokenType.L_PAREN):
             return False
         close = self.closings.get(self.index + 1)

@@ -6,7 +6,7 @@ import re
 
 
 def unquoted(written: str) -> str:
-    r"""The value of a quoted text.
+    r"""Returns the value of a quoted text.
 
     Two quotes of its own kind are one. Backslashes before such a quote, and at its end, count by
     twos: two are a backslash, and one that is left makes the quote a part of the text. All other

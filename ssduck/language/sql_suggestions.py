@@ -80,12 +80,12 @@ _NAMES = frozenset(
 
 
 def instead_of_name(name: str) -> str:
-    """The suggestion for an unknown name; empty if it is no word of SQL."""
+    """Returns the suggestion for an unknown name; empty if it is no word of SQL."""
     return HABITS[name.upper()] if name.upper() in _NAMES else ""
 
 
 def instead_of(word: str) -> str:
-    """The suggestion for a word or a sign of SQL; empty if there is none.
+    """Returns the suggestion for a word or a sign of SQL; empty if there is none.
 
     >>> instead_of("coalesce")
     'write IF(x IS NULL; 0; x)'

@@ -51,7 +51,7 @@ _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 
 
 def _is_written_out(value: Node) -> bool:
-    """Whether a value depends on nothing."""
+    """Checks whether a value depends on nothing."""
     kinds = (Literal, ListLiteral, Unary, Binary, OperatorChain, Assignment)
     return all(isinstance(part, kinds) for part in value.walk())
 
@@ -65,18 +65,18 @@ class SqlForms(Cursor):
 
     @abstractmethod
     def statement(self) -> Node:
-        """A statement."""
+        """Returns a statement."""
 
     @abstractmethod
     def expression(self) -> Node:
-        """An expression."""
+        """Returns an expression."""
 
     @abstractmethod
     def operation(self, loosest: int) -> Node:
         """Operators of the level `loosest` and tighter ones."""
 
     def condition(self) -> Node:
-        """An expression in which `=` compares."""
+        """Returns an expression in which `=` compares."""
         before, self.compares = self.compares, True
         node = self.expression()
         self.compares = before
@@ -85,13 +85,13 @@ class SqlForms(Cursor):
     # -- operators ------------------------------------------------------------------------
 
     def condition_level(self) -> int:
-        """The level of `LIKE`, `BETWEEN`, `IS` and `NOT IN`; -1 if none of them comes next."""
+        """Returns the level of `LIKE`, `BETWEEN`, `IS` and `NOT IN`; -1 if none is next."""
         negated = is_word(self.ahead(), "IN", *_CONDITIONS[:2])
         is_next = self.at_word(*_CONDITIONS) or (self.at_word("NOT") and negated)
         return LEVEL_OF["IN"] if is_next else -1
 
     def conditioned(self, start: SourceSpan, left: Node) -> Node:
-        """The condition that `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
+        """Returns the condition that `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
         is_not = self.take_words("NOT")
         if self.take_words("IS"):
             is_not = self.take_words("NOT")
@@ -113,7 +113,7 @@ class SqlForms(Cursor):
         return Unary(self.since(start), "NOT", node) if is_not else node
 
     def members(self) -> Node:
-        """The right side of IN: `(1, 2)` is a list."""
+        """Returns the right side of IN: `(1, 2)` is a list."""
         start = self.here()
         if not self.at(TokenType.L_PAREN):
             right = self.operation(LEVEL_OF["IN"] + 1)
@@ -141,7 +141,7 @@ class SqlForms(Cursor):
         return right
 
     def _is_list(self) -> bool:
-        """Whether the parentheses that come next have commas in them, or nothing."""
+        """Checks whether the parentheses that come next have commas in them, or nothing."""
         if is_word(self.ahead(), "SELECT"):
             return False
         depth = offset = 0
@@ -158,7 +158,7 @@ class SqlForms(Cursor):
         return False
 
     def note_chain(self, operator: str, sides: tuple[Node, SourceSpan, Node, SourceSpan]) -> None:
-        """Doubt `0 < z < 1`, which compares True or False with 1.
+        """Reports `0 < z < 1`, which compares True or False with 1, as suspicious.
 
         Args:
             operator: the operator.
@@ -178,7 +178,7 @@ class SqlForms(Cursor):
     # -- CASE -----------------------------------------------------------------------------
 
     def begins_case(self) -> bool:
-        """Whether CASE comes next, and not a variable of that name."""
+        """Checks whether CASE comes next, and not a variable of that name."""
         if not self.at_word("CASE"):
             return False
         token = self.ahead()
@@ -188,7 +188,7 @@ class SqlForms(Cursor):
         return token.token_type != TokenType.VAR or token.text.upper() not in words
 
     def case(self) -> Node:
-        """`CASE WHEN … THEN … ELSE … END`, and `CASE x WHEN value THEN …`, as IF."""
+        """Parses `CASE WHEN … THEN … ELSE … END` or `CASE x WHEN value THEN …` as an IF."""
         start = self.here()
         self.expect_word("CASE")
         compared = None if self.at_word("WHEN") else self.expression()
@@ -212,7 +212,7 @@ class SqlForms(Cursor):
     # -- calls ----------------------------------------------------------------------------
 
     def of_all(self, name: str) -> Node | None:
-        """The argument of `count(*)` or `count(DISTINCT x)`; None if it is neither."""
+        """Returns the argument of `count(*)` or `count(DISTINCT x)`; None if it is neither."""
         if self.at(TokenType.STAR) and is_kind(self.ahead(), TokenType.R_PAREN):
             if name.lower() != "count":
                 self.fail("expected an expression (only count takes *)")
@@ -246,7 +246,7 @@ class SqlForms(Cursor):
         return True
 
     def item(self) -> Node:
-        """A selected value; `z AS height` is `to(z, 'height')`."""
+        """Returns a selected value; `z AS height` is `to(z, 'height')`."""
         start = self.here()
         node = self.expression()
         if not self.take_words("AS"):
@@ -256,7 +256,7 @@ class SqlForms(Cursor):
         return Call(place, "to", (node, Literal(span_of(name), name.text)), place)
 
     def alias_behind(self, *, is_listed: bool) -> str | None:
-        """The alias in `FROM kitchen k` and `FROM kitchen AS k`; None if there is none."""
+        """Returns the alias in `FROM kitchen k` and `FROM kitchen AS k`; None if there is none."""
         behind = self.ahead(2)
         if self.at_word("AS"):
             follows = is_word(behind, *_BEHIND_SOURCE) or (
@@ -286,12 +286,12 @@ class SqlForms(Cursor):
         return self.expect_own_name("a source's name").text
 
     def form_name(self) -> str:
-        """The name of a result form; that of a basic one in any case."""
+        """Returns the name of a result form; that of a basic one in any case."""
         name = self.expect_name("the name of a result form").text
         return name.lower() if name.lower() in FORMS else name
 
     def dotted(self, query: Query) -> Query:
-        """A query with `a.id` told from an element of a variable, where `a` is an alias in it."""
+        """Returns a query in which `a.id` is a `QualifiedName` wherever `a` is an alias."""
         aliases = {s.alias for s in query.sources if s.alias is not None}
         aliases -= {s.value.name for s in query.sources if isinstance(s.value, Name | TimeIndex)}
 
@@ -315,7 +315,7 @@ class SqlForms(Cursor):
         self.doubts.append(Suspicion(span, message))
 
     def note_condition(self, node: Node | None) -> None:
-        """Doubt a condition that assigns a constant, and so is the same for all rows."""
+        """Reports a condition that assigns a constant, and so is the same for all rows."""
         match node:
             case (
                 Binary(operator="AND" | "OR" | "XOR")
@@ -329,7 +329,7 @@ class SqlForms(Cursor):
                 self.doubt(node.span, f"this sets the variable {name}; write == to compare")
 
     def note_keys(self, query: Query) -> None:
-        """Doubt keys that are numbers, which are no columns here."""
+        """Reports keys that are numbers; they do not refer to columns here."""
         keys = [("ORDER BY", key.value) for key in query.order]
         keys += [("GROUP BY", node) for node in query.group]
         for clause, node in keys:

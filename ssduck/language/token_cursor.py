@@ -76,16 +76,16 @@ class Cursor:
         return self.tokens[self.index] if self.index < len(self.tokens) else None
 
     def ahead(self, offset: int = 1) -> Token | None:
-        """The token so many places further on."""
+        """Returns the token so many places further on."""
         index = self.index + offset
         return self.tokens[index] if index < len(self.tokens) else None
 
     def at(self, kind: TokenType) -> bool:
-        """Whether the current token is of that type."""
+        """Checks whether the current token is of that type."""
         return self.token is not None and self.token.token_type == kind
 
     def at_word(self, *words: str) -> bool:
-        """Whether the current token is one of these words, given in upper case."""
+        """Checks whether the current token is one of these words, given in upper case."""
         return is_word(self.token, *words)
 
     def take(self, kind: TokenType) -> Token | None:
@@ -139,21 +139,21 @@ class Cursor:
         return self.expect_name(what)
 
     def here(self) -> SourceSpan:
-        """The place of the current token; behind the text once that is used up."""
+        """Returns the place of the current token; behind the text once that is used up."""
         if self.token is None:
             return SourceSpan(len(self.text.rstrip()), len(self.text.rstrip()) + 1)
         return span_of(self.token)
 
     def since(self, start: SourceSpan) -> SourceSpan:
-        """The place from there to the token before the current one."""
+        """Returns the place from there to the token before the current one."""
         return SourceSpan(start.start, self.end())
 
     def end(self) -> int:
-        """The end of the previous token in the text."""
+        """Returns the end of the previous token in the text."""
         return span_of(self.tokens[self.index - 1]).end
 
     def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
-        """One or more parts with commas between them."""
+        """Returns one or more parts with commas between them."""
         parts = [part()]
         while self.take(TokenType.COMMA):
             parts.append(part())
@@ -190,7 +190,7 @@ class Cursor:
         raise ParseError(told, text=self.text, span=self.here(), suggestions=names)
 
     def _instead(self, token: Token) -> str:
-        """The suggestion for a word of SQL that led to the current token."""
+        """Returns the suggestion for a word of SQL that led to the current token."""
         before = self.tokens[self.index - 1] if self.index else None
         if before is not None and before.text.upper() in STATEMENTS:
             return instead_of(before.text)
@@ -202,7 +202,7 @@ class Cursor:
         return next(filter(None, map(instead_of, words)), "")
 
     def _called(self) -> Token | None:
-        """The name before the bracket that is open at the current token."""
+        """Returns the name before the bracket that is open at the current token."""
         depth = 0
         for place in range(self.index - 1, 0, -1):
             kind = self.tokens[place].token_type
@@ -213,20 +213,20 @@ class Cursor:
 
 
 def is_kind(token: Token | None, kind: TokenType) -> bool:
-    """Whether there is a token, and of that type."""
+    """Checks whether there is a token, and of that type."""
     return token is not None and token.token_type == kind
 
 
 def is_word(token: Token | None, *words: str) -> bool:
-    """Whether a token is one of these words, given in upper case."""
+    """Checks whether a token is one of these words, given in upper case."""
     return token is not None and token.token_type == TokenType.VAR and token.text.upper() in words
 
 
 def slice_of(token: Token) -> slice:
-    """The place of a token in the text."""
+    """Returns the place of a token in the text."""
     return slice(token.start, token.end + 1)
 
 
 def span_of(token: Token) -> SourceSpan:
-    """The place of a token."""
+    """Returns the place of a token."""
     return SourceSpan(token.start, token.end + 1)

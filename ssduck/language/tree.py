@@ -27,7 +27,7 @@ class Node:
     span: SourceSpan
 
     def children(self) -> Iterator[Node]:
-        """The nodes directly below this one, in text order."""
+        """Yields the nodes directly below this one, in text order."""
         for name in self.__dataclass_fields__:  # as `fields` gives them, and quicker
             value = getattr(self, name)
             for item in value if isinstance(value, tuple) else (value,):
@@ -35,13 +35,13 @@ class Node:
                     yield item
 
     def walk(self) -> Iterator[Node]:
-        """The node itself and all below it."""
+        """Yields the node itself and all below it."""
         yield self
         for child in self.children():
             yield from child.walk()
 
     def outline(self) -> str:
-        """The node and all below it as text, without their places.
+        """Returns the node and all below it as text, without their places.
 
         >>> from ssduck.language.parser import parse
         >>> parse("IF(x > 1; 'far'; 'near');").statements[0].outline()
@@ -61,7 +61,7 @@ class Node:
         return f"{type(self).__name__}({', '.join(map(text, values))})"
 
     def replaced(self, change: Callable[[Node], Node | None]) -> Node:
-        """The node with parts of it changed, from the outside in.
+        """Returns the node with parts of it changed, from the outside in.
 
         Args:
             change: a part to what stands in its place, None to look into it.
@@ -157,7 +157,7 @@ class QualifiedName(Node):
         return This(self.span, self.alias)
 
     def call(self, name: str) -> Call:
-        """The function of it.
+        """Returns the function of it.
 
         Args:
             name: what calls that function: a user's one may replace one of the language.
@@ -165,7 +165,7 @@ class QualifiedName(Node):
         return Call(self.span, name, (self.this,), self.index.indices[0].span)
 
     def children(self) -> Iterator[Node]:
-        """None: what is in `index` counts where there is a variable only."""
+        """Yields no nodes: `index` is evaluated only if there is a variable of that name."""
         return iter(())
 
 
@@ -218,7 +218,7 @@ class OperatorChain(Node):
     ends: tuple[int, ...]
 
     def until(self, index: int) -> SourceSpan:
-        """The place of the operands up to this one."""
+        """Returns the place of the operands up to this one."""
         return SourceSpan(self.span.start, self.ends[index])
 
 

@@ -33,7 +33,7 @@ class ValueLog:
     values: list[Any]
 
     def part(self, first: int, end: int) -> ValueLog:
-        """A copy of a range of the log."""
+        """Returns a copy of a range of the log."""
         return ValueLog(self.times[first:end], self.values[first:end])
 
 
@@ -67,11 +67,11 @@ class ValueHistory:
 
     @classmethod
     def begun(cls, value: Any, horizon: float, now: float) -> Self:
-        """The history of a variable that had none."""
+        """Returns the history of a variable that had none."""
         return cls(value, horizon, ValueLog([now], [value]), 0, 1)
 
     def added(self, value: Any, horizon: float, now: float) -> ValueHistory:
-        """The history with one more value, and another horizon from now on."""
+        """Returns the history with one more value, and another horizon from now on."""
         known = self.until(now).recent(now)
         if horizon != self.horizon:
             known = replace(known, horizon=horizon).recent(now)
@@ -83,7 +83,7 @@ class ValueHistory:
         return ValueHistory(value, horizon, log, first, end + 1)
 
     def recent(self, now: float) -> Self:
-        """The history without values that can no longer be read.
+        """Returns the history without values that can no longer be read.
 
         The last value before the horizon stays: it is in force where the horizon begins.
         """
@@ -99,13 +99,13 @@ class ValueHistory:
         return replace(self, log=log, first=0, end=self.end - first)
 
     def until(self, now: float) -> Self:
-        """The history without later values; the variable itself keeps its value."""
+        """Returns the history without later values; the variable itself keeps its value."""
         if self.end == self.first or self.log.times[self.end - 1] <= now:
             return self
         return replace(self, end=bisect_right(self.log.times, now, self.first, self.end))
 
     def at(self, time: float, now: float) -> Any:
-        """The value in force at a time: the last one that was assigned then or before.
+        """Returns the value in force at a time: the last one that was assigned then or before.
 
         In the future that is the last one.
 
@@ -128,7 +128,7 @@ class ValueHistory:
         return self.log.values[place - 1]
 
     def within(self, seconds: float, now: float) -> list[tuple[float, Any]]:
-        """The times and values of the last seconds, and of the horizon, both ends included."""
+        """Returns the times and values of the last seconds within the horizon, ends included."""
         known = self.until(now)
         begin = max(self._begin(now), now - seconds - SAME_TIME)
         first = bisect_left(self.log.times, begin, known.first, known.end)
@@ -194,7 +194,7 @@ def past_value(
 
 
 def history_of(name: str, variable_value: Any) -> ValueHistory:
-    """The history that a variable holds.
+    """Returns the history that a variable holds.
 
     Raises:
         ArgumentError: it has none.

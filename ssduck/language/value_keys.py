@@ -15,7 +15,7 @@ from ssduck.language.tree import Node, Query
 
 
 def written(node: Node) -> str:
-    """A part so that parts are written alike only if they mean the same where they stand."""
+    """Returns a key of a part of a tree; parts with equal keys have the same meaning."""
     if isinstance(node, Query):
         return f"Query({id(node)})"
     values = (getattr(node, field.name) for field in fields(node))
@@ -24,7 +24,7 @@ def written(node: Node) -> str:
 
 
 def _written(value: Any) -> str:
-    """The key of a part's field: a part, several parts, or a name, a number, a text."""
+    """Returns the key of a part's field: a part, several parts, or a name, a number, a text."""
     if isinstance(value, tuple):
         return f"({', '.join(map(_written, value))})"
     return written(value) if isinstance(value, Node) else repr(value)
@@ -35,10 +35,10 @@ NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
 
 
 def plain(value: Any) -> Any:
-    """A value whose lists, tuples and dicts hold Python's numbers, truths and texts, not numpy's.
+    """Returns a value in which Python's numbers, booleans and texts replace NumPy's.
 
-    numpy's would overflow, and be infinite where Python's raise. It is the value itself where
-    there are none.
+    NumPy's numbers overflow, and are infinite where Python's raise. The result is the value itself
+    if it contains none.
     """
     kind = type(value)
     if kind is dict:
@@ -54,7 +54,7 @@ def plain(value: Any) -> Any:
 
 
 def hashable(value: Any) -> Any:
-    """A hashable key of a value: equal for equal values, lists and dicts included.
+    """Returns a hashable key of a value: equal for equal values, lists and dicts included.
 
     Raises:
         ArgumentError: values of its type cannot be told apart.
@@ -79,7 +79,7 @@ _EXACT_ATOMS = frozenset((int, str, bool, type(None)))
 
 
 def exactly(value: Any) -> Any:
-    """A hashable key of a value: equal only for values that no function can distinguish.
+    """Returns a hashable key of a value: equal only for values that no function can distinguish.
 
     1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart. So it may be
     with equal values of any other type.
@@ -124,7 +124,7 @@ class ValueKeys:
         self._numbers: dict[Any, int] = {}
 
     def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
-        """A key of each value, equal only for values that no function can distinguish."""
+        """Returns a key of each value, equal only for values that no function can distinguish."""
         seen = self._seen
         return tuple(
             [seen[id(value)][1] if id(value) in seen else self._exactly(value) for value in values]
@@ -138,7 +138,7 @@ class ValueKeys:
         return number
 
     def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
-        """A number for what is selected of a row and what it is called, alike for equal ones."""
+        """Returns a number for the selected values and names of a row, the same for equal rows."""
         parts = [value if type(value) in ATOMS else self._part(value) for value in values]
         called = names if ATOMS.issuperset(map(type, names)) else hashable(names)
         return self._numbers.setdefault((*parts, called), len(self._numbers))

@@ -33,7 +33,7 @@ _OF_REALS = ("sin", "cos", "tan", "atan")
 
 
 def call(sql: ExpressionScope, node: Call) -> SqlValue:
-    """A function call.
+    """Returns a function call.
 
     Raises:
         NotSqlError: it is left to Python.
@@ -144,7 +144,7 @@ def _argument(
 def _wrong(
     sql: ExpressionScope, relation: Relation, parameter: Parameter, found: str, node: Node
 ) -> Exception:
-    """The error for an argument; in a query it is an error only if a row reaches it."""
+    """Returns the error for an argument; in a query it is an error only if a row reaches it."""
     if sql.rows or sql.around is not None:
         return NotSqlError()
     message = f"{relation.name}: {parameter.name} is to be {parameter.meaning}, not {found}"
@@ -152,7 +152,7 @@ def _wrong(
 
 
 def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> SqlValue | None:
-    """A function of the language that SQL has too."""
+    """Returns a function of the language that SQL has too."""
     match name, values:
         case "count", [SqlValue(sql_type=SqlType(type="list")) as value]:
             return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
@@ -198,7 +198,7 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
 
 
 def _of_real(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
-    """A function of a real number; it fails for infinity, where Python raises and SQL gives NaN."""
+    """Returns a function of a real number; for infinity it fails, as in Python; SQL's is NaN."""
     context.note_possible_failure()
     sql: exp.Expr = exp.Anonymous(this=name, expressions=[double_of(value)])
     if value.domain:

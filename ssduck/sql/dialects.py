@@ -29,7 +29,7 @@ _OURS = (
 
 
 def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:
-    """The SQL of a query for an engine.
+    """Returns the SQL of a query for an engine.
 
     Args:
         query: the query.
@@ -66,7 +66,7 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
 
 
 def _without_infinity(part: exp.Expr) -> exp.Expr:
-    """`x < infinity` by the largest number that there is: not all engines have infinities."""
+    """Replaces `x < infinity` by a comparison with the largest number, for engines without it."""
     match part:
         case exp.LT(this=value, expression=exp.Cast(this=exp.Literal(this="infinity"))):
             return exp.LTE(this=value, expression=exp.Literal.number(repr(sys.float_info.max)))

@@ -31,7 +31,7 @@ def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) 
 
 
 def outermost(nodes: Iterable[Node]) -> list[Query]:
-    """The queries in parts of a program that are in no other query."""
+    """Returns the queries in parts of a program that are in no other query."""
     result: list[Query] = []
     for node in nodes:
         result.extend([node] if isinstance(node, Query) else outermost(node.children()))
@@ -39,7 +39,7 @@ def outermost(nodes: Iterable[Node]) -> list[Query]:
 
 
 def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, Plan | None]]:
-    """The queries with their plans, and those that are evaluated before them."""
+    """Yields the queries with their plans, and those that are evaluated before them."""
     for query in queries:
         plan = plan_of(query)
         yield query, plan
@@ -76,7 +76,7 @@ def _narrow_phase_lines(query: Query) -> list[str]:
 
 
 def _called_name(node: Node) -> str:
-    """The function that a part may call; empty if it calls none."""
+    """Returns the function that a part may call; empty if it calls none."""
     match node:
         case (
             Call(name=name) | UnresolvedName(name=name) | Name(name=name) | QualifiedName(key=name)
@@ -86,7 +86,7 @@ def _called_name(node: Node) -> str:
 
 
 def _inexact_lines(query: Query, stand_ins: StandIns) -> list[str]:
-    """Of which entities boxes stand in for the shapes that relations ask."""
+    """Lists the entities whose boxes stand in for the shapes that relations use."""
     calls = (_called_name(node) for node in query.walk())
     names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].depends_on_shapes]
     if not names:

@@ -122,7 +122,7 @@ class _Resolver:
         return node.replaced(self._looked_up)
 
     def _key(self, node: Node) -> Node:
-        """A part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
+        """Returns a part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
         return node.replaced(lambda part: self._column_named(part) or self._looked_up(part))
 
     def _column_named(self, part: Node) -> Node | None:
@@ -146,7 +146,7 @@ class _Resolver:
         return None
 
     def _in_where(self, part: Node) -> Node | None:
-        """A bare name in WHERE: a function of the only element, where there is no variable."""
+        """Returns a bare name in WHERE: a function of the only element if there is no variable."""
         if isinstance(part, Query | QualifiedName):
             return part
         if not isinstance(part, Name) or part.name in self._states:
@@ -188,7 +188,7 @@ class _Resolver:
 
 
 def _named_columns(query: Query) -> Iterator[tuple[str, Node]]:
-    """The columns that have names of their own: what `to` and AS name."""
+    """Yields the columns that have names of their own: what `to` and AS name."""
     for node in query.items:
         match node:
             case Call(name="to", arguments=(value, Literal(value=str() as name))):

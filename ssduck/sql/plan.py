@@ -49,28 +49,28 @@ class TypeEnvironment(Protocol):
         """The most rows that a path of a hierarchical query may have."""
 
     def has_variable(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Checks whether there is a variable of that name."""
 
     def has_source(self, alias: str) -> bool:
-        """Whether a query around this one has a source of that name."""
+        """Checks whether a query around this one has a source of that name."""
 
     def sql_type(self, node: Node) -> SqlType:
-        """The type of the value of an expression that depends on no row of this query."""
+        """Returns the type of the value of an expression that depends on no row of this query."""
 
     def world(self, node: Node) -> str | None:
-        """The schema of the world that such an expression is, None if it is none."""
+        """Returns the schema of the world that such an expression is, None if it is none."""
 
     def deferred(self, name: str) -> Node | None:
-        """The list that a variable holds for the query that uses it, None if it holds none."""
+        """Returns the list in a variable that the query evaluates; None for other values."""
 
     def resolved_name(self, name: str) -> str:
-        """The name under which the function is called: marked if a user's function replaces it."""
+        """Returns the name that calls a function: marked if a user's function replaces it."""
 
     def check_call(self, node: Call) -> None:
         """Rejects an unknown function, or a wrong number of arguments."""
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
-        """The signature of a user's function for such arguments; None if SQL cannot call it."""
+        """Returns the signature of a user's function for arguments; None if SQL cannot call it."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class Plan:
         return [*rest.conditions, *columns, *names, *keys, *groups, *last]
 
     def is_left(self, node: Node) -> bool:
-        """Whether a part is evaluated in Python for each row."""
+        """Checks whether a part is evaluated in Python for each row."""
         return node not in self.known and node not in self.once
 
 

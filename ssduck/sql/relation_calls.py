@@ -89,7 +89,7 @@ _MODEL_TABLES = {name: TABLES[name].model_view for name in ("shapes", "geometrie
 
 
 def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
-    """A formula with the tables of a world at the tick of its entities."""
+    """Returns a formula with the tables of a world at the tick of its entities."""
     result = in_schema(formula, schema)
     tables = list(result.find_all(exp.Table))
     for table in tables:

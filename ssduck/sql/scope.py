@@ -53,13 +53,13 @@ class ExpressionScope(ABC):
         self.ticks: QueryTicks = QueryTicks(context, self.rows, around.ticks if around else None)
 
     def inside(self) -> Self:
-        """The expressions of a query nested in this one."""
+        """Returns the expressions of a query nested in this one."""
         return type(self)(self.context, self)
 
     # -- what does not depend on rows -------------------------------------------------------
 
     def element(self, alias: str | None) -> SqlValue | None:
-        """The current element of a source of this query or of one around it in SQL."""
+        """Returns the current element of a source of this query or of one around it in SQL."""
         name = self.only if alias is None else alias
         if name is not None and name in self.rows:
             return self.rows[name]
@@ -67,7 +67,7 @@ class ExpressionScope(ABC):
         return self.around.element(alias) if self.around and alias is not None else None
 
     def is_constant(self, node: Node) -> bool:
-        """Whether the node has the same value for all rows of the statement."""
+        """Checks whether the node has the same value for all rows of the statement."""
         if node not in self._are_constant:  # each part is asked about, and all that it is in
             self._are_constant[node] = self._is_constant(node)
         return self._are_constant[node]
@@ -125,14 +125,14 @@ class ExpressionScope(ABC):
 
     @abstractmethod
     def value(self, node: Node) -> SqlValue:
-        """The node as SQL.
+        """Returns the node as SQL.
 
         Raises:
             NotSqlError: it is left to Python.
         """
 
     def condition(self, node: Node) -> exp.Expr:
-        """The node as a condition.
+        """Returns the node as a condition.
 
         Raises:
             NotSqlError: it is left to Python.
@@ -140,7 +140,7 @@ class ExpressionScope(ABC):
         return truth(self.value(node))
 
     def number(self, node: Node) -> SqlValue:
-        """The node as SQL, if it is a number.
+        """Returns the node as SQL, if it is a number.
 
         Raises:
             NotSqlError: it is left to Python.

@@ -66,7 +66,7 @@ class Subquery:
     is_risky: bool = False
 
     def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
-        """The rows, as a SELECT of these columns."""
+        """Returns the rows, as a SELECT of these columns."""
         select = product_of(self.elements)
         conditions = [condition.copy() for condition in (*self.conditions, *where)]
         return select.select(*columns).where(*conditions)
@@ -87,7 +87,7 @@ Rows: TypeAlias = Subquery | UnrolledRows
 
 
 def value(around: ExpressionScope, query: Query) -> SqlValue:
-    """The value of a nested query.
+    """Returns the value of a nested query.
 
     Raises:
         NotSqlError: it is left to Python.
@@ -103,7 +103,7 @@ def value(around: ExpressionScope, query: Query) -> SqlValue:
 
 
 def counted(around: ExpressionScope, query: Query) -> SqlValue:
-    """The number of elements of the list that a nested query yields."""
+    """Returns the number of elements of the list that a nested query yields."""
     if _form(query) not in (*_LISTS, *_DICTS):
         return _counted_list(value(around, query))
     rows = _rows(around, query)
@@ -133,7 +133,7 @@ def _counted_list(found: SqlValue) -> SqlValue:
 
 
 def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
-    """`[] == SELECT …` as a question of existence; None if it is none."""
+    """Translates `[] == SELECT …` to EXISTS; None for another comparison."""
     match node.left, node.right:
         case (ListLiteral(items=()), Query() as query) | (Query() as query, ListLiteral(items=())):
             pass
@@ -156,7 +156,7 @@ def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
 
 
 def _never_empty(rows: Rows) -> bool:
-    """Whether no selected value is an empty list itself."""
+    """Checks whether no selected value is an empty list itself."""
     firsts = (
         [items[0] for _, items in rows.rows] if isinstance(rows, UnrolledRows) else rows.items[:1]
     )
@@ -164,7 +164,7 @@ def _never_empty(rows: Rows) -> bool:
 
 
 def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
-    """`x == SELECT … AS value`, which does not hold where there is no row; None if it is none."""
+    """Translates `x == SELECT … AS value`, False without a row; None for another comparison."""
     sides = (node.left, node.right)
     queries = [s for s in sides if isinstance(s, Query) and _form(s) in _VALUES]
     if len(queries) != 1 or is_impure(queries[0]) or around.is_constant(queries[0]):
@@ -183,7 +183,7 @@ def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
 
 
 def membership(around: ExpressionScope, left: Node, query: Query) -> exp.Expr | None:
-    """`x IN SELECT … AS list` as a question of existence; None if it is none."""
+    """Translates `x IN SELECT … AS list` to EXISTS; None if that is not possible."""
     if is_impure(query) or _form(query) not in _LISTS or around.is_constant(query):
         return None
     rows = _rows(around, query)
@@ -233,7 +233,7 @@ def _list(rows: Subquery) -> SqlValue:
 
 
 def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
-    """The first item of the first row; where there is none, a failure unless it may be missing."""
+    """Returns the first item of the first row; it fails without a row unless it may be missing."""
     item = rows.items[0]
     if rows.limit == 0 or item.sql_type.nullable:
         raise NotSqlError
@@ -259,7 +259,7 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
 
 
 def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
-    """An aggregate of the rows in their order."""
+    """Returns an aggregate of the rows in their order."""
     if rows.order:
         what = exp.Order(this=what, expressions=[key.copy() for key in rows.order])
     return exp.Anonymous(this=function, expressions=[what])
@@ -293,12 +293,12 @@ def _unrolled_value(rows: UnrolledRows) -> SqlValue:
 
 
 def _domain(items: Sequence[SqlValue]) -> FloatDomain:
-    """The domain of the elements of a list."""
+    """Returns the domain of the elements of a list."""
     return max((item.domain for item in items), default=FloatDomain.FINITE)
 
 
 def _common(items: Sequence[SqlValue]) -> SqlType:
-    """The one type of values that go into a list."""
+    """Returns the one type of values that go into a list."""
     sql_type = merged(item.sql_type for item in items)
     if (
         sql_type is None
@@ -387,7 +387,7 @@ def _unrolled(
 def _unrolled_row(
     around: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
 ) -> tuple[tuple[exp.Expr, tuple[SqlValue, ...]], bool]:
-    """A row, and whether what it selects could fail."""
+    """Returns a row, and whether what it selects could fail."""
     inner = around.inside()
     _bind(inner, aliases, elements)
     resolved = resolve_in(inner, query, aliases)
@@ -409,7 +409,7 @@ def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> 
 
 
 def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.Ordered]:
-    """The keys of ORDER BY; those that are the same for all rows order nothing.
+    """Returns the keys of ORDER BY; those that are the same for all rows order nothing.
 
     Raises:
         NotSqlError: Python orders such values otherwise, or not at all.
@@ -443,7 +443,7 @@ def _limit(query: Query) -> int | None:
 
 
 def _written_out(around: ExpressionScope, node: Node) -> list[SqlValue] | None:
-    """The elements of a list that mentions the rows around, or of a value of them."""
+    """Returns the elements of a list that mentions the rows around, or of a value of them."""
     node = _list_in(around, node)
     if around.is_constant(node) or isinstance(node, Query):
         return None
@@ -463,7 +463,7 @@ def _list_in(around: ExpressionScope, node: Node) -> Node:
 
 
 def element(around: ExpressionScope, alias: str, node: Node) -> FromItem:
-    """A source of a nested query: a world, a list, a query of its own.
+    """Returns a source of a nested query: a world, a list, a query of its own.
 
     Raises:
         NotSqlError: SQL has no such source.
@@ -487,7 +487,7 @@ def element(around: ExpressionScope, alias: str, node: Node) -> FromItem:
 
 
 def _derived(around: ExpressionScope, name: str, query: Query) -> FromItem:
-    """A query as a source: its one item, or its columns by their names."""
+    """Returns a query as a source: its one item, or its columns by their names."""
     form = _form(query)
     rows = _rows(around, query)
     if rows.is_risky:
@@ -537,7 +537,7 @@ def _derived_records(rows: Subquery, name: str) -> FromItem:
 def _derived_element(
     rows: Subquery, name: str, value: SqlValue, columns: dict[str, exp.Expr]
 ) -> FromItem:
-    """A SELECT in FROM, with the keys of its order as columns of their own."""
+    """Returns a SELECT in FROM, with the keys of its order as columns of their own."""
     keys = [f"key {index + 1}" for index in range(len(rows.order))]
     columns_sql = [exp.alias_(column.copy(), key) for key, column in columns.items()]
     columns_sql += [
@@ -555,5 +555,5 @@ def _derived_element(
 
 
 def is_inline(node: Node) -> bool:
-    """Whether a source may be a part of the statement rather than a value."""
+    """Checks whether a source may be a part of the statement rather than a value."""
     return isinstance(node, Query) and node.recursion is None and not is_grouped(node)

@@ -9,7 +9,7 @@ from ssduck.sql.relations.registry import RELATIONS
 
 @known
 def tables_of(node: Node) -> frozenset[str]:
-    """The tables that relations in a part look things up in, and masses."""
+    """Returns the tables that relations in a part look things up in, and masses."""
     own: frozenset[str] = frozenset()
     # A name may be a relation of the only source, a key one of a source.
     name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)

@@ -173,7 +173,7 @@ class _Translator:
         return elements
 
     def _element(self, shape: SourceType, node: Node) -> FromItem:
-        """A source as a table: the entities of a world, some of them, values, a query."""
+        """Returns a source as a table: the entities of a world, some of them, values, a query."""
         if not shape.has_values:
             try:
                 return subqueries.element(Expressions(self.context), shape.alias, node)
@@ -198,7 +198,7 @@ class _Translator:
         return unnested(name, SqlValue(values_sql, sql_type))
 
     def _past(self, shape: SourceType) -> FromItem:
-        """The past of a world, under a name that no column can have."""
+        """Returns the past of a world, under a name that no column can have."""
         name = self.context.alias(f"{shape.alias} then")
         assert shape.schema is not None
         if shape.moments == "now":
@@ -242,7 +242,7 @@ class _Translator:
     # -- clauses ----------------------------------------------------------------------------
 
     def _conditions(self) -> Iterator[exp.Expr | None]:
-        """The conditions in SQL, up to the first one with side effects."""
+        """Yields the conditions in SQL, up to the first one with side effects."""
         happens = False
         for node in conjuncts(self.query.where):
             happens = happens or is_impure(node)
@@ -253,14 +253,14 @@ class _Translator:
                 yield self._pairs(node) or self._condition(node)
 
     def _is_product_of_lists(self) -> bool:
-        """Whether the sources are several lists that Python has."""
+        """Checks whether the sources are several lists that Python has."""
         shapes = self.result.shapes
         return len(shapes) > 1 and all(
             s.has_values and s.sql_type is not None and s.sql_type.type != "record" for s in shapes
         )
 
     def _pairs(self, node: Node) -> exp.Expr | None:
-        """A condition on two sources that are one world, with all of its pairs joined.
+        """Returns a condition on two sources that are one world, with all of its pairs joined.
 
         Where another condition is about one of the two alone, pairs are asked about one by one.
         """
@@ -320,7 +320,7 @@ class _Translator:
         return exp.and_(near, guarded)
 
     def _item(self, node: Node) -> None:
-        """A selected value or a key: a column if possible, else columns of its parts."""
+        """Adds columns for a selected value or a key: one if possible, else columns of its parts."""
         if self.sql.is_constant(node):
             self._leave(node)
             return
@@ -330,7 +330,7 @@ class _Translator:
             self._leave(node)
 
     def _of_group(self, node: Node) -> None:
-        """A node of a group: the arguments of its aggregates are columns, if possible."""
+        """Adds columns for a part of a grouped query: the arguments of its aggregates, if possible."""
         calls = over_rows(node)
         for call in calls:
             self._item(call.arguments[0])
@@ -340,7 +340,7 @@ class _Translator:
             self._leave(node, but=calls)
 
     def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[OrderKey, ...]]:
-        """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
+        """Returns ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
         ordered: list[exp.Expr] = []
         left: tuple[OrderKey, ...] = ()
         of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
@@ -371,7 +371,7 @@ class _Translator:
         return ordered, left
 
     def _limit(self, *, left: bool) -> int | None:
-        """LIMIT, if SQL can apply it."""
+        """Returns the number of LIMIT if SQL can apply it, else None."""
         limit = self.query.limit
         if limit is None:
             return None
@@ -479,7 +479,7 @@ class _Translator:
 
 
 def _parts(node: Node) -> Iterator[Node]:
-    """The columns to fetch for a part left to Python; of a long comparison, its operands."""
+    """Yields the columns to fetch for a part left to Python; of a long comparison, its operands."""
     for child in node.children():
         if isinstance(node, tree.OperatorChain) and isinstance(child, Binary):
             yield from child.children()
@@ -488,7 +488,7 @@ def _parts(node: Node) -> Iterator[Node]:
 
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
-    """The error for an unknown function."""
+    """Returns the error for an unknown function."""
     instead = instead_of_name(node.name)
     near = nearest(node.name, known)
     is_same = any(name.casefold() == node.name.casefold() for name in near)

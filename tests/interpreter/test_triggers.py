@@ -525,7 +525,7 @@ def test_numbers_of_any_kind(ss, sim, interval):
         ({"queue": True}, "queue: True is no size"),
         ({"queue": 1.5}, "queue: 1.5 is no size"),
         ({"name": ""}, "name: '' is not a non-empty text"),
-        ({"name": 3}, "X),
+        ({"name": 3}, "name: 3 is not a non-empty text"),
         ({"program": 3}, "program: 3 is neither a text nor a compiled program"),
         ({"callback": 3}, "callback: 3 is no function"),
     ],
