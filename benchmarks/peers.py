@@ -88,7 +88,7 @@ class Fcl:
 
 
 def _collide(one: Any, other: Any, data: Any) -> bool:
-    """The callback of the tree: records contacts and continues."""
+    """Returns the callback of the tree: records contacts and continues."""
     fcl.collide(one, other, data.request, data.result)
     return False
 

@@ -65,7 +65,7 @@ def _selected(regions: Map) -> str:
 
 
 def coloured(regions: Map) -> list[dict[str, str]]:
-    """The colourings by a plain loop over all combinations."""
+    """Returns the colourings by a plain loop over all combinations."""
     names = list(regions)
     pairs = [(names.index(a), names.index(b)) for a, b in borders(regions)]
     return [
@@ -87,7 +87,7 @@ Key: TypeAlias = tuple[tuple[int, ...], ...]
 
 
 def move(mov, tower):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201  # as most write it
-    """The towers after a move; [] where it is impossible."""
+    """Returns the towers after a move; [] where it is impossible."""
     source, target = mov
     if not tower[source] or (tower[target] and tower[target][-1] < tower[source][-1]):
         return []
@@ -97,7 +97,7 @@ def move(mov, tower):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201  #
 
 
 def typed_move(mov: list[int], tower: list[list[int]]) -> list[list[int]]:
-    """The same, with types."""
+    """Returns the same, with types."""
     return move(mov, tower)  # type: ignore[no-any-return, no-untyped-call]
 
 
@@ -121,7 +121,7 @@ def _key(mov: list[int], tower: Tower) -> Key:
 
 
 def plain() -> list[list[list[int]]]:
-    """Depth first, whatever was there before."""
+    """Searches depth first, whatever was there before."""
 
     def paths(tower: Tower, path: list[list[int]]) -> Iterator[list[list[int]]]:
         for mov in MOVES:
@@ -135,7 +135,7 @@ def plain() -> list[list[list[int]]]:
 
 
 def no_cycle() -> list[list[Any]]:
-    """Depth first, no move from the same towers twice in a path."""
+    """Searches depth first, no move from the same towers twice in a path."""
     visited: set[Key] = set()
 
     def paths(tower: Tower, path: list[Any], level: int) -> Iterator[list[Any]]:
@@ -155,7 +155,7 @@ def no_cycle() -> list[list[Any]]:
 
 
 def unique() -> list[list[dict[str, Any]]]:
-    """Depth first, no move from the same towers twice at a level; one row a dict."""
+    """Searches depth first, no move from the same towers twice at a level."""
     visited: set[tuple[Key, int]] = set()
 
     def paths(tower: Tower, path: list[Any], level: int) -> Iterator[list[Any]]:
@@ -176,7 +176,7 @@ def unique() -> list[list[dict[str, Any]]]:
 
 
 def memorized() -> list[list[list[Any]]]:
-    """Breadth first to a graph of moves, then its simple paths, shortest first."""
+    """Searches breadth first to a graph of moves, then its simple paths, shortest first."""
     rows: dict[Key, list[Any]] = {}
     following: dict[Key, list[Key]] = {}
     preceding: dict[Key, list[Key]] = {}

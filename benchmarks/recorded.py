@@ -203,9 +203,9 @@ def _used(ss: ssduck.Interpreter, place: Path) -> int:
 def fill(ss: ssduck.Interpreter, world: ssduck.World, ticks: int, step: int = 6000) -> None:
     """Stores ticks that were never simulated: boxes move, some of them over the table."""
     recorder = _recorder(ss)
-    world.ask(("shapes", "links"))  # later this would take another tick
+    world.request_tables(("shapes", "links"))  # later this would take another tick
     ss.flush()
-    ids = np.array([member.id for member in world.snapshot.members])
+    ids = np.array([member.id for member in world.snapshot.entities])
     first = world.snapshot.number + 1
     for start in range(first, first + ticks, step):
         numbers = np.arange(start, min(start + step, first + ticks))

@@ -73,7 +73,7 @@ def bounds(scene: RandomScene, i: int, j: int, beside: float) -> tuple[float, fl
 
 
 def verdict(scene: RandomScene, i: int, j: int, deeper: float) -> bool | None:
-    """Whether two bodies are deeper than a depth; None if the bounds do not decide."""
+    """Checks whether two bodies are deeper than a depth; None if the bounds do not decide."""
     least, most = bounds(scene, i, j, deeper)
     if least > deeper:
         return True
@@ -81,6 +81,6 @@ def verdict(scene: RandomScene, i: int, j: int, deeper: float) -> bool | None:
 
 
 def may_touch(scene: RandomScene, i: int, j: int, within: float) -> bool:
-    """Whether the bounds allow that two bodies touch within a distance."""
+    """Checks whether the bounds allow that two bodies touch within a distance."""
     least, most = bounds(scene, i, j, within)
     return least <= within and most >= -within

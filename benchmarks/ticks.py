@@ -84,7 +84,7 @@ def boxes(count: int, *, owned: bool) -> Iterator[tuple[ssduck.World, int]]:
 
 def movable(world: ssduck.World) -> set[int]:
     """Returns the PyBullet numbers of the movable bodies."""
-    member_bodies = (member.body for member in world.snapshot.members)
+    member_bodies = (member.body for member in world.snapshot.entities)
     return {body.handle for body in member_bodies if body is not None and body.movable}
 
 

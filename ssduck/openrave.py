@@ -93,7 +93,7 @@ class OccupancyGridMap:
         (x, y, z), (nx, ny, size) = self._corner, self._size
         if not nx:
             raise ValueError("SetSize comes first")
-        with self._world.held(("shapes",)):
+        with self._world.pinned(("shapes",)):
             placed = placed_shapes(self._world, self._world.GetBodies())
         return Rasterizer(placed).cells(Raster((x, y), size, (nx, ny)), z, z).tobytes()
 

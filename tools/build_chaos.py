@@ -61,7 +61,7 @@ def side(name: str, colour: str, low: Vec, high: Vec, *, drawn: bool = True) -> 
 
 
 def sides() -> Iterator[Model]:
-    """Six sides; those towards the viewer are invisible."""
+    """Yields six sides; those towards the viewer are invisible."""
     a, b = HALF, HALF + 0.2
     yield side("side_west", "ice", (-b, -b, -b), (-a, b, b))
     yield side("side_east", "ice", (a, -b, -b), (b, b, b), drawn=False)
@@ -104,7 +104,7 @@ def flying() -> Iterator[Body]:
 
 
 def turned(draw: random.Random) -> Quat:
-    """Turned about the vertical and a horizontal axis."""
+    """Returns a random orientation about the vertical and a horizontal axis."""
     return looking(draw.uniform(-180.0, 180.0), draw.uniform(-90.0, 90.0))
 
 

@@ -77,7 +77,7 @@ def pillar() -> Model:
 
 
 def shelf() -> Model:
-    """Four boards between two sides, 1.8 m long and open at the front and the back."""
+    """Returns four boards between two sides, 1.8 m long, open at the front and the back."""
     half, deep, high = 0.9, 0.22, 1.5
     boards = [
         box("oak", (0.03 - half, -deep, z), (half - 0.03, deep, z + 0.03))
@@ -93,7 +93,7 @@ def shelf() -> Model:
 
 
 def table() -> Model:
-    """A table that the robot fits under."""
+    """Returns a table that the robot fits under."""
     legs = [
         box("iron", (x - 0.03, y - 0.03, 0.0), (x + 0.03, y + 0.03, 0.7))
         for x in (-0.72, 0.72)
@@ -113,12 +113,12 @@ def barrel() -> Model:
 
 
 def goal() -> Model:
-    """A mark on the floor, one millimetre high."""
+    """Returns a mark on the floor, one millimetre high."""
     return thing("goal", 0.1, cylinder("red", (0.0, 0.0, 0.0005), 0.3, 0.001))
 
 
 def rover() -> Model:
-    """A round base on two driven wheels and two casters, with a mast for the scanner.
+    """Returns a round base on two driven wheels and two casters, with a mast for the scanner.
 
     All of it is within 0.2 m of the vertical axis through its origin, which is on the floor.
     """

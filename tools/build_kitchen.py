@@ -84,7 +84,7 @@ class Piece:
 
 
 def loft(*rings: Array) -> Piece:
-    """The solid through rings of equally many points, counter-clockwise seen from the last."""
+    """Returns the solid through rings of as many points each, counter-clockwise from the last."""
     n = len(rings[0])
     faces = [tuple(reversed(range(n)))]
     for base in range(0, n * (len(rings) - 1), n):
@@ -96,7 +96,7 @@ def loft(*rings: Array) -> Piece:
 
 
 def ring(outline: Array, z: float, scale: float = 1.0) -> Array:
-    """An outline at a height, scaled about the middle of its box."""
+    """Returns an outline at a height, scaled about the middle of its box."""
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     flat = outline if scale == 1.0 else middle + scale * (outline - middle)
     return np.column_stack([flat, np.full(len(flat), z)])
@@ -107,7 +107,7 @@ def prism(outline: Array, z0: float, z1: float, s0: float = 1.0, s1: float | Non
 
 
 def wall(outer0: Array, inner0: Array, outer1: Array, inner1: Array) -> list[Piece]:
-    """The pieces between an outer and an inner ring: sides of a cup, the rim of a plate."""
+    """Returns the pieces between an outer and an inner ring: sides of a cup, the rim of a plate."""
     n = len(outer0)
     pieces = []
     for i in range(n):
@@ -119,13 +119,13 @@ def wall(outer0: Array, inner0: Array, outer1: Array, inner1: Array) -> list[Pie
 
 
 def ngon(n: int, x: float, y: float, radius: float) -> Array:
-    """A regular polygon standing on an edge, so that its box is 2 radius cos(pi/n) wide."""
+    """Returns a regular polygon standing on an edge, so that its box is 2 radius cos(pi/n) wide."""
     angles = np.pi / n + 2 * np.pi * np.arange(n) / n
     return np.column_stack([x + radius * np.cos(angles), y + radius * np.sin(angles)])
 
 
 def profile(points: Sequence[Span], x0: float, x1: float) -> Piece:
-    """A side view in y and z, counter-clockwise seen from +x, drawn out along x."""
+    """Returns a side view in y and z, counter-clockwise seen from +x, drawn out along x."""
     yz = np.array(points)
     return loft(*(np.column_stack([np.full(len(yz), x), yz]) for x in (x0, x1)))
 
@@ -242,7 +242,7 @@ class Row:
         return box(colour, (near, s[0], z[0]), (far, s[1], z[1]))
 
     def doors(self, colour: str, s: Span, z: Span, n: int, grip: float) -> Iterator[Shape]:
-        """`n` doors side by side, each with a bar to grip at this height."""
+        """Yields `n` doors side by side, each with a bar to grip at this height."""
         width = (s[1] - s[0]) / n
         for i in range(n):
             a, b = s[0] + i * width + 0.004, s[0] + (i + 1) * width - 0.004
@@ -320,7 +320,7 @@ BASIN_X, BASIN_Y = (0.11, 0.59), (1.84, 2.39)
 
 
 def sink_unit() -> Iterator[Shape]:
-    """The basin round the sink's plate, and the tap behind it."""
+    """Yields the basin round the sink's plate, and the tap behind it."""
     (x0, x1), (y0, y1), t = BASIN_X, BASIN_Y, 0.012
     low, high = 0.7995 - GAP, WORKTOP + 0.002
     yield box("steel", (x0 - t, y0 - t, 0.775), (x1 + t, y1 + t, low))
@@ -395,7 +395,7 @@ def cooker_unit() -> Iterator[Shape]:
 
 
 def decoration() -> Iterator[Shape]:
-    """On the left wall a rack of jars, a picture and a clock; a plant on the shelf."""
+    """Yields a rack of jars, a picture and a clock on the left wall, and a plant on the shelf."""
     x = LEFT
     yield box("oak", (x, -1.20, 1.52), (x + 0.16, 0.30, 1.545))
     jars = ("mustard", "red", "leaf", "azure", "orange", "white", "teal", "rose")
@@ -432,7 +432,7 @@ def table() -> Model:
 
 
 def chair() -> Model:
-    """The seat has the outline; legs stand back from it, so that the roomba passes below."""
+    """Returns a chair whose legs stand back from the seat, so that the roomba passes below."""
     z0, z1, seat = 0.157155895, 0.996523761, 0.60
     shapes = [
         mesh("teal", "seat", prism(CHAIR, seat, seat + 0.022)),
@@ -481,7 +481,7 @@ def cup() -> Model:
 
 
 def can() -> Model:
-    """A watering can: its spout points to -y, its handle to +y."""
+    """Returns a watering can: its spout points to -y, its handle to +y."""
     x0, x1, y0, y1 = -0.122744445, 0.152099722, -0.21632512, 0.209011254
     z0, z1 = 0.00161989, 0.288877203
     x, y = (x0 + x1) / 2, 0.025436594
@@ -529,7 +529,7 @@ def coffe_machine() -> Model:
 
 
 def mixer() -> Model:
-    """A stand mixer: the bowl under a head whose nose points to -y."""
+    """Returns a stand mixer: the bowl under a head whose nose points to -y."""
     x0, x1, y0, y1 = -0.168449294, 0.091779254, -0.241507185, 0.189543115
     z0, z1 = -0.001874845, 0.387240765
     x, y = (x0 + x1) / 2, -0.0815
@@ -554,7 +554,7 @@ def mixer() -> Model:
 
 
 def toaster() -> Model:
-    """The foot has the outline; slices of toast stand in two slots along the body."""
+    """Returns a toaster with slices of toast in two slots along its body."""
     z0, z1 = -0.00494914, 0.287095976
     frame = Frame(-0.0325, -0.0236, math.atan2(-0.03869612, 0.370594527))
     shapes = [
@@ -573,7 +573,7 @@ def toaster() -> Model:
 
 
 def microwave() -> Model:
-    """Hollow, and turned into the corner; u runs along the door, v from the back to the door."""
+    """Returns a hollow microwave in the corner; u runs along the door, v from the back to it."""
     z0, z1 = -0.00619827, 0.402869869
     corner = MICROWAVE[:4]
     (ax, ay), (bx, by), (cx, cy), _ = corner.tolist()
@@ -613,7 +613,7 @@ def microwave() -> Model:
 
 
 def microwave_handle() -> list[Piece]:
-    """A bar along the door, on two posts that reach back to it."""
+    """Returns a bar along the door, on two posts that reach back to it."""
     outer = MICROWAVE[4:]
     inwards = MICROWAVE[0] - MICROWAVE[1]
     inwards = inwards / np.hypot(*inwards) * 0.0435
@@ -622,7 +622,7 @@ def microwave_handle() -> list[Piece]:
 
 
 def pin() -> Model:
-    """A storage jar with a lid."""
+    """Returns a storage jar with a lid."""
     x0, x1, y0, y1 = -0.1084703, 0.07164011, -0.09064139, 0.073378479
     z0, z1 = -0.003035655, 0.197602948
     x, y, lid = (x0 + x1) / 2, (y0 + y1) / 2, z1 - 0.05
@@ -637,7 +637,7 @@ def pin() -> Model:
 
 
 def knife_block() -> Model:
-    """The block leans towards -y, where the handles stick out."""
+    """Returns a knife block that leans towards -y, where the handles stick out."""
     x0, x1, y0, y1 = -0.07257857, 0.08272525, -0.272321226, 0.203616804
     z0, z1 = -0.00399556, 0.265876494
     block = [(-0.10, z0), (y1, z0), (y1, 0.05), (-0.06, 0.225), (-0.17, 0.115)]
@@ -672,7 +672,7 @@ def stretch(pieces: Sequence[Piece], y0: float, z1: float) -> list[Piece]:
 
 
 def shaker() -> Model:
-    """Turned like a pepper mill; its foot has the outline."""
+    """Returns a shaker in the shape of a pepper mill; its foot has the outline."""
     z0, z1 = -0.010023055, 0.60972287
     body = loft(*(ring(SHAKER, z, s) for z, s in ((0.05, 0.88), (0.16, 0.74), (0.28, 0.58))))
     head = [(0.40, 0.52), (0.43, 0.68), (0.49, 0.72), (0.54, 0.56), (0.565, 0.30)]
@@ -695,7 +695,7 @@ def camera(name: str) -> Model:
 
 
 def roomba() -> Model:
-    """A disc on two driven wheels and a caster; its wheels are hulls, hence GAP higher."""
+    """Returns a disc on two driven wheels and a caster; its wheels are hulls, hence GAP higher."""
     z1, wheel, caster = 0.089675, 0.034, 0.015
     disc = [
         mesh("charcoal", "disc", prism(ROOMBA, 0.014, 0.066)),
@@ -717,7 +717,7 @@ def roomba() -> Model:
 
 
 def tyre(radius: float, width: float) -> Piece:
-    """A wheel that rolls about y, and has an edge to stand on: on a corner it would creep."""
+    """Returns a wheel about y that stands on an edge: on a corner it would creep."""
     sides = 64
     a = ngon(sides, 0.0, 0.0, radius / math.cos(math.pi / sides))
     ends = [np.column_stack([a[:, 1], np.full(sides, y), a[:, 0]]) for y in (-width / 2, width / 2)]
@@ -730,7 +730,7 @@ def drive(name: str, parent: str, child: str, origin: Vec, effort: float) -> Joi
 
 
 def barrett() -> Model:
-    """A two-wheeled base with casters, an arm of seven joints, and a hand with three fingers.
+    """Returns a two-wheeled base with casters, an arm of seven joints and a three-fingered hand.
 
     The base frame is 0.735 above the floor. Nothing reaches beyond x = 0.345 at the height of
     the laser (z = -0.65), which looks forward from x = 0.35. The wheels stand a little lower
@@ -769,7 +769,7 @@ def barrett() -> Model:
 
 
 def arm() -> Iterator[tuple[Link, Joint]]:
-    """Straight up when all joints are 0; each link starts at its joint."""
+    """Returns an arm that points straight up when all joints are 0."""
     y, z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     turret = [tube("white", 0.11, 0.10, 0.22), tube("charcoal", 0.28, 0.085, 0.20, "y")]
     upper = [tube("white", 0.13, 0.062, 0.24)]
@@ -800,7 +800,7 @@ def tube(colour: str, z: float, radius: float, length: float, axis: str = "z") -
 
 
 def hand() -> Iterator[tuple[Link, Joint]]:
-    """Three fingers bend towards the palm's axis; `spread` swings the first round the palm."""
+    """Returns three fingers that bend to the palm's axis; `spread` swings the first round it."""
     palm, z, top = "arm7", (0.0, 0.0, 1.0), 0.05
     knuckle = [cylinder("steel", (0.0, 0.04, 0.008), 0.016, 0.016)]
     swing = Joint("spread", "revolute", palm, "knuckle", (0.0, 0.0, top), z, (0.0, 2.4, 5.0, 2.0))
@@ -914,7 +914,7 @@ class Sensor:
 
 
 def looking(yaw: float, down: float = 0.0) -> Quat:
-    """A sensor looks along its +x: turned by `yaw` degrees about z, then bent down."""
+    """Returns the orientation of a sensor that looks to `yaw` and `down`, degrees."""
     a, b = math.radians(yaw) / 2, math.radians(down) / 2
     return (
         math.cos(a) * math.cos(b),
@@ -941,7 +941,7 @@ ROBOTS = [
 
 
 def kinbody(name: str, x: float, y: float, z: float, qw: float = 1.0, qz: float = 0.0) -> Body:
-    """The model is the name without its tag: `plate` of `plate_835a`."""
+    """Returns a kinbody; its model is the name without the tag: `plate` of `plate_835a`."""
     model = name if name in {m.name for m in MODELS} else name.rsplit("_", 1)[0]
     fixed = model in {m.name for m in FURNITURE}
     return Body(name, "kinbody", model, (x, y, z), (qw, 0.0, 0.0, qz), fixed)
@@ -1017,7 +1017,7 @@ def rotation(rpy: Vec) -> Array:
 
 
 def solids(shape: Shape) -> Iterable[Piece]:
-    """The shape as polyhedra; a ball becomes the cube of the same moment of inertia per mass."""
+    """Returns a shape as polyhedra; a ball as the cube of the same moment of inertia per mass."""
     if shape.kind == "mesh":
         return shape.pieces
     if shape.kind in ("cylinder", "capsule"):  # a capsule of the length of all of it
@@ -1034,7 +1034,7 @@ def solids(shape: Shape) -> Iterable[Piece]:
 
 
 def inertial(link: Link) -> tuple[Array, Array]:
-    """Centre of mass and the diagonal of the inertia about it, as if of one material.
+    """Returns the centre of mass and the diagonal of the inertia about it, for one material.
 
     Summed over the tetrahedra which each face, cut into triangles, forms with the origin.
     """
@@ -1057,7 +1057,7 @@ def inertial(link: Link) -> tuple[Array, Array]:
 
 
 def number(value: float, digits: int = 12) -> str:
-    """Few enough digits that the text is the same on every machine."""
+    """Returns a number with so few digits that the text is the same on every machine."""
     return f"{round(float(value), 12) + 0.0:.{digits}g}"
 
 
@@ -1144,7 +1144,7 @@ def array(values: Iterable[float]) -> str:
 
 
 def real(value: float) -> str:
-    """A TOML number; a whole one stays whole."""
+    """Returns a TOML number; a whole one stays whole."""
     return repr(value) if isinstance(value, int) else repr(round(value, 12) + 0.0)
 
 

@@ -119,7 +119,7 @@ def cloud(ss: ssduck.Interpreter) -> Image.Image:
 
 
 def network(ss: ssduck.Interpreter) -> Image.Image:
-    """The graph of `above`, drawn by networkx and matplotlib."""
+    """Returns the graph of `above`, drawn by networkx and matplotlib."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -695,7 +695,7 @@ class _Worker:
 def fuzz(
     count: int, seed: int = 0, jobs: int = 2, told: Callable[[Finding], None] | None = None
 ) -> list[Finding]:
-    """Run that many inputs.
+    """Runs that many inputs.
 
     Args:
         count: how many.

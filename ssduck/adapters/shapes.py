@@ -32,7 +32,7 @@ def placed_shapes(world: World, entities: Sequence[Entity]) -> PlacedSolids:
     for entity in entities:
         if not entity.is_there:
             raise entity.removed()
-    world.ask(("shapes",))
+    world.request_tables(("shapes",))
     shapes = world.snapshot.shapes()
     ids = [entity.id for entity in entities]
     for id in shapes.unknown(ids)[:1]:

@@ -198,7 +198,11 @@ class BoundWorld:
         snapshot = self.world.snapshot
         if tick is None or tick == snapshot.number:
             return
-        new = [name for name in snapshot.repadded if name not in self._changed_margins]
+        new = [
+            name
+            for name in snapshot.names_with_changed_margins
+            if name not in self._changed_margins
+        ]
         if new:
             self._changed_margins.update(new)
             warn(
@@ -214,8 +218,8 @@ class BoundWorld:
             UnsupportedError: they are not recorded.
         """
         snapshot = self.world.snapshot
-        if tick == snapshot.number and "joints" not in snapshot.untold:
-            member, rows = snapshot.members[snapshot.rows[id]], snapshot.tables["joints"]
+        if tick == snapshot.number and "joints" not in snapshot.unavailable:
+            member, rows = snapshot.entities[snapshot.rows[id]], snapshot.tables["joints"]
             columns: Mapping[str, Any] = {name: rows[name] for name in ("entity", "position")}
         else:
             columns = self._recorded("joints", tick)
@@ -228,7 +232,7 @@ class BoundWorld:
 
     def joint_owners(self) -> dict[str, set[int]]:
         """Returns the ids of the entities that have a joint of each name, at any tick."""
-        members = {member.id: member for member in self.world.snapshot.members}
+        members = {member.id: member for member in self.world.snapshot.entities}
         if self.history is not None:
             members.update(self.history.record.members)
         owners: dict[str, set[int]] = {}

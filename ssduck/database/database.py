@@ -107,7 +107,7 @@ class Database:
         if self.connection.meter.limits.seconds is not None:
             check_length(sql)
         tables = self._references.tables(sql)
-        with self.held(tables, self._references.worlds(sql, self._worlds.bound)):
+        with self.pinned(tables, self._references.worlds(sql, self._worlds.bound)):
             schemas = list(self._worlds.by_schema)
             only = schemas[0] if len(self.worlds) == 1 else None
             self._schemas.describe(schemas, only, self.records)
@@ -119,12 +119,12 @@ class Database:
             return self.connection.table(sql, parameters)
 
     @contextmanager
-    def held(
+    def pinned(
         self,
         tables: set[str] | frozenset[str] = frozenset(),
         worlds: Collection[World] | None = None,
     ) -> Iterator[None]:
-        """Holds all worlds at their tick while statements run.
+        """Pins all worlds at their tick while statements run.
 
         Args:
             tables: the tables to read, from the simulators if need be.
@@ -140,7 +140,7 @@ class Database:
             ]
             for world, _ in sorted(present, key=lambda item: item[0].serial):
                 reads = worlds is None or any(world is other for other in worlds)
-                stack.enter_context(world.held(tables if reads else ()))
+                stack.enter_context(world.pinned(tables if reads else ()))
             for _, bound in present:
                 if bound.history is not None and bound.history.recorder is not None:
                     stack.enter_context(bound.history.recorder.reading)
@@ -209,14 +209,14 @@ class Database:
             bound = self._worlds.entry(world)
             check_is_live(world)
             if recording is not None:
-                check_names(recording, world.snapshot.members)
+                check_names(recording, world.snapshot.entities)
             self._worlds.record(bound, recording)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
         """Writes the ticks of a world to a folder, too, from now on."""
         with self._lock:
             check_is_live(world)
-            check_names(recording, world.snapshot.members)
+            check_names(recording, world.snapshot.entities)
             return self._recorders.to_folder(world, recording, path, self.schema_of(world))
 
     def record_of(self, world: World) -> Record:
@@ -251,7 +251,7 @@ class Database:
             EvaluationError: the world is not recorded, or not at that time.
         """
         record = self.record_of(world)
-        with self._lock, world.held():
+        with self._lock, world.pinned():
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording
@@ -265,7 +265,7 @@ class Database:
                 world = bound.reference()
                 recorder = bound.history.recorder if bound.history is not None else None
                 if world is not None and recorder is not None and bound.schemas:
-                    with world.held():
+                    with world.pinned():
                         recorder.flush()
                         numbers = recorder.ticks.numbers
                         last_ticks[bound.schemas[0]] = int(numbers[-1])

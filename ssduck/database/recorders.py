@@ -33,7 +33,7 @@ class Recorders:
     def start(self, bound: BoundWorld, recording: Recording, name: str) -> None:
         """Starts to record the ticks of a world in a history that is named after `name`."""
         world, is_file = bound.world, self._connection.is_file
-        check_names(recording, world.snapshot.members)
+        check_names(recording, world.snapshot.entities)
         in_memory = not is_file and not recording.changed
         schema, connection = self._free_schema(name), self._connection.writer()
         store: MemoryStore | DuckDBStore
@@ -60,7 +60,7 @@ class Recorders:
         )
         self.running.append(recorder)
         try:
-            world.record(recorder)
+            world.add_recorder(recorder)
         except BaseException:
             self._forget(bound, recorder)
             raise
@@ -97,7 +97,7 @@ class Recorders:
         """Removes a recorder without storing its waiting ticks."""
         world = bound.reference()
         if world is not None:
-            world.forget(recorder)
+            world.remove_recorder(recorder)
         self.running.remove(recorder)
         bound.history = None
 
@@ -109,9 +109,9 @@ class Recorders:
         recorder = Recorder(recording, folder, waits=PART_TICKS)
         self.running.append(recorder)
         try:
-            world.record(recorder)
+            world.add_recorder(recorder)
         except BaseException:
-            world.forget(recorder)
+            world.remove_recorder(recorder)
             self.running.remove(recorder)
             folder.discard()
             raise

@@ -49,8 +49,8 @@ class Schemas:
         self._connection.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
         for table in TABLES.values():
             rows = exp.select("*").from_(exp.table_(bound.live_view(table.name), quoted=True))
-            if table.name in bound.world.snapshot.untold:
-                _refuse(rows, bound.world.snapshot.untold[table.name])
+            if table.name in bound.world.snapshot.unavailable:
+                _refuse(rows, bound.world.snapshot.unavailable[table.name])
             view = _with_second_names(table, rows.sql("duckdb"))
             self._make_view(name, table.name, view)
         self.make_history(name, bound)

@@ -168,7 +168,7 @@ class WorldRegistry:
 
     def record(self, bound: BoundWorld, recording: Recording | None) -> None:
         """Records the ticks of a world in a new history from now on; None for no recording."""
-        with bound.world.held():
+        with bound.world.pinned():
             self._recorders.stop(bound)
         if recording is not None:
             self._recorders.start(bound, recording, bound.schemas[0])

@@ -123,7 +123,7 @@ def _random_velocity(draw: random.Random) -> tuple[float, ...]:
 
 
 def shapes_agree(ss: Interpreter, say: Callable[[str], None]) -> bool:
-    """Whether the pairs that collide by their shapes are those that the solver finds.
+    """Checks whether the pairs that collide by their shapes are those that the solver finds.
 
     The comparison covers the last second except its last tick, whose step is yet to come.
     Penetrations of more than `MIN_DEPTH` must be found by both, at the same or an adjacent tick.
@@ -147,7 +147,7 @@ def shapes_agree(ss: Interpreter, say: Callable[[str], None]) -> bool:
 
 
 def _are_among(some: Mapping[Overlap, float], others: Mapping[Overlap, float]) -> bool:
-    """Whether all overlaps that are deep enough are among others, at most a tick apart."""
+    """Checks whether all overlaps that are deep enough are among others, at most a tick apart."""
     return all(
         any((tick + later, a, b) in others for later in (-1, 0, 1))
         for (tick, a, b), depth in some.items()

@@ -75,7 +75,7 @@ def _falls_freely(
     expected: float,
     say: Callable[[str], None],
 ) -> bool:
-    """Whether the vacuum cleaner fell freely and everything else stayed."""
+    """Checks whether the vacuum cleaner fell freely and everything else stayed."""
     falls = {name: heights_before[name] - after[name] for name in heights_before}
     fall = falls.pop("roomba_625x")
     farthest = max(map(abs, falls.values()))
@@ -87,7 +87,7 @@ def _falls_freely(
 
 
 def _are_alike(kitchen: World, copy: World, say: Callable[[str], None]) -> bool:
-    """Whether a copy of the kitchen moved like the kitchen."""
+    """Checks whether a copy of the kitchen moved like the kitchen."""
     deviation = max(
         float(np.abs(np.subtract(entity.position, copy[entity.name].position)).max())
         for entity in kitchen

@@ -63,7 +63,7 @@ class DemoQuestion:
 
 
 def on(o1: Any, o2: Any) -> bool:
-    """Whether the position of o2 is over the box of o1."""
+    """Checks whether the position of o2 is over the box of o1."""
     if o1 == o2:
         return False
     low, high = o1.aabb

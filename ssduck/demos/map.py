@@ -60,7 +60,7 @@ def _description(grid: OccupancyGrid) -> str:
 
 
 def _has_legs(grid: OccupancyGrid, say: Callable[[str], None]) -> bool:
-    """Whether the number of things around the table is that of its legs and the chairs' legs."""
+    """Checks whether the map shows as many legs as the table and the chairs have."""
     from scipy.ndimage import label
 
     (left, low), (right, high) = LEGS_REGION

@@ -54,7 +54,7 @@ class Placing:
         self.count += 1
         pose = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2), x, y, self._height]
         what_if = self._world.what_if({self._robot: pose})
-        what_if.ask(["shapes"])
+        what_if.request_tables(["shapes"])
         low, high = np.array(what_if.entity(self._robot.id).aabb)
         box_distances = np.maximum(self._boxes[:, 0] - high, low - self._boxes[:, 1]).max(axis=1)
         shapes, robot_id = what_if.snapshot.shapes(), self._robot.id

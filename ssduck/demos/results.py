@@ -72,7 +72,7 @@ def _moved(new_files: Path, folder: Path) -> bool:
 
 
 def _are_same(one: Path, other: Path) -> bool:
-    """Whether two files, or all files of two folders, are equal."""
+    """Checks whether two files, or all files of two folders, are equal."""
     if one.is_file() or other.is_file():
         return one.is_file() and other.is_file() and filecmp.cmp(one, other, shallow=False)
     parts = {path.relative_to(one) for path in one.rglob("*")}

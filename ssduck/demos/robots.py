@@ -227,7 +227,7 @@ def collisions(ss: Interpreter, say: Callable[[str], None]) -> list[dict[str, An
 
 
 def history_agrees(ss: Interpreter, watch: Watch) -> bool:
-    """Whether the history agrees with the trigger at each tick at which it fired."""
+    """Checks whether the history agrees with the trigger at each tick at which it fired."""
     seen: dict[int, set[Sight]] = {tick: set() for tick, _, _ in watch.callbacks}
     for tick, sensor, robot in ss.sql(SIGHTINGS, {"ticks": list(seen)}).fetchall():
         seen[tick].add((sensor, robot))

@@ -162,7 +162,7 @@ class Execution(Namespace, ABC):
             program = self._with_overrides(program)
             plan_of = partial(self._planner.plan, frame=frame)
             stand_ins = {
-                name: [m.name for m in world.snapshot.members if m.body and m.body.has_stand_ins]
+                name: [m.name for m in world.snapshot.entities if m.body and m.body.has_stand_ins]
                 for name, world in self._database.worlds.items()
             }
             return "\n\n".join(
@@ -189,7 +189,7 @@ class Execution(Namespace, ABC):
             for number, statement in enumerate(self._linted_statements(program, frame), 1):
                 if number < len(program.statements):
                     frame.value(statement)
-            with self._worlds_held(*self._with_overrides(program).statements[-1:]):
+            with self._worlds_pinned(*self._with_overrides(program).statements[-1:]):
                 yield frame
         finally:
             self._variables = before
@@ -220,7 +220,7 @@ class Execution(Namespace, ABC):
             fetched: list[list[Any]] = formed(selected, lambda part: list(map(list, part.values)))
             return fetched
 
-        with self._worlds_held(node):
+        with self._worlds_pinned(node):
             series = self._temporal.series(node, frame, self._database.record_of, rows)
             return TEMPORAL_FUNCTIONS[node.name].make(
                 series, None if age is None else validation.seconds(age)
@@ -257,7 +257,7 @@ class Execution(Namespace, ABC):
             return None
         values_by_name = {f"argument_{index}": value for index, value in enumerate(together)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].inputs, worlds):
+        with self._database.pinned(RELATIONS[node.name].inputs, worlds):
             for argument, value in zip(node.arguments, together, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()
@@ -284,10 +284,10 @@ class Execution(Namespace, ABC):
         return self._database.connection.meter
 
     @contextmanager
-    def _worlds_held(self, *nodes: Node) -> Iterator[None]:
-        """Holds all worlds at their tick, and reads the tables that relations look up."""
+    def _worlds_pinned(self, *nodes: Node) -> Iterator[None]:
+        """Pins all worlds at their tick, and reads the tables of relations."""
         tables = frozenset().union(*map(self.tables_read, nodes))
-        with self._database.held(tables, self.worlds_of(nodes) if tables else ()):
+        with self._database.pinned(tables, self.worlds_of(nodes) if tables else ()):
             yield
 
 

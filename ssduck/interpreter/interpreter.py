@@ -219,14 +219,14 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         if frame.elements and not sees_outside(node):
             frame = frame.independent()
         if type(self).evalAs is not Interpreter.evalAs:
-            with self._worlds_held(node):
+            with self._worlds_pinned(node):
                 return self.evalAs(*self._eval_as_arguments(node, frame))
         return self._result(node, frame, as_clause_of(node, frame))
 
     def _result(self, node: Query, frame: Frame, form: AsClause) -> Any:
         """Returns the result that a form makes from the rows of a query."""
         adapted = self._query_of(node, form.adapter)
-        with self._worlds_held(adapted):  # the result is made of one tick, too
+        with self._worlds_pinned(adapted):  # the result is made of one tick, too
             return form.value(adapted, frame, self._planner.run)
 
     def _query_of(self, node: Query, adapter: Adapter) -> Query:

@@ -41,7 +41,7 @@ class RecordingMethods(ABC):
     def record(self, world: str | World, recording: Recording | None) -> None:
         """Records the ticks of a world from now on, instead of as before.
 
-        The record begins with the current tick. The previous record is dropped, unless it is in a
+        The recording begins with the current tick. The previous one is dropped, unless it is in a
         file.
 
         Args:

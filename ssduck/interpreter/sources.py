@@ -213,7 +213,7 @@ _ARROW_TYPES = {
 
 
 def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[Any]:
-    """Returns the values of sources; a world whose past is a source too, at its present tick.
+    """Returns the values of sources; a world whose past is a source too, at its current tick.
 
     Args:
         values: the values of the sources of a query.

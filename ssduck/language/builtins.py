@@ -101,7 +101,7 @@ def _copied(value: Any) -> Any:
 
 
 def _given(value: Any) -> Any:
-    """Returns the result of a function, with lists and dicts copied and NumPy's numbers converted."""
+    """Returns the result of a function, with lists copied and NumPy's numbers converted."""
     if type(value) is list:
         return [part if type(part) in ATOMS else _given(part) for part in value]
     if type(value) is tuple:

@@ -386,7 +386,7 @@ def _products(values: Sequence[Iterable[Any]]) -> Iterator[tuple[Any, ...]]:
 def combinations(
     aliases: Sequence[str], values: Sequence[Iterable[Any]], outer: Frame
 ) -> Iterator[dict[str | None, Any]]:
-    """Yields each combination of the sources' elements, by alias; the last source varies fastest."""
+    """Yields each combination of the sources' elements by alias; the last source varies fastest."""
     around: dict[str | None, Any] = dict(outer.elements)
     around.pop(None, None)
     for elements in _products(values):

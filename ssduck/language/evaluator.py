@@ -426,7 +426,7 @@ class ExpressionCompiler:
         return call
 
     def _remembered(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
-        """Returns a call of a user's function that runs once a row, and once for equal arguments."""
+        """Compiles a call of a user's function to run once a row and once for equal arguments."""
         key, name = written(node), node.name
         function = self._scope.function(name)
         assert function is not None

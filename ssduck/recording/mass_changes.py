@@ -28,7 +28,7 @@ class MassChanges:
     def warn(self, world: SteppedSimulation) -> None:
         """Read the masses of a world that is recorded, and warn of those that changed, once."""
         with suppress(SimulatorError):  # which may be gone
-            world.ask((MASSES,))
+            world.request_tables((MASSES,))
         new = list(self._names.values())[self._warned :]
         self._warned += len(new)
         if new:

@@ -124,7 +124,7 @@ class Recorder:
         for table, count in counts.items():
             rows.copy(snapshot, table, self.buffers[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
-        if not snapshot.is_whole:  # where the buffer has what is no number, the store has NULL
+        if not snapshot.is_complete:  # where the buffer has what is no number, the store has NULL
             failed = failed or self._tried(self.flush)
         if failed is not None:
             raise failed
@@ -257,7 +257,7 @@ class Recorder:
             self._rows = RecordedRows(snapshot, self.recording.entities)
             masses = snapshot.masses
             new = [
-                member.weighed(masses.get(member.id, member.masses))
+                member.with_masses(masses.get(member.id, member.masses))
                 for member in self._rows.members
                 if member.id not in self.members
             ]

@@ -32,13 +32,13 @@ class RecordedRows:
     def __init__(self, snapshot: Snapshot, names: Collection[str] | None) -> None:
         self._layout = snapshot.layout
         self._of = snapshot.disabled, snapshot.hidden
-        members = self._layout.members
+        members = self._layout.entities
         self.members = members if names is None else chosen_members(members, names)
         self._ids = np.array([member.id for member in self.members], dtype=np.int64)
         kept = {member.id for member in self.members}
         self._frames = [
             _frames_of(part, self._layout, kept)
-            for part in (self._layout.still, self._layout.moving)
+            for part in (self._layout.static_bodies, self._layout.moving_bodies)
         ]
         self._frames_count = sum(len(frames.places) for frames in self._frames)
         self._picked: dict[str, Indices | None] = {
@@ -93,7 +93,7 @@ class RecordedRows:
             return
         live: LiveTable = snapshot.tables[table]
         columns, picked = TABLES[table].tick_columns, self._selected(snapshot, table)
-        doubles = live.block[live.places(columns.doubles)]
+        doubles = live.block[live.block_rows(columns.doubles)]
         buffer.doubles[:, run] = doubles if picked is None else doubles[:, picked]
         if table not in self._picked:
             for name in columns.integers[1:]:
@@ -115,7 +115,7 @@ class RecordedRows:
     def _copy_frames(self, snapshot: Snapshot, buffer: RowBuffer, run: slice) -> None:
         buffer.doubles[0, run] = snapshot.time
         first = run.start
-        for own, (_, frames) in zip(self._frames, snapshot.parts, strict=True):
+        for own, (_, frames) in zip(self._frames, snapshot.body_groups, strict=True):
             if not len(own.places):
                 continue
             to = slice(first, first + len(own.places))

@@ -107,7 +107,7 @@ class Backend(Protocol):
 
 
 def backend(name: str = DEFAULT_BACKEND) -> Backend:
-    """The backend of a name in `BACKENDS`.
+    """Returns the backend of a name in `BACKENDS`.
 
     Raises:
         UnknownNameError: there is no such backend; with the nearest names.

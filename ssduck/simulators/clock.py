@@ -30,11 +30,11 @@ class Clock:
         return self.since + self.steps * self.timestep
 
     def after(self, steps: int, timestep: float) -> Clock:
-        """The clock after more steps of a length, s; the length may be a new one."""
+        """Returns the clock after more steps of a length, s; the length may be a new one."""
         if timestep != self.timestep:
             return Clock(timestep, self.time, steps)
         return Clock(timestep, self.since, self.steps + steps)
 
     def at(self, time: float, timestep: float) -> Clock:
-        """A clock that counts steps of a length, s, from a simulated time, s."""
+        """Returns a clock that counts steps of a length, s, from a simulated time, s."""
         return Clock(timestep, time)

@@ -127,7 +127,7 @@ class LinkPoses:
     states: Array
 
     def states_at(self, points: Array, links: Indices) -> Array:
-        """The states of some links, stated at other points of them.
+        """Returns the states of some links, stated at other points of them.
 
         Args:
             points: (m, 3), points of the links, in the world.
@@ -260,13 +260,13 @@ class Simulator(Protocol):
         """The bodies that are not drawn; the same object until they change."""
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """The bodies that came and those that went since the last call; None if none did.
+        """Returns the bodies that came and those that went since the last call; None if none did.
 
         A `Body` stays the same object until it goes. A body that comes back is a new object.
         """
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
-        """The poses of all links of some bodies, body after body, as they are now.
+        """Returns the poses of all links of some bodies, body after body, as they are now.
 
         The arrays are not written to afterwards.
 
@@ -277,19 +277,21 @@ class Simulator(Protocol):
         """
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """The position, velocity and effort of the joints of some bodies, (joints, 3)."""
+        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3)."""
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The masses of the links of some bodies, kg; of a body that is gone, the last ones."""
+        """Returns the masses of bodies' links, kg; the last known ones if a body is gone."""
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The collision margins of the shapes of some bodies, m; of one that is gone, the last."""
+        """Returns the margins of bodies' shapes, m; the last known ones if a body is gone."""
 
     def read_contacts(self) -> Iterable[Contact]:
-        """The contacts of the last step."""
+        """Returns the contacts of the last step."""
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """The first body that each ray hits now. A ray does not hit a body that it begins in.
+        """Returns the first body that each ray hits now.
+
+        A ray does not hit a body that it begins in.
 
         Args:
             starts: (n, 3), the starts of the rays.
@@ -298,7 +300,7 @@ class Simulator(Protocol):
         """
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        """The colour image of a camera on a body, without shadows, (height, width, 3)."""
+        """Returns the colour image of a camera on a body, without shadows, (height, width, 3)."""
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""
@@ -313,7 +315,7 @@ class Simulator(Protocol):
         """Sets motors of a body for the next steps, by the index of the joint's link."""
 
     def has_constraint(self, body: Body, other: Body) -> bool:
-        """Whether a fixed constraint connects a link of a body to the base of another."""
+        """Checks whether a fixed constraint connects a link of a body to the base of another."""
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
         """Adds a fixed constraint between a link of a body and the base of another, as they are."""
@@ -333,10 +335,10 @@ class Simulator(Protocol):
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        """The colour image of a camera, (height, width, 3), with or without shadows."""
+        """Returns the colour image of a camera, (height, width, 3), with or without shadows."""
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """The handle of the body in each pixel of that image, (height, width); -1 for none."""
+        """Returns the handle of the body in each pixel, (height, width); -1 for none."""
 
     def close(self) -> None:
         """Releases the simulation; one that the user made goes on running."""

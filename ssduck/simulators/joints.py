@@ -42,7 +42,7 @@ class HasLimits(Protocol):
 
 
 def openness(joint: HasLimits, position: float) -> float | None:
-    """How far a joint is open, as a fraction of its range; None if it has no two limits.
+    """Returns the openness of a joint, a fraction of its range; None without two limits.
 
     >>> openness(Joint("door", "revolute", 1, 0.0, 2.0, None, None), 0.5)
     0.25
@@ -75,7 +75,7 @@ class EntityJoints:
     positions: Sequence[float]
 
     def position(self, name: str) -> float | None:
-        """The position of a joint, rad or m; None if it is unknown.
+        """Returns the position of a joint, rad or m; None if it is unknown.
 
         Raises:
             JointError: there is no such joint, or its position is not one number.
@@ -89,7 +89,7 @@ class EntityJoints:
         return None if math.isnan(position) else position
 
     def openness(self, name: str) -> float | None:
-        """How far a joint is open; None if its position is unknown.
+        """Returns the openness of a joint; None if its position is unknown.
 
         Raises:
             JointError: there is no such joint, or it has no limits.
@@ -104,7 +104,7 @@ class EntityJoints:
         return None if math.isnan(fraction) else fraction
 
     def most_open(self) -> float | None:
-        """The openness of the joint that is open farthest; -inf if no joint has limits.
+        """Returns the openness of the joint that is open farthest; -inf if no joint has limits.
 
         None if a position is unknown.
         """

@@ -31,7 +31,9 @@ LIMIT_TOLERANCE = 1e-3
 
 
 def parse_pose(values: Sequence[float], of: str) -> Pose:
-    """The pose of the numbers w, x, y, z, x, y, z; the orientation is scaled to unit length.
+    """Returns the pose of the numbers w, x, y, z, x, y, z.
+
+    The orientation is scaled to unit length.
 
     Raises:
         StateError: these are not seven finite numbers, or the orientation is all 0.
@@ -41,7 +43,7 @@ def parse_pose(values: Sequence[float], of: str) -> Pose:
 
 
 def unit(orientation: Array, of: str) -> Array:
-    """A quaternion made of unit length.
+    """Returns a quaternion made of unit length.
 
     Raises:
         StateError: it is all 0.
@@ -55,7 +57,7 @@ def unit(orientation: Array, of: str) -> Array:
 
 
 def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, float]:
-    """The positions of joints, rad or m, by the indices of the links that they move.
+    """Returns the positions of joints, rad or m, by the indices of the links that they move.
 
     Args:
         values: by the joint's name; or one for each joint whose position is a number, in order.
@@ -91,7 +93,7 @@ def motor_targets(
     body: Body,
     name: str,
 ) -> dict[int, MotorTarget]:
-    """The targets of motors, by the indices of the links that they move; see `Entity.drive`."""
+    """Returns the targets of motors by the indices of their links; see `Entity.drive`."""
     for values, what in ((velocities, "velocities"), (efforts, "efforts")):
         validation.mapping(values, f"{name}: {what} are given by the joints' names, in a dict")
     joints = {joint.name: joint for joint in body.joints}
@@ -132,7 +134,7 @@ def _check_sequence(values: Any, name: str) -> None:
 
 
 def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
-    """A velocity or an effort that the joint's model allows."""
+    """Returns a velocity or an effort that the joint's model allows."""
     given = float(validation.finite_array([value], 1, f"{name}: joint {joint.name!r}: {what}")[0])
     most = joint.max_velocity if what == "velocity" else joint.max_effort
     if (most is not None and abs(given) > most) or (what == "effort" and given < 0.0):
@@ -145,7 +147,7 @@ def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
 
 
 def link_index(body: Body, link: str, name: str) -> int:
-    """The index of a link by its name.
+    """Returns the index of a link by its name.
 
     Raises:
         UnknownNameError: there is none; with the nearest names.
@@ -157,7 +159,7 @@ def link_index(body: Body, link: str, name: str) -> int:
 
 
 def descendant_links(body: Body, link: int) -> set[int]:
-    """The indices of a link and of all links beyond it."""
+    """Returns the indices of a link and of all links beyond it."""
     found = {link}
     for number, one in enumerate(body.links):  # parents come first
         if one.parent in found:
@@ -194,7 +196,7 @@ def _position(value: float, joint: Joint, name: str) -> float:
 def moved_link_poses(
     body: Body, link_poses: LinkPoses, base: Pose | None, joints: Mapping[int, float]
 ) -> LinkPoses:
-    """The poses of a body's links with its base elsewhere and some joints moved, all at rest.
+    """Returns the poses of a body's links after its base and joints were moved, all at rest.
 
     Joints that are not given keep their positions and velocities.
 
@@ -221,7 +223,7 @@ def moved_link_poses(
 
 
 def _relative_states(parents: Array, links: Array) -> Array:
-    """The states of links (n, 13), at their frames' origins, relative to their parents."""
+    """Returns the states of links (n, 13), at their frames' origins, relative to their parents."""
     arms = links[:, :3] - parents[:, :3]
     away = parents[:, 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
     positions, orientations = compose(
@@ -234,7 +236,7 @@ def _relative_states(parents: Array, links: Array) -> Array:
 
 
 def _absolute_states(parents: Array, links: Array) -> Array:
-    """The inverse of `_relative_states`: the states of links (n, 13) in the world."""
+    """Returns the inverse of `_relative_states`: the states of links (n, 13) in the world."""
     turn = rotation_matrices(parents[:, 3:7])
     positions, orientations = compose(parents[:, :3], parents[:, 3:7], links[:, :3], links[:, 3:7])
     swept = cross(parents[:, 10:], positions - parents[:, :3])
@@ -255,7 +257,7 @@ def _move_joint(within: Array, joint: Joint, change: float) -> None:
 
 
 def _generations(parents: Indices) -> list[Indices]:
-    """The links except the base: its children, their children, and so on."""
+    """Returns the links except the base: its children, their children, and so on."""
     depths = np.zeros(len(parents), dtype=np.intp)
     for link, parent in enumerate(parents[1:].tolist(), 1):
         depths[link] = depths[parent] + 1

@@ -194,12 +194,12 @@ class Scene:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """The scenes that come with ssduck: the path of the scene file by name."""
+    """Returns the scenes that come with ssduck: the path of the scene file by name."""
     return {path.parent.name: path for path in sorted(_shipped_folder().glob("*/scene.toml"))}
 
 
 def _shipped_folder() -> Path:
-    """The folder of the scenes: inside the package in a wheel, beside it in a checkout."""
+    """Returns the folder of the scenes: inside the package in a wheel, beside it in a checkout."""
     package = Path(str(files("ssduck")))
     inside = package / "scenes"
     return inside if inside.is_dir() else package.parent / "scenes"
@@ -242,7 +242,7 @@ def find_scene(name: str | Path) -> Scene:
 
 
 def _is(path: Path, check: Callable[[Path], bool]) -> bool:
-    """The result of a check; False for a name that no file can have."""
+    """Returns the result of a check; False for a name that no file can have."""
     try:
         return check(path)
     except OSError:
@@ -407,7 +407,7 @@ def _sensor(table: TomlTable, bodies: Collection[str]) -> SensorSpec:
 
 
 def _settings(table: TomlTable, kind: SensorType) -> dict[str, float]:
-    """The settings of a sensor of a type."""
+    """Returns the settings of a sensor of a type."""
     settings = {setting.name: _setting(table, setting) for setting in kind.settings}
     fault = kind.fault(settings)
     if fault is not None:
@@ -430,7 +430,7 @@ def _setting(table: TomlTable, setting: SensorSetting) -> float:
 
 
 def _unit(table: TomlTable, key: str) -> Quaternion:
-    """A quaternion, scaled to exact unit length; one that is far from unit length is an error."""
+    """Returns a quaternion, scaled to unit length; one far from unit length is an error."""
     w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if abs(length - 1.0) > 1e-3:
@@ -453,12 +453,12 @@ def _check_unique(
 
 
 def _default_name(path: Path) -> str:
-    """The name of a scene by its file: `name.toml`, or `name/scene.toml`."""
+    """Returns the name of a scene by its file: `name.toml`, or `name/scene.toml`."""
     place = path.resolve()
     return variable_name(place.parent.name if place.name == "scene.toml" else place.stem)
 
 
 def variable_name(text: str) -> str:
-    """A name for a scene, which is a variable of programs, made from another one."""
+    """Returns a name for a scene, which is a variable of programs, made from another one."""
     name = "".join(letter if letter.isalnum() or letter == "_" else "_" for letter in text)
     return name if name.isidentifier() else f"world_{name}".rstrip("_")

@@ -84,7 +84,7 @@ class SensorType:
         return self.rays is not None
 
     def fault(self, settings: Settings) -> tuple[str, str] | None:
-        """The setting that contradicts the others, and the reason; None if there is none."""
+        """Returns a setting that contradicts the others, and the reason; None if none does."""
         for low, high in (("min_angle", "max_angle"), ("min_elevation", "max_elevation")):
             if high not in settings:
                 continue
@@ -102,7 +102,7 @@ class SensorType:
 
 
 def _steps(settings: Settings) -> int:
-    """The number of rays of a sweep, with both ends unless they are the same direction."""
+    """Returns the number of rays of a sweep, with both ends unless they are the same direction."""
     span = settings["max_angle"] - settings["min_angle"]
     count = int(min(span / settings["resolution"] + _SAME, 10.0 * MAX_RAYS)) + 1
     turned = (count - 1) * settings["resolution"]
@@ -110,14 +110,14 @@ def _steps(settings: Settings) -> int:
 
 
 def _sweep(settings: Settings) -> Array:
-    """The angles of a sweep, to the left, radians."""
+    """Returns the angles of a sweep, to the left, radians."""
     steps = np.arange(_steps(settings))
     angles: Array = np.radians(settings["min_angle"] + settings["resolution"] * steps)
     return angles
 
 
 def _directions(azimuths: Array, elevations: Array) -> Array:
-    """Unit vectors (n, 3) from azimuths to the left and elevations."""
+    """Returns unit vectors (n, 3) from azimuths to the left and elevations."""
     flat = np.cos(elevations)
     return np.stack([flat * np.cos(azimuths), flat * np.sin(azimuths), np.sin(elevations)], axis=-1)
 
@@ -140,7 +140,7 @@ def _layers(reach: float, settings: Settings) -> Array:
 
 
 def _pixels(reach: float, settings: Settings) -> Array:
-    """Rows from the upper left; all rays end at a depth of the maximum range."""
+    """Returns rays row by row from the upper left, all to the same depth."""
     height, width = _image(settings)
     half = math.tan(math.radians(settings["fov"]) / 2)
     up = half * (1 - (2 * np.arange(height) + 1) / height)
@@ -158,14 +158,14 @@ def _image(settings: Settings) -> tuple[int, int]:
 
 
 def _on_ray(points: Array, reach: float, _: Settings, off: float) -> Flags:
-    """The field of view of a single ray: points within a distance from it."""
+    """Tests points against the view of a single ray: within a distance from it."""
     x, y, z = points.T
     seen: Flags = (x > 0.0) & (x <= reach) & (np.hypot(y, z) <= off)
     return seen
 
 
 def _in_image(points: Array, reach: float, settings: Settings, _: float) -> Flags:
-    """The field of view of a camera: the pyramid of its image, to a depth of the maximum range."""
+    """Tests points against the view of a camera: the pyramid of its image, up to a depth."""
     x, y, z = points.T
     height, width = _image(settings)
     half = math.tan(math.radians(settings["fov"]) / 2) * (1 + _SAME)
@@ -175,7 +175,7 @@ def _in_image(points: Array, reach: float, settings: Settings, _: float) -> Flag
 
 
 def _in_sweep(points: Array, reach: float, settings: Settings, off: float) -> Flags:
-    """The field of view of fans: between the outermost rays, or near the plane of a single fan."""
+    """Tests points against the view of fans: between the outer rays, or near a single fan."""
     x, y, z = points.T
     distance = np.linalg.norm(points, axis=1)
     turn = np.degrees(np.arctan2(y, x)) - settings["min_angle"] + _SAME

@@ -46,30 +46,30 @@ class StaticSimulator:
         return Clock(self.timestep, self.time)
 
     def describe(self) -> None:
-        """No body comes or goes."""
+        """Returns None: no body comes or goes."""
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
-        """The poses of all links of these bodies; velocities are always known."""
+        """Returns the poses of all links of these bodies; velocities are always known."""
         return self.link_poses[bodies]
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Position, velocity and effort of these bodies' joints, (joints, 3)."""
+        """Returns the position, velocity and effort of these bodies' joints, (joints, 3)."""
         return np.concatenate([np.zeros((0, 3)), *(self.joints[body] for body in bodies)])
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The masses as described."""
+        """Returns the masses as described."""
         return [body.masses for body in bodies]
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The margins as described."""
+        """Returns the margins as described."""
         return [body.margins for body in bodies]
 
     def read_contacts(self) -> Iterable[Contact]:
-        """None: contacts come from a physics solver."""
+        """Returns no contacts: they come from a physics solver."""
         return ()
 
     def step(self, count: int) -> None:  # noqa: ARG002
-        """Refuses."""
+        """Raises `UnsupportedError`."""
         raise UnsupportedError(
             f"{self.description} is not simulated: it cannot be stepped; step the world that it "
             "was taken of"
@@ -92,7 +92,7 @@ class StaticSimulator:
     cast_rays = photograph = _refuse_rays
 
     def render(self, *_: Any, **__: Any) -> NoReturn:
-        """Refuses."""
+        """Raises `UnsupportedError`."""
         raise UnsupportedError(f"{self.description} has no picture: no simulator draws it")
 
     segment = render

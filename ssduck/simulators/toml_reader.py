@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from ssduck import validation
 from ssduck.errors import SceneError, nearest
 
-# What a key's default is if it must be there.
+# What a key's default is if the key is required.
 REQUIRED: Any = object()
 
 
@@ -36,7 +36,7 @@ class TomlTable:
                 self.fail(key, "there is no such key", nearest(key, self.asked))
 
     def text(self, key: str, default: str = REQUIRED, *, empty: bool = False) -> str:
-        """A string; not blank unless `empty` allows it."""
+        """Returns a string; not blank unless `empty` allows it."""
 
         def fits(value: object) -> bool:
             return isinstance(value, str) and (empty or value.strip() != "")
@@ -44,7 +44,7 @@ class TomlTable:
         return self._get(key, default, fits, "a text")  # type: ignore[no-any-return]
 
     def flag(self, key: str, default: bool) -> bool:
-        """True or false."""
+        """Returns a truth value."""
         return self._get(key, default, lambda value: isinstance(value, bool), "true or false")  # type: ignore[no-any-return]
 
     def number(
@@ -56,7 +56,7 @@ class TomlTable:
         below: float = math.inf,
         at_most: float = math.inf,
     ) -> float:
-        """A finite number within bounds."""
+        """Returns a finite number within bounds."""
         value = float(self._get(key, default, _is_number, "a finite number"))
         if value <= above:
             self.fail(key, f"{value:g} is not above {above:g}")
@@ -69,7 +69,7 @@ class TomlTable:
         return value
 
     def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
-        """A number of finite numbers."""
+        """Returns a tuple of `count` finite numbers."""
 
         def fits(value: object) -> bool:
             return (
@@ -81,11 +81,11 @@ class TomlTable:
         return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
 
     def all_numbers(self) -> dict[str, float]:
-        """The numbers of all keys."""
+        """Returns the numbers of all keys."""
         return {key: self.number(key) for key in list(self.values)}
 
     def whole(self, key: str, at_least: float = -math.inf) -> int | None:
-        """An integer; None if the key is missing."""
+        """Returns an integer; None if the key is missing."""
         if key not in self.values:
             self.asked.add(key)
             return None
@@ -95,12 +95,12 @@ class TomlTable:
         return int(value)
 
     def table(self, key: str) -> TomlTable:
-        """A table in this one."""
+        """Returns a table in this one."""
         values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
         return TomlTable(self.path, f"{self.where}.{key}" if self.where else key, values)
 
     def tables(self, key: str) -> Iterator[TomlTable]:
-        """The tables of an array of tables."""
+        """Yields the tables of an array of tables."""
 
         def fits(value: object) -> bool:
             return isinstance(value, list) and all(isinstance(entry, dict) for entry in value)

@@ -143,7 +143,7 @@ def _power(context: StatementContext, node: Binary, left: SqlValue, sql_type: Sq
 
 
 def _domain(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
-    """Returns the domain of a sum, a product or a quotient; those of finite numbers may overflow."""
+    """Returns the domain of a sum, a product or a quotient; the operation may overflow."""
     extents = (left.domain, right.domain)
     if max(extents) == FloatDomain.NAN or extents == (FloatDomain.INFINITE, FloatDomain.INFINITE):
         return FloatDomain.NAN

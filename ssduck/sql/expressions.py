@@ -122,7 +122,7 @@ class Expressions(ExpressionScope):
         return Index(node.span, node.this, node.index.indices)
 
     def _query(self, node: Query) -> SqlValue:
-        """Returns a nested query: as a part of the statement, or as a constant if it sees no row."""
+        """Returns a nested query: a part of the statement, or a constant if it sees no row."""
         try:
             if is_impure(node):
                 raise NotSqlError

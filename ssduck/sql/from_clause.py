@@ -68,7 +68,7 @@ def past_table(
 
 
 def present_table(schema: str, name: str) -> FromItem:
-    """Returns the entities of a world at its present tick, beside its past."""
+    """Returns the entities of a world at its current tick, beside its past."""
     table = exp.table_("entities", db=schema, alias=exp.to_identifier(name, quoted=True))
     return replace(_past(schema, name), table=table)
 

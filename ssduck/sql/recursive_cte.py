@@ -253,7 +253,7 @@ class _Search:
         return select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
 
     def _open(self) -> exp.Expr:
-        """Returns the paths of the last round; fails if they are too many for a breadth-first search."""
+        """Returns the paths of the last round; the statement fails if they are too many."""
         count = exp.Window(this=exp.Count(this=exp.Star()))
         many = exp.GT(this=count, expression=exp.Literal.number(MAX_OPEN_STATES))
         length = exp.func("len", _column(_PATHS, "item 0"))

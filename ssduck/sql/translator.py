@@ -320,7 +320,7 @@ class _Translator:
         return exp.and_(near, guarded)
 
     def _item(self, node: Node) -> None:
-        """Adds columns for a selected value or a key: one if possible, else columns of its parts."""
+        """Adds the column of a selected value or a key, or else columns of its parts."""
         if self.sql.is_constant(node):
             self._leave(node)
             return
@@ -330,7 +330,7 @@ class _Translator:
             self._leave(node)
 
     def _of_group(self, node: Node) -> None:
-        """Adds columns for a part of a grouped query: the arguments of its aggregates, if possible."""
+        """Adds columns for a part of a grouped query: the arguments of its aggregates."""
         calls = over_rows(node)
         for call in calls:
             self._item(call.arguments[0])
@@ -340,7 +340,7 @@ class _Translator:
             self._leave(node, but=calls)
 
     def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[OrderKey, ...]]:
-        """Returns ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
+        """Returns ORDER BY in SQL and in Python: the query's keys, then the sources' order."""
         ordered: list[exp.Expr] = []
         left: tuple[OrderKey, ...] = ()
         of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)

@@ -163,7 +163,7 @@ class Entity(OpenRaveEntity):
     def mass(self) -> float:
         """Kilograms of all links; 0 for a sensor and for what cannot move."""
         with self.state.lock:
-            self.state.ask([MASSES])
+            self.state.request_tables([MASSES])
             return self._numbers("mass", "mass")[0]
 
     @property
@@ -358,7 +358,7 @@ class Entity(OpenRaveEntity):
     def _table(self, name: str) -> list[dict[str, Any]]:
         with self.state.lock:
             self._row()
-            self.state.ask([name, MASSES] if name == "links" else [name])
+            self.state.request_tables([name, MASSES] if name == "links" else [name])
             self._row()  # asking may have taken a tick
             table = self.state.snapshot.tables[name]
             own = table.arrow.filter(pa.array(table["entity"] == self.id))
@@ -473,13 +473,13 @@ class Sensor(OpenRaveSensor, Entity):
     @property
     def host(self) -> int:
         """The id of the body that it sits on."""
-        member = self.state.snapshot.members[self._row()]
+        member = self.state.snapshot.entities[self._row()]
         return member.mount[0]
 
     @property
     def spec(self) -> SensorSpec:
         """What the sensor is, and where it sits."""
-        spec = self.state.snapshot.members[self._row()].sensor
+        spec = self.state.snapshot.entities[self._row()].sensor
         assert spec is not None
         return spec
 

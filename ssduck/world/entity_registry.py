@@ -24,7 +24,7 @@ class EntityRegistry:
     """
 
     def __init__(self, listed: list[EntityInfo]) -> None:
-        self.listed = listed
+        self.entities = listed
         self._ids = count(1)
 
     def begin(self, simulator: Simulator, sensors: Sequence[SensorSpec]) -> None:
@@ -36,7 +36,7 @@ class EntityRegistry:
         # Ids count as worlds list: sensors first.
         sensor_ids = [next(self._ids) for _ in sensors]
         self.update(simulator)
-        self.listed = self._mounted(sensor_ids, sensors) + self.listed
+        self.entities = self._mounted(sensor_ids, sensors) + self.entities
 
     def update(self, simulator: Simulator) -> None:
         """Take note of bodies that came and went."""
@@ -45,21 +45,21 @@ class EntityRegistry:
             return
         came, gone = changes
         gone_bodies = set(gone)
-        gone_ids = {member.id for member in self.listed if member.body in gone_bodies}
-        self.listed = [
+        gone_ids = {member.id for member in self.entities if member.body in gone_bodies}
+        self.entities = [
             member
-            for member in self.listed
+            for member in self.entities
             if member.id not in gone_ids and member.mount[0] not in gone_ids
         ]
-        taken = {member.name for member in self.listed}
+        taken = {member.name for member in self.entities}
         for body in came:
             name = _unique(body.name, taken)
             taken.add(name)
-            self.listed.append(EntityInfo(next(self._ids), name, body.kind, body=body))
+            self.entities.append(EntityInfo(next(self._ids), name, body.kind, body=body))
 
     def of(self, id: int) -> EntityInfo | None:
         """The member of that id; None if it is there no longer."""
-        return next((member for member in self.listed if member.id == id), None)
+        return next((member for member in self.entities if member.id == id), None)
 
     def add_sensor(
         self, type: str, host: EntityInfo, name: str | None, settings: Mapping[str, Any]
@@ -75,7 +75,7 @@ class EntityRegistry:
         Raises:
             ArgumentError: the name is taken, or a setting is wrong.
         """
-        taken = {member.name for member in self.listed}
+        taken = {member.name for member in self.entities}
         if name in taken:
             raise ArgumentError(f"add_sensor: name: {name!r} is there already")
         values = {
@@ -90,12 +90,12 @@ class EntityRegistry:
         except SceneError as error:
             message = f"add_sensor: {error.message.removeprefix('sensor[0].')}"
             raise ArgumentError(message, suggestions=error.suggestions) from error
-        self.listed = [*self.listed, member]
+        self.entities = [*self.entities, member]
         return member
 
     def remove(self, id: int) -> None:
         """Take a sensor away."""
-        self.listed = [member for member in self.listed if member.id != id]
+        self.entities = [member for member in self.entities if member.id != id]
 
     def host(self, on: str | Entity, world: str) -> EntityInfo:
         """The body that a sensor is to sit on.
@@ -110,13 +110,13 @@ class EntityRegistry:
             ArgumentError: it is a sensor.
         """
         if isinstance(on, Entity):
-            found = [member for member in self.listed if member.id == on.id]
+            found = [member for member in self.entities if member.id == on.id]
             if not found:
                 raise on.removed()
         else:
-            found = [member for member in self.listed if member.name == on]
+            found = [member for member in self.entities if member.name == on]
         if not found:
-            known = [member.name for member in self.listed if member.body is not None]
+            known = [member.name for member in self.entities if member.body is not None]
             raise UnknownNameError(
                 f"world {world!r} has no body {on!r}", suggestions=nearest(on, known)
             )
@@ -126,7 +126,7 @@ class EntityRegistry:
 
     def _mounted(self, ids: Iterable[int], specs: Sequence[SensorSpec]) -> list[EntityInfo]:
         """The sensors on the bodies that carry them."""
-        by_name = {member.name: member for member in self.listed}
+        by_name = {member.name: member for member in self.entities}
         sensors = []
         for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
             host = by_name[spec.on]

@@ -23,7 +23,7 @@ def excerpt(
         chosen: the ids of the entities; a sensor brings the body that it sits on.
         source: what runs them now.
     """
-    members = {member.id: member for member in snapshot.listed}
+    members = {member.id: member for member in snapshot.load_order}
     everyone = {*chosen, *(members[id].mount[0] for id in chosen if members[id].sensor is not None)}
     sensors = sensors_of(snapshot, everyone)
     originals = list(originals_of(snapshot, everyone))
@@ -39,16 +39,16 @@ def sensors_of(snapshot: Snapshot, chosen: Container[int]) -> list[SensorSpec]:
     """The sensors of a tick that are among these entities, on or off as they are."""
     return [
         replace(member.sensor, powered=snapshot.sensing.is_on(member.id))
-        for member in snapshot.listed
+        for member in snapshot.load_order
         if member.sensor is not None and member.id in chosen
     ]
 
 
 def originals_of(snapshot: Snapshot, chosen: Container[int]) -> Iterator[BodyToCopy]:
     """What a tick tells of some bodies, in load order."""
-    where = {body: (part, told) for part, told in snapshot.parts for body in part.bodies}
+    where = {body: (part, told) for part, told in snapshot.body_groups for body in part.bodies}
     joints = snapshot.joints() if snapshot.has("joints") else {}
-    for member in snapshot.listed:
+    for member in snapshot.load_order:
         body = member.body
         if body is None or member.id not in chosen:
             continue

@@ -48,7 +48,7 @@ class EntityInfo:
         """Those of the links, kg."""
         return [link.mass for link in self.body.links] if self.body else []
 
-    def weighed(self, masses: Sequence[float]) -> EntityInfo:
+    def with_masses(self, masses: Sequence[float]) -> EntityInfo:
         """The same entity with other masses of its links, kg."""
         if self.body is None or list(masses) == self.masses:
             return self
@@ -80,18 +80,18 @@ class TableLayout:
     """
 
     def __init__(self, members: Iterable[EntityInfo], is_external: bool) -> None:
-        self.members = sorted(members, key=lambda member: member.kind != "sensor")
-        self.rows = {member.id: row for row, member in enumerate(self.members)}
-        self.bodies = [(m.id, m.body) for m in self.members if m.body is not None]
+        self.entities = sorted(members, key=lambda member: member.kind != "sensor")
+        self.rows = {member.id: row for row, member in enumerate(self.entities)}
+        self.bodies = [(m.id, m.body) for m in self.entities if m.body is not None]
         # In the tables of links and of shapes, where each body's begin.
         links = [len(body.links) for _, body in self.bodies]
         shapes = [len(body.shapes) for _, body in self.bodies]
         places = zip(accumulate(links, initial=0), accumulate(shapes, initial=0), strict=True)
         first = dict(zip((id for id, _ in self.bodies), places, strict=False))
         still = {id for id, body in self.bodies if not (is_external or body.movable)}
-        self.still, self.moving = (
+        self.static_bodies, self.moving_bodies = (
             BodyGroup(
-                [m for m in self.members if m.body and (m.id in still) is stands], self, first
+                [m for m in self.entities if m.body and (m.id in still) is stands], self, first
             )
             for stands in (True, False)
         )
@@ -134,7 +134,7 @@ class BodyGroup:
         ]
         self._owners = np.repeat(np.arange(len(self.bodies)), shape_counts).tolist()
         start_of = dict(zip((member.id for member in members), starts.tolist(), strict=False))
-        sensors = [member for member in layout.members if member.mount[0] in start_of]
+        sensors = [member for member in layout.entities if member.mount[0] in start_of]
         self.sensors = tuple(sensors)
         self._mounts = [
             PlacedGeometry(

@@ -81,21 +81,21 @@ class LiveTable:
         self._others = self._others | new
         self.publish()
 
-    def twin(self) -> LiveTable:
+    def clone(self) -> LiveTable:
         """The same rows in buffers of their own; what is never written in place is shared."""
-        twin = copy.copy(self)
-        twin.block = self.block.copy()
-        twin._numbers = {  # noqa: SLF001  # one class
-            name: twin.block[self._row[name]] if name in self._row else column.copy()
+        clone = copy.copy(self)
+        clone.block = self.block.copy()
+        clone._numbers = {  # noqa: SLF001  # one class
+            name: clone.block[self._row[name]] if name in self._row else column.copy()
             for name, column in self._numbers.items()
         }
-        twin.publish()
-        return twin
+        clone.publish()
+        return clone
 
     def publish(self) -> None:
         """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
         unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
-        self.whole = not any(unknown)
+        self.is_complete = not any(unknown)
         arrays = []
         for column in self.columns:
             name = column.name
@@ -126,16 +126,16 @@ class LiveTable:
         """The buffers of neighbouring columns of doubles, (columns, rows)."""
         return self.block[self._row[first] : self._row[last] + 1]
 
-    def places(self, names: Sequence[str]) -> slice | Indices:
+    def block_rows(self, names: Sequence[str]) -> slice | Indices:
         """The rows of `block` that are some columns of doubles; a slice if these are neighbours."""
         rows = [self._row[name] for name in names]
         if rows == list(range(rows[0], rows[0] + len(rows))):
             return slice(rows[0], rows[0] + len(rows))
         return np.array(rows, dtype=np.intp)
 
-    def written(self) -> None:
+    def publish_unknown(self) -> None:
         """Tell that numbers were written: an unknown one (NaN) becomes NULL."""
-        if not self.whole or np.isnan(self.block).any():
+        if not self.is_complete or np.isnan(self.block).any():
             self.publish()
 
 

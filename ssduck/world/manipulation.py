@@ -45,7 +45,7 @@ class ManipulableSimulation(SteppedSimulation):
     ) -> None:
         """Set motors of its joints, for the steps to come; see `Entity.drive`."""
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             body = self._present(entity, "drive")
             motors = motor_targets(positions, velocities, efforts, body, entity.name)
             self._simulator.drive(body, motors)
@@ -53,14 +53,14 @@ class ManipulableSimulation(SteppedSimulation):
     def hold(self, entity: Entity, other: Entity, link: str | None, touching: int) -> None:
         """Tie a body to a link that touches it, and take a tick; see `Entity.hold`."""
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             touching = validation.integer(touching, "hold: touching", minimum=1)
             body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
             number = 0 if link is None else link_index(body, link, entity.name)
             if self._simulator.has_constraint(body, held):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
-            with self.held(("shapes", MARGINS)):
+            with self.pinned(("shapes", MARGINS)):
                 shapes = self.snapshot.shapes().shapes_touching(
                     entity.id, other.id, TOUCHING_DISTANCE
                 )
@@ -77,7 +77,7 @@ class ManipulableSimulation(SteppedSimulation):
     def release(self, entity: Entity, other: Entity) -> None:
         """Untie what `hold` tied; see `Entity.release`."""
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             body, held = (
                 self._present(one, "release") for one in self._two(entity, other, "release")
             )
@@ -106,15 +106,15 @@ class ManipulableSimulation(SteppedSimulation):
     def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:
         """Change a body in the simulator, and take a tick."""
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             change(self._present(entity, verb))
-            self.snapshot.read_all_anew()
+            self.snapshot.invalidate_static_poses()
             self._take_tick()
 
     def _present(self, entity: Entity, verb: str) -> Body:
         """What an entity is made of, if the simulation still has it."""
-        self._members.update(self._simulator)  # its number may be another body's by now
-        member = self._members.of(entity.id)
+        self._registry.update(self._simulator)  # its number may be another body's by now
+        member = self._registry.of(entity.id)
         if member is None:
             raise entity.removed()
         return entity.body_of(member, verb)

@@ -95,7 +95,7 @@ class Observable(ABC):
         steps = max(1.0, (due - self._simulator.time) / self.timestep - _ROUNDING)
         return steps if steps == math.inf else math.ceil(steps)
 
-    def tell(self) -> None:
+    def notify_observers(self) -> None:
         """Tell the followers of the last tick; the caller holds no lock."""
         if not self._followers or not self._telling.acquire(blocking=False):
             return

@@ -56,7 +56,7 @@ def run(
             if speed is not None:
                 time.sleep(max(0.0, began + min(stops) / speed - time.monotonic()))
             for lane in lanes:
-                lane.world.tell()
+                lane.world.notify_observers()
 
 
 class _Lane:

@@ -127,11 +127,11 @@ class SensorReader:
         self._pictures: dict[int, int] = {}
         self._rays: dict[int, Array] = {}
 
-    def twin(self) -> SensorReader:
+    def clone(self) -> SensorReader:
         """The same switches, without a reading."""
-        twin = SensorReader()
-        twin._off = set(self._off)
-        return twin
+        clone = SensorReader()
+        clone._off = set(self._off)
+        return clone
 
     def is_on(self, id: int) -> bool:
         """Whether a sensor is switched on."""
@@ -145,7 +145,7 @@ class SensorReader:
             self._off.add(id)
         self._forget(id)
 
-    def ask_picture(self, id: int, tick: int) -> bool:
+    def request_picture(self, id: int, tick: int) -> bool:
         """Note that a camera's picture is asked for; tells whether its reading lacks it."""
         self._pictures[id] = tick
         reading = self.readings.get(id)
@@ -290,7 +290,7 @@ def posed(
 ) -> list[SensorPose]:
     """Where these sensors are, in the order of the rows."""
     found = []
-    for part, frames in ((layout.still, still), (layout.moving, moving)):
+    for part, frames in ((layout.static_bodies, still), (layout.moving_bodies, moving)):
         if ids.isdisjoint(member.id for member in part.sensors):
             continue
         positions, matrices = part.sensor_poses(frames)
@@ -310,7 +310,7 @@ def has_rays(member: EntityInfo) -> bool:
 
 def _host(member: EntityInfo, layout: TableLayout) -> int:
     """The handle of the body that a sensor sits on."""
-    body = layout.members[layout.rows[member.mount[0]]].body
+    body = layout.entities[layout.rows[member.mount[0]]].body
     assert body is not None
     return body.handle
 

@@ -46,7 +46,7 @@ class Snapshot:
         listed: the entities in load order, as they were given to `take`.
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
-        untold: tables whose rows nobody knows, and why: asking for them is an error.
+        unavailable: tables whose rows nobody knows, and why: asking for them is an error.
         sensing: what its sensors have measured.
         calls: how often the narrow phase was called, over all ticks.
         masses: of the links of bodies by entity, kg, as they were read last.
@@ -59,8 +59,8 @@ class Snapshot:
         self.tables = {name: LiveTable(table.columns) for name, table in TABLES.items()}
         self.number = 0
         self.time = 0.0
-        self.listed: list[EntityInfo] = []
-        self.untold: Mapping[str, str] = {}
+        self.load_order: list[EntityInfo] = []
+        self.unavailable: Mapping[str, str] = {}
         # Whether all ticks to be taken are one: poses that were given, or recorded.
         self._is_final = False
         self._is_past = False
@@ -71,7 +71,7 @@ class Snapshot:
         self._frames: tuple[LinkPoses, ...] = ()
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
-        self._asked: dict[str, int] = {}
+        self._requested: dict[str, int] = {}
         # Tables that are read with every tick, asked for or not.
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
@@ -81,19 +81,19 @@ class Snapshot:
         self._shapes: ShapeQueries | None = None
         self._solids: tuple[TableLayout, Any] | None = None
         # When each sensor was asked for by itself, and which are as they are at this tick.
-        self._asked_sensors: dict[int, int] = {}
+        self._requested_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
         # The ticks at which masses and margins were read last, and the masses of the links then, by
         # entity.
-        self._weighed = 0
-        self._padded = 0
+        self._masses_tick = 0
+        self._margins_tick = 0
         self.masses: dict[int, list[float]] = {}
 
     @property
-    def members(self) -> Sequence[EntityInfo]:
+    def entities(self) -> Sequence[EntityInfo]:
         """The entities by row: sensors first, then bodies."""
-        return self._layout.members
+        return self._layout.entities
 
     @property
     def rows(self) -> dict[int, int]:
@@ -106,14 +106,16 @@ class Snapshot:
         return self._layout
 
     @property
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether all numbers of all entities are known."""
-        return all(table.whole for table in self.tables.values())
+        return all(table.is_complete for table in self.tables.values())
 
     @property
-    def parts(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
+    def body_groups(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
         """The bodies that are read together, and where their frames are at this tick."""
-        return zip((self._layout.still, self._layout.moving), self._frames, strict=True)
+        return zip(
+            (self._layout.static_bodies, self._layout.moving_bodies), self._frames, strict=True
+        )
 
     def joints(self) -> dict[Body, Array]:
         """Of each body's joints, position, velocity and effort at this tick, (joints, 3).
@@ -129,59 +131,59 @@ class Snapshot:
                 first += len(body.joints)
         return found
 
-    def twin(self, untold: Mapping[str, str]) -> Snapshot:
+    def clone(self, unavailable: Mapping[str, str]) -> Snapshot:
         """The same tick, to be taken anew of the same entities in other poses, and for good.
 
         It shares what does not depend on poses. What cannot move and has not been moved is not
-        read again: see `read_all_anew`.
+        read again: see `invalidate_static_poses`.
 
         Args:
-            untold: tables whose rows nobody knows, and why.
+            unavailable: tables whose rows nobody knows, and why.
         """
-        twin = copy.copy(self)
+        clone = copy.copy(self)
         # What is made anew, here or there, leaves the other's as it is.
-        shared = ("geometries", *untold)
-        twin.tables = {
-            name: copy.copy(table) if name in shared else table.twin()
+        shared = ("geometries", *unavailable)
+        clone.tables = {
+            name: copy.copy(table) if name in shared else table.clone()
             for name, table in self.tables.items()
         }
-        for name in untold:
-            twin.tables[name].fill(0, {})
-        twin.untold = untold
-        twin.calls, twin._shapes = CallCounter(), None  # noqa: SLF001
-        twin.sensing = self.sensing.twin()
-        twin._is_final = True  # noqa: SLF001  # one class
-        twin._asked, twin._read = {}, frozenset()  # noqa: SLF001
-        twin.recorded = frozenset()
-        twin._asked_sensors, twin._read_sensors = {}, frozenset()  # noqa: SLF001
-        twin._warned = set(self._warned)  # noqa: SLF001
-        twin._be_of(new_run())  # noqa: SLF001
-        return twin
+        for name in unavailable:
+            clone.tables[name].fill(0, {})
+        clone.unavailable = unavailable
+        clone.calls, clone._shapes = CallCounter(), None  # noqa: SLF001
+        clone.sensing = self.sensing.clone()
+        clone._is_final = True  # noqa: SLF001  # one class
+        clone._requested, clone._read = {}, frozenset()  # noqa: SLF001
+        clone.recorded = frozenset()
+        clone._requested_sensors, clone._read_sensors = {}, frozenset()  # noqa: SLF001
+        clone._warned = set(self._warned)  # noqa: SLF001
+        clone._set_run(new_run())  # noqa: SLF001
+        return clone
 
-    def _be_of(self, run: int) -> None:
+    def _set_run(self, run: int) -> None:
         """Let its ticks be of a run."""
         self.run = run
         self.tables["entities"]["run"].fill(run)
 
-    def past(self, number: int, untold: Mapping[str, str]) -> Snapshot:
-        """A twin, to be taken of a tick that was before."""
-        twin = self.twin(untold)
-        twin._is_past = True  # noqa: SLF001  # one class
-        twin._be_of(self.run)  # noqa: SLF001
-        twin.go_to(number)
-        return twin
+    def past(self, number: int, unavailable: Mapping[str, str]) -> Snapshot:
+        """A clone, to be taken of a tick that was before."""
+        clone = self.clone(unavailable)
+        clone._is_past = True  # noqa: SLF001  # one class
+        clone._set_run(self.run)  # noqa: SLF001
+        clone.go_to(number)
+        return clone
 
     def go_to(self, number: int) -> None:
         """Let the tick that is taken next be that of a number, whatever was before."""
         self.number = number
-        self.read_all_anew()
+        self.invalidate_static_poses()
 
     # -- what is in the world -------------------------------------------------------------
 
     def _lay_out(self, layout: TableLayout) -> None:
         """Make the tables anew for these entities."""
         self._layout = layout
-        listed = layout.members
+        listed = layout.entities
         self.tables["entities"].fill(
             len(listed),
             {
@@ -203,7 +205,7 @@ class Snapshot:
 
     def _flag_columns(self) -> dict[str, list[bool]]:
         """Whether each entity takes part in collisions, and is drawn; a sensor does neither."""
-        bodies = [member.body for member in self.members]
+        bodies = [member.body for member in self.entities]
         return {
             name: [body is not None and body not in absent for body in bodies]
             for name, absent in (("enabled", self.disabled), ("visible", self.hidden))
@@ -297,7 +299,7 @@ class Snapshot:
             starts = list(accumulate(counts, initial=0))
             numbers = {id: number for number, (id, _) in enumerate(bodies)}
             # What has no body, a sensor, has the empty run behind all others.
-            without = [member.id for member in self.members if member.body is None]
+            without = [member.id for member in self.entities if member.body is None]
             numbers |= dict.fromkeys(without, len(bodies))
             owners = np.repeat(np.arange(len(bodies)), counts)
             found = (
@@ -316,26 +318,26 @@ class Snapshot:
 
     # -- a tick ---------------------------------------------------------------------------
 
-    def ask(self, tables: Iterable[str]) -> bool:
+    def request_tables(self, tables: Iterable[str]) -> bool:
         """Note that these tables are asked for; tells whether this tick lacks any of them."""
-        wanted = ON_DEMAND.intersection(tables).difference(self.untold)
-        self._asked |= dict.fromkeys(wanted, self.number)
+        wanted = ON_DEMAND.intersection(tables).difference(self.unavailable)
+        self._requested |= dict.fromkeys(wanted, self.number)
         return not (wanted | self.recorded) <= self._read
 
     def has(self, table: str) -> bool:
         """Whether this tick has a table that is read when it is asked for."""
-        return table in self._read and table not in self.untold
+        return table in self._read and table not in self.unavailable
 
-    def ask_sensor(self, sensor: int, *, picture: bool) -> bool:
+    def request_sensor(self, sensor: int, *, picture: bool) -> bool:
         """Note that a sensor is asked for; tells whether this tick lacks it, or its colours.
 
         Raises:
             UnsupportedError: nobody knows what it perceives.
         """
-        if "sensings" in self.untold:
-            raise UnsupportedError(self.untold["sensings"])
-        self._asked_sensors[sensor] = self.number
-        lacks_picture = picture and self.sensing.ask_picture(sensor, self.number)
+        if "sensings" in self.unavailable:
+            raise UnsupportedError(self.unavailable["sensings"])
+        self._requested_sensors[sensor] = self.number
+        lacks_picture = picture and self.sensing.request_picture(sensor, self.number)
         return lacks_picture or sensor not in self._read_sensors
 
     def switch(self, sensor: int, *, on: bool) -> None:
@@ -344,7 +346,7 @@ class Snapshot:
         self._read -= {"sensings"}
         self._read_sensors -= {sensor}
 
-    def read_all_anew(self) -> None:
+    def invalidate_static_poses(self) -> None:
         """Read what cannot move once more with the next tick: it was moved by hand."""
         self._still = None
 
@@ -356,9 +358,9 @@ class Snapshot:
         Returns:
             Whether they were read.
         """
-        if self._weighed == self.number:
+        if self._masses_tick == self.number:
             return False
-        self._weighed = self.number
+        self._masses_tick = self.number
         bodies = self._layout.bodies
         masses = simulator.read_masses([body for _, body in bodies])
         self.tables["links"]["mass"][:] = [mass for own in masses for mass in own]
@@ -370,9 +372,9 @@ class Snapshot:
 
     def read_margins(self, simulator: Simulator) -> None:
         """Read the collision margins at this tick, unless that is done; as masses are read."""
-        if self._padded == self.number:
+        if self._margins_tick == self.number:
             return
-        self._padded = self.number
+        self._margins_tick = self.number
         margins = simulator.read_margins([body for _, body in self._layout.bodies])
         now, told = np.array(list(chain(*margins)), np.float64), self.tables["shapes"]["margin"]
         if not np.array_equal(now, told):
@@ -385,12 +387,12 @@ class Snapshot:
         return 2.0 * float(self.tables["shapes"]["margin"].max(initial=0.0))
 
     @property
-    def repadded(self) -> list[str]:
+    def names_with_changed_margins(self) -> list[str]:
         """The entities whose margins are not those that they came with, and records keep."""
         shapes = [(id, shape) for id, body in self._layout.bodies for shape in body.shapes]
         told = self.tables["shapes"]["margin"].tolist()
         found = {id for (id, shape), now in zip(shapes, told, strict=True) if shape.margin != now}
-        return [member.name for member in self.members if member.id in found]
+        return [member.name for member in self.entities if member.id in found]
 
     # A simulation that explodes has infinite numbers; it is told of in `_finish`.
     @np.errstate(invalid="ignore")
@@ -401,16 +403,18 @@ class Snapshot:
             simulator: what knows where the members are.
             members: the entities in load order; the same object as long as they are the same.
         """
-        same = members is self.listed
+        same = members is self.load_order
         layout = self._layout if same else TableLayout(members, simulator.is_external)
         coming = self.number + (not self._is_final)
-        wanted = {name for name, at in self._asked.items() if coming - at <= FORGOTTEN_AFTER}
+        wanted = {name for name, at in self._requested.items() if coming - at <= FORGOTTEN_AFTER}
         wanted |= self.recorded
         still = self._still if same else None
         if still is None:
-            still = simulator.read_link_poses(layout.still.bodies, with_velocities=True)
-        with_velocities = "links" in wanted or layout.moving.sensors_on_links
-        moving = simulator.read_link_poses(layout.moving.bodies, with_velocities=with_velocities)
+            still = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
+        with_velocities = "links" in wanted or layout.moving_bodies.sensors_on_links
+        moving = simulator.read_link_poses(
+            layout.moving_bodies.bodies, with_velocities=with_velocities
+        )
         joints = None
         if "joints" in wanted:
             jointed = [body for _, body in layout.bodies if body.joints]
@@ -427,7 +431,7 @@ class Snapshot:
         self._note_flags(simulator, same=same)
         if not same:
             self._lay_out(layout)
-            self.listed = members
+            self.load_order = members
         self._read = frozenset(wanted)
         self._shapes = None
         self.number, self.time = coming, simulator.time
@@ -455,11 +459,13 @@ class Snapshot:
 
     def _perceiving(self, layout: TableLayout, coming: int, *, together: bool) -> list[EntityInfo]:
         """The sensors that are asked for: all of them together, or some."""
-        asked = {id: at for id, at in self._asked_sensors.items() if coming - at <= FORGOTTEN_AFTER}
-        self._asked_sensors = asked
+        asked = {
+            id: at for id, at in self._requested_sensors.items() if coming - at <= FORGOTTEN_AFTER
+        }
+        self._requested_sensors = asked
         if not (together or asked):
             return []
-        sensors = [member for member in layout.members if member.sensor is not None]
+        sensors = [member for member in layout.entities if member.sensor is not None]
         return sensors if together else [member for member in sensors if member.id in asked]
 
     def _write_frames(self, still: LinkPoses, moving: LinkPoses, *, anew: bool) -> None:
@@ -467,9 +473,9 @@ class Snapshot:
         layout = self._layout
         entities = self.tables["entities"].doubles("x", "zmax")
         if anew:
-            layout.still.write_entities(still, entities)
-        layout.moving.write_entities(moving, entities)
-        parts = (layout.still, still), (layout.moving, moving)
+            layout.static_bodies.write_entities(still, entities)
+        layout.moving_bodies.write_entities(moving, entities)
+        parts = (layout.static_bodies, still), (layout.moving_bodies, moving)
         if "links" in self._read:
             for part, frames in parts:
                 part.write_links(frames, self.tables["links"].doubles("x", "zmax"))
@@ -486,15 +492,15 @@ class Snapshot:
             table["tick"].fill(self.number)
             table["time"].fill(self.time)
             if name != "ticks":  # whose numbers are known
-                table.written()
+                table.publish_unknown()
         # Of what was a tick before, it was said then.
-        if not self.tables["entities"].whole and not self._is_past:
+        if not self.tables["entities"].is_complete and not self._is_past:
             self._warn_of_unknown(self.tables["entities"].doubles("x", "zmax"))
 
     def _warn_of_unknown(self, numbers: Array) -> None:
         """Say once of each entity that the simulator has lost where it is."""
         for row in np.flatnonzero(np.isnan(numbers).any(axis=0)).tolist():
-            member = self.members[row]
+            member = self.entities[row]
             if member.id not in self._warned:
                 self._warned.add(member.id)
                 warn(

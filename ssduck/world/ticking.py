@@ -60,7 +60,7 @@ class SteppedSimulation(Observable):
         self._queries = 0
         self._waiting = 0
         self._simulator = simulator
-        self._members = EntityRegistry(snapshot.listed)
+        self._registry = EntityRegistry(snapshot.load_order)
         self._recorders: list[weakref.ref[TickSink]] = []
 
     @property
@@ -95,7 +95,7 @@ class SteppedSimulation(Observable):
             ArgumentError: both are given, or the world is not attached.
         """
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             before, number = self._simulator.clock, self.snapshot.number
             if self._simulator.is_external:
                 self._simulator.set_clock(self._clock_of_tick(steps, time))
@@ -110,7 +110,7 @@ class SteppedSimulation(Observable):
                 if self._simulator.is_external and self.snapshot.number == number:
                     self._simulator.set_clock(before)
                 raise
-        self.tell()
+        self.notify_observers()
         return self
 
     def _clock_of_tick(self, steps: int | None, time: float | None) -> Clock:
@@ -152,7 +152,7 @@ class SteppedSimulation(Observable):
         while True:
             run = int(min(left, self.steps_to_due()))
             self.advance(run)
-            self.tell()
+            self.notify_observers()
             left -= run
             if left <= 0:
                 return self
@@ -167,7 +167,7 @@ class SteppedSimulation(Observable):
         if self._waiting:
             time.sleep(_TURN)  # locks are not fair: a thread that only steps would keep it
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             try:
                 for done in _parts(count, count if watch is None else _WATCHED):
                     self._simulator.step(done)
@@ -179,12 +179,12 @@ class SteppedSimulation(Observable):
             self._take_tick()
 
     def _take_tick(self) -> None:
-        self._check_not_held()
+        self._check_not_pinned()
         self._take()
 
     def _take(self) -> None:
-        self._members.update(self._simulator)
-        self.snapshot.take(self._simulator, self._members.listed)
+        self._registry.update(self._simulator)
+        self.snapshot.take(self._simulator, self._registry.entities)
         failed = None
         for reference in self._recorders:
             recorder = reference()
@@ -198,17 +198,17 @@ class SteppedSimulation(Observable):
 
     # -- what is asked of it ----------------------------------------------------------------
 
-    def ask(self, tables: Iterable[str]) -> None:
+    def request_tables(self, tables: Iterable[str]) -> None:
         """See to it that the current tick has these tables; takes a fresh one if it has not."""
         with self.lock:
-            if self.snapshot.ask(tables):
-                self._take_asked()
+            if self.snapshot.request_tables(tables):
+                self._take_requested()
             if MASSES in tables:
-                self._weigh()
+                self._read_masses()
             if MARGINS in tables and not self.is_final:
                 self.snapshot.read_margins(self._simulator)
 
-    def _weigh(self) -> None:
+    def _read_masses(self) -> None:
         """Read the masses at this tick, and tell who keeps ticks of them."""
         if self.is_final or not self.snapshot.read_masses(self._simulator):
             return
@@ -217,20 +217,20 @@ class SteppedSimulation(Observable):
             if recorder is not None:
                 recorder.note_masses(self.snapshot)
 
-    def _take_asked(self) -> None:
+    def _take_requested(self) -> None:
         if self._simulator.is_external:
-            self._check_not_held()
+            self._check_not_pinned()
         # Under a query nothing has moved in a world that ssduck alone steps.
         self._take()
 
     @contextmanager
-    def held(self, tables: Iterable[str] = ()) -> Iterator[None]:
+    def pinned(self, tables: Iterable[str] = ()) -> Iterator[None]:
         """Hold the world at its tick, with these tables read, while a query runs."""
         self._waiting += 1
         self.lock.acquire()
         self._waiting -= 1
         try:
-            self.ask(tables)
+            self.request_tables(tables)
             self._queries += 1
             try:
                 yield
@@ -239,7 +239,7 @@ class SteppedSimulation(Observable):
         finally:
             self.lock.release()
 
-    def _check_not_held(self) -> None:
+    def _check_not_pinned(self) -> None:
         if self._queries:
             raise SelectScriptError(
                 f"a query on {self.name!r} is running: its tick cannot be replaced before it ends"
@@ -247,20 +247,20 @@ class SteppedSimulation(Observable):
 
     # -- who keeps ticks --------------------------------------------------------------------
 
-    def record(self, recorder: TickSink) -> None:
+    def add_recorder(self, recorder: TickSink) -> None:
         """Let a recorder keep this tick and those to come, as long as anyone else holds it."""
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             with suppress(SimulatorError):  # which may be gone: its last tick is kept
-                self._weigh()
+                self._read_masses()
             self._recorders.append(weakref.ref(recorder))
             self._read_recorded()
-            if self.snapshot.ask(()):
+            if self.snapshot.request_tables(()):
                 self._take()
             else:
                 recorder.note(self.snapshot)
 
-    def forget(self, recorder: TickSink) -> None:
+    def remove_recorder(self, recorder: TickSink) -> None:
         """Let a recorder keep no more ticks."""
         with self.lock:
             self._recorders = [r for r in self._recorders if r() not in (None, recorder)]

@@ -13,7 +13,7 @@ from ssduck.simulators.static import StaticSimulator
 from ssduck.world.layout import BodyGroup
 from ssduck.world.snapshot import Snapshot
 
-UNTOLD = {
+UNAVAILABLE = {
     "contacts": "a what-if world has no contacts: they are what a solver finds in a step, and it "
     "was never simulated; compare boxes, or move the bodies themselves",
     "sensings": "sensors perceive nothing in a what-if world: its rays would have to be cast in "
@@ -23,7 +23,7 @@ UNTOLD = {
 
 # Where a simulation that explodes has a body is no number, and stays none.
 @np.errstate(invalid="ignore")
-def imagined(
+def what_if_tick(
     snapshot: Snapshot, places: Mapping[Body, Pose], joints: Mapping[Body, Mapping[int, float]]
 ) -> tuple[StaticSimulator, Snapshot]:
     """What stands for a simulator, and the snapshot to be taken of it.
@@ -39,13 +39,13 @@ def imagined(
         body: {link: position - told[body][link - 1, 0] for link, position in positions.items()}
         for body, positions in joints.items()
     }
-    twin = snapshot.twin(UNTOLD)
+    clone = snapshot.clone(UNAVAILABLE)
     frames = {}
-    for part, known in snapshot.parts:
+    for part, known in snapshot.body_groups:
         changed = [body for body in part.runs if body in places or body in further]
         frames[part.bodies] = _changed(part, known, changed, places, further)
         if changed:
-            twin.read_all_anew()
+            clone.invalidate_static_poses()
     posed = StaticSimulator(
         time=snapshot.time,
         link_poses=frames,
@@ -53,7 +53,7 @@ def imagined(
         disabled=snapshot.disabled,
         hidden=snapshot.hidden,
     )
-    return posed, twin
+    return posed, clone
 
 
 def _changed(

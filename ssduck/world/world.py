@@ -42,7 +42,7 @@ from ssduck.world.running import run
 from ssduck.world.scene_export import new_folder, scene_of, write_scene
 from ssduck.world.sensor_readings import Reading
 from ssduck.world.snapshot import Snapshot
-from ssduck.world.what_if import imagined
+from ssduck.world.what_if import what_if_tick
 
 T = TypeVar("T")
 
@@ -72,8 +72,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
         camera: Camera | None = None,
     ) -> None:
         self._begin(simulator, Snapshot(), name, camera or Camera())
-        self._members.begin(simulator, sensors)
-        for member in self._members.listed:
+        self._registry.begin(simulator, sensors)
+        for member in self._registry.entities:
             if member.sensor is not None and not member.sensor.powered:
                 self.snapshot.switch(member.id, on=False)
         with self.lock:
@@ -226,7 +226,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         with self.lock:
             seen = self._simulator.segment(camera or self.camera, width, height)
             ids = np.zeros(int(seen.max(initial=-1)) + 2, dtype=np.intp)
-            for member in self._members.listed:
+            for member in self._registry.entities:
                 if member.body is not None and member.body.handle < len(ids) - 1:
                     ids[member.body.handle] = member.id
         return ids[seen]  # nothing is -1: the last one
@@ -260,8 +260,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
                 one number, or there are too many values or too few.
             RemovedEntityError: an entity is no longer in this world.
         """
-        has_links = any(m.body and m.body.joints for m in self.snapshot.members)
-        with self.held((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
+        has_links = any(m.body and m.body.joints for m in self.snapshot.entities)
+        with self.pinned((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
             places = {
                 body: parse_pose(pose, name) for name, body, pose in self._bodies_of(poses or {})
             }
@@ -269,7 +269,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
                 body: joint_positions(values, body, name)
                 for name, body, values in self._bodies_of(joints or {})
             }
-            posed, snapshot = imagined(self.snapshot, places, positions)
+            posed, snapshot = what_if_tick(self.snapshot, places, positions)
         world = World.__new__(World)
         world._begin(posed, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
         world._origin = self.origin  # noqa: SLF001
@@ -293,7 +293,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             row = self.snapshot.rows.get(entity.id)
             if row is None:
                 raise entity.removed()
-            yield entity.name, entity.body_of(self.snapshot.members[row], "move"), value
+            yield entity.name, entity.body_of(self.snapshot.entities[row], "move"), value
 
     # -- copies ---------------------------------------------------------------------------
 
@@ -328,7 +328,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         # Nothing is to move while it is read: neither here nor where the simulation is.
         # The tick of a client that others step cannot be taken anew for its joints.
         tables = () if self._simulator.is_external else ("joints",)
-        with self.held(tables), self.origin.lock:
+        with self.pinned(tables), self.origin.lock:
             chosen = {self._id_of(entity) for entity in entities}
             simulator, sensors = excerpt(self.snapshot, chosen, self.origin.simulator)
         return World.owning(simulator, self.name, sensors, self.camera)
@@ -370,7 +370,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             # that somebody else has, what would be if.
             copy = self.excerpt(self)
             try:
-                with copy.held(("joints",)):
+                with copy.pinned(("joints",)):
                     scene = scene_of(copy.snapshot, copy.simulator, folder)
             finally:
                 copy.close()
@@ -381,16 +381,16 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
     def __iter__(self) -> Iterator[Entity]:
         """The entities: sensors first, then bodies, each in load order."""
-        return map(self.entity, [member.id for member in self.snapshot.members])
+        return map(self.entity, [member.id for member in self.snapshot.entities])
 
     def __len__(self) -> int:
-        return len(self.snapshot.members)
+        return len(self.snapshot.entities)
 
     def __contains__(self, thing: object) -> bool:
         """Whether it has an entity of that name, or that entity."""
         if isinstance(thing, Entity):
             return thing.world is self and thing.id in self.snapshot.rows
-        return any(member.name == thing for member in self.snapshot.members)
+        return any(member.name == thing for member in self.snapshot.entities)
 
     def __getitem__(self, name: str) -> Entity:
         """The entity of that name.
@@ -398,10 +398,10 @@ class World(ManipulableSimulation, OpenRaveWorld):
         Raises:
             UnknownNameError: there is none, with the nearest names.
         """
-        for member in self.snapshot.members:
+        for member in self.snapshot.entities:
             if member.name == name:
                 return self.entity(member.id)
-        known = [member.name for member in self.snapshot.members]
+        known = [member.name for member in self.snapshot.entities]
         raise UnknownNameError(
             f"world {self.name!r} has no entity {name!r}", suggestions=nearest(name, known)
         )
@@ -415,7 +415,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         row = self.snapshot.rows.get(id) if validation.is_integer(id) else None
         if row is None:
             raise UnknownNameError(f"world {self.name!r} has no entity of the id {short_repr(id)}")
-        member = self.snapshot.members[row]
+        member = self.snapshot.entities[row]
         return HANDLES[member.kind](self, id, member.name, member.kind)
 
     def __repr__(self) -> str:
@@ -452,18 +452,18 @@ class World(ManipulableSimulation, OpenRaveWorld):
             RemovedEntityError: the body is no longer in the world.
         """
         with self.lock:
-            self._check_not_held()
-            self._members.update(self._simulator)
+            self._check_not_pinned()
+            self._registry.update(self._simulator)
             if isinstance(on, Entity) and on.world is not self:
                 raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
-            host = self._members.host(on, self.name)
+            host = self._registry.host(on, self.name)
             values = {
                 "position": _plain(position),
                 "orientation": _plain(orientation),
                 **({} if link is None else {"link": link}),
                 **{key: _plain(value) for key, value in settings.items()},
             }
-            member = self._members.add_sensor(type, host, name, values)
+            member = self._registry.add_sensor(type, host, name, values)
             assert member.sensor is not None
             self.snapshot.switch(member.id, on=member.sensor.powered)
             self._take_tick()
@@ -479,19 +479,19 @@ class World(ManipulableSimulation, OpenRaveWorld):
             RemovedEntityError: it is no longer in the world.
         """
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             entity = sensor if isinstance(sensor, Entity) else self[sensor]
             if entity not in self:
                 raise entity.removed()
             if not isinstance(entity, Sensor):
                 raise ArgumentError(f"{entity.name!r} is a {entity.kind}, no sensor")
-            self._members.remove(entity.id)
+            self._registry.remove(entity.id)
             self._take_tick()
 
     def switch(self, sensor: Sensor, *, on: bool) -> None:
         """Switch a sensor on or off; see `Sensor.power`."""
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             if sensor not in self:
                 raise sensor.removed()
             on = validation.boolean(on, "power: on")
@@ -503,8 +503,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
         with self.lock:
             if sensor not in self:
                 raise sensor.removed()
-            if self.snapshot.ask_sensor(sensor.id, picture=picture):
-                self._take_asked()
+            if self.snapshot.request_sensor(sensor.id, picture=picture):
+                self._take_requested()
                 if sensor not in self:  # its body went
                     raise sensor.removed()
             return self.snapshot.sensing.readings.get(sensor.id)

@@ -53,7 +53,7 @@ def world(client: int) -> ssduck.World:
 def _recorded(world: ssduck.World, store: Any, **given: Any) -> tuple[Recorder, int]:
     recorder = Recorder(Recording(**given), store, waits=10)
     first = world.snapshot.number
-    world.record(recorder)
+    world.add_recorder(recorder)
     return recorder, first
 
 

@@ -273,7 +273,7 @@ def test_a_tick_that_fails_takes_no_time(client, bouncing, monkeypatch):
 
 def test_a_tick_is_refused_while_a_query_runs(bouncing):
     _, world = bouncing
-    with world.held(), pytest.raises(SelectScriptError, match="a query on 'sim' is running"):
+    with world.pinned(), pytest.raises(SelectScriptError, match="a query on 'sim' is running"):
         world.tick()
     assert world.simulator.time == 0.0
 

@@ -35,7 +35,7 @@ def exactly(client, **how):
 
 
 def body_of(world, handle):
-    return next(m.body for m in world.snapshot.members if m.body and m.body.handle == handle)
+    return next(m.body for m in world.snapshot.entities if m.body and m.body.handle == handle)
 
 
 def depth(geometry, point):
@@ -124,7 +124,7 @@ def test_capsules_of_mjcf_files_are_as_they_are_written(client, model):
             radius = float(geom.get("size").split()[0])
             written[radius, round(float(np.linalg.norm(ends[1] - ends[0])), 6)] += 1
     pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)
-    bodies = [member.body for member in exactly(client).snapshot.members]
+    bodies = [member.body for member in exactly(client).snapshot.entities]
     shapes = [shape.geometry for body in bodies for shape in body.shapes]
     found = Counter(
         (round(g.size[0], 6), round(g.size[1], 6)) for g in shapes if g.type == "capsule"
@@ -164,7 +164,7 @@ def test_shapes_of_mjcf_files_are_as_far_as_pybullet_says(client, model):
 def test_numbers_of_files_are_kept_as_they_are_written(client):
     """PyBullet saves single floats; 0.08 is not to become 0.07999999821186066."""
     pybullet.loadMJCF(str(LIBRARY / "mjcf" / "ant.xml"), physicsClientId=client)
-    (body,) = [m.body for m in exactly(client).snapshot.members]
+    (body,) = [m.body for m in exactly(client).snapshot.entities]
     leg = next(shape for shape in body.shapes if shape.frame == 1)
     assert leg.geometry.size == (0.08, pytest.approx(0.2 * 2**0.5, abs=1e-15), 0.0)
     assert leg.position == pytest.approx([0.1, 0.1, 0.0], abs=1e-8)

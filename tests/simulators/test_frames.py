@@ -45,7 +45,7 @@ def rows(world, table, columns, entity=None):
 
 def asked(world, *tables):
     """The world with these tables read at its present state."""
-    world.ask(tables)
+    world.request_tables(tables)
     return world.tick()
 
 
@@ -186,7 +186,7 @@ def test_boxes_are_those_of_all_vertices_of_the_files(client, model):
 def test_boxes_lie_within_pybullets_padded_ones(client, body):
     world = asked(ssduck.World.attach(client), "links")
     boxes = rows(world, "links", LOW + HIGH)
-    shaped = {shape.frame for shape in world.snapshot.members[0].body.shapes}
+    shaped = {shape.frame for shape in world.snapshot.entities[0].body.shapes}
     assert shaped
     for number in shaped:
         box = boxes[number]
@@ -257,7 +257,7 @@ def test_efforts_are_those_of_the_last_step(client, write):
         arm, 0, pybullet.POSITION_CONTROL, targetPosition=0.5, force=40, physicsClientId=client
     )
     world = ssduck.World.attach(client)
-    world.ask(["joints"])
+    world.request_tables(["joints"])
     world.step(5)
     efforts = rows(world, "joints", ["effort"])[:, 0]
     assert abs(efforts[0]) > 1e-3
@@ -488,7 +488,7 @@ def test_a_mesh_given_by_points_is_their_hull(client):
     box = rows(world, "entities", LOW + HIGH)[0]
     expected = np.concatenate((points.min(axis=0), points.max(axis=0)))
     assert box == pytest.approx(expected, abs=1e-3)  # PyBullet rounds the corners of hulls
-    assert [kind for kind, _ in shapes_of(world, world.snapshot.members[0].name)] == ["hull"]
+    assert [kind for kind, _ in shapes_of(world, world.snapshot.entities[0].name)] == ["hull"]
 
 
 def test_several_shapes_on_one_link(client):
@@ -607,7 +607,7 @@ def test_capsules_between_two_points_do_not_crash(client, model):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         world = asked(ssduck.World.attach(client), "links")
-    bodies = [member for member in world.snapshot.members if member.body is not None]
+    bodies = [member for member in world.snapshot.entities if member.body is not None]
     assert len(bodies) == len(handles)
     for member in bodies:
         boxes = rows(world, "links", LOW + HIGH, member.name)
@@ -688,7 +688,7 @@ def test_a_resting_box_presses_with_its_weight(client, up):
     else:
         boxes_on_a_floor(client, [0.0])
     world = ssduck.World.attach(client)
-    world.ask(["contacts"])
+    world.request_tables(["contacts"])
     world.step(240)
     found = rows(world, "contacts", ["a", "b", *CONTACT])
     assert found[:, :2].tolist() == [[1, 2]] * 4
@@ -705,9 +705,9 @@ def test_a_resting_box_presses_with_its_weight(client, up):
 def test_contacts_are_pybullets_points(client):
     boxes_on_a_floor(client, [0.0, 0.0])
     world = ssduck.World.attach(client)
-    world.ask(["contacts"])
+    world.request_tables(["contacts"])
     world.step(100)
-    ids = {member.body.handle: member.id for member in world.snapshot.members}
+    ids = {member.body.handle: member.id for member in world.snapshot.entities}
     expected = set()
     for entry in pybullet.getContactPoints(physicsClientId=client):
         assert ids[entry[1]] != ids[entry[2]]

@@ -93,7 +93,7 @@ def test_masses_of_bodies_that_come_and_go(sim, client):
 def test_masses_of_a_world_that_ssduck_made():
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
-        table = next(m.body for m in kitchen.snapshot.members if m.name == "cup_905a")
+        table = next(m.body for m in kitchen.snapshot.entities if m.name == "cup_905a")
         number = ss.sql("SELECT max(tick) FROM ticks").fetchall()
         change(kitchen.simulator.client, table.handle, -1, 7.5)
         kitchen.tick()

@@ -44,7 +44,7 @@ class Choices:
         self.taken: list[int] = []
 
     def below(self, bound: int) -> int:
-        """A number from 0 to below the bound."""
+        """Returns a number from 0 to below the bound."""
         place = len(self.taken)
         number = self._given[place] % bound if place < len(self._given) else self._draw(bound)
         self.taken.append(number)
@@ -82,7 +82,7 @@ SCALARS = (INT, REAL, TEXT, FLAG)
 
 
 def list_of(element: Type) -> Type:
-    """The type of a list of at least two elements, where it is one of a list's elements."""
+    """Returns the type of a list of at least two elements, where it is one of a list's elements."""
     return Type("list", element)
 
 
@@ -139,27 +139,27 @@ PAIR_RELATIONS = ("above", "within", "below", "isSensing")
 
 
 def plain(value: int, whole: int) -> int:
-    """A user's function with hints."""
+    """Returns a user's function with hints."""
     return value * 2 + whole
 
 
 def scaled(value: float) -> float:
-    """A user's function with hints."""
+    """Returns a user's function with hints."""
     return value * 0.5 - 1.0
 
 
 def longer(left: str, right: str) -> bool:
-    """A user's function with hints."""
+    """Returns a user's function with hints."""
     return len(left) > len(right)
 
 
 def bare(value: Any) -> Any:
-    """A user's function that gives back what it gets."""
+    """Returns a user's function that gives back what it gets."""
     return value
 
 
 def unhinted(value):  # type: ignore[no-untyped-def]
-    """A user's function without hints: of what it gets, twice."""
+    """Returns a user's function without hints: of what it gets, twice."""
     return value + value
 
 
@@ -186,7 +186,7 @@ class Scope:
     variables: Atoms = ()
 
     def of(self, wanted: Type) -> list[str]:
-        """The atoms of a type, those of this query first and twice."""
+        """Returns the atoms of a type, those of this query first and twice."""
         own = [text for text, type_ in self.own if type_ == wanted]
         others = [text for text, type_ in (*self.outer, *self.variables) if type_ == wanted]
         return own + own + others
@@ -212,7 +212,7 @@ class Source:
 
 
 def reached(text: str, type_: Type) -> Iterator[tuple[str, Type]]:
-    """A value and what can be reached in it by constant keys."""
+    """Yields a value and what can be reached in it by constant keys."""
     yield text, type_
     if type_.element is not None:
         for place in ("0", "1", "-1", "-2"):
@@ -270,7 +270,7 @@ class Grammar:
         return " ".join(f"{statement};" for statement in (*self.before, last))
 
     def stored(self, scope: Scope) -> str:
-        """A query over what a query before it has found."""
+        """Returns a query over what a query before it has found."""
         type_ = self.c.pick(SCALARS)
         self.before.append(f"found = {self.query(scope, 1, type_)}")
         alias = self.alias()
@@ -278,7 +278,7 @@ class Grammar:
         return self.rest(scope, [source], 0, None)
 
     def deferred(self, scope: Scope) -> str:
-        """A list for the query that uses it, stored before that."""
+        """Returns a list for the query that uses it, stored before that."""
         first, second = self.alias(), self.alias()
         lists = (list_of(INT), list_of(TEXT), list_of(REAL))
         type_ = self.c.pick(lists)
@@ -308,18 +308,18 @@ class Grammar:
     # -- queries ----------------------------------------------------------------------------
 
     def alias(self) -> str:
-        """A name that no source has yet; now and then one that has been."""
+        """Returns a name that no source has yet; now and then one that has been."""
         if self.aliases and self.c.chance(3):
             return "abcdefghijklmnopq"[self.c.below(min(self.aliases, 17))]
         self.aliases += 1
         return f"s{self.aliases}" if self.aliases > 17 else "abcdefghijklmnopq"[self.aliases - 1]
 
     def nested(self, text: str) -> str:
-        """A query in parentheses."""
+        """Returns a query in parentheses."""
         return f"({text})"
 
     def query(self, scope: Scope, depth: int, wanted: Type | None = None, form: str = "") -> str:
-        """A query; of one column of a type, if that is wanted."""
+        """Returns a query; of one column of a type, if that is wanted."""
         many = 1 + self.c.below(3 if depth == 0 else 2) if self.c.chance(45) else 1
         aliased = many > 1 or self.c.chance(60)
         sources = [self.source(scope, depth, aliased=aliased) for _ in range(many)]
@@ -335,7 +335,7 @@ class Grammar:
         form: str = "",
         where: str = "",
     ) -> str:
-        """A query over these sources."""
+        """Returns a query over these sources."""
         inner = self.inside(scope, sources)
         columns = self.columns(inner, sources, depth, wanted)
         distinct = "DISTINCT " if columns != ["*"] and self.c.chance(6) else ""
@@ -363,7 +363,7 @@ class Grammar:
         return " ".join(parts)
 
     def aggregated(self, parts: list[str], inner: Scope, sources: list[Source]) -> str:
-        """A query of aggregates over the rows of its groups, or of all rows."""
+        """Returns a query of aggregates over the rows of its groups, or of all rows."""
         source = parts[0].split(" FROM ", 1)[1]
         found = [f"{self.aggregate(inner)} AS c{n}" for n in range(1 + self.c.below(2))]
         made = [f"SELECT count(*), {', '.join(found)} FROM {source}", *parts[1:]]
@@ -378,7 +378,7 @@ class Grammar:
         return " ".join([*made, f"AS {self.c.pick(('list', 'dict', 'value'))}"])
 
     def aggregate(self, inner: Scope) -> str:
-        """A number of the rows of a group."""
+        """Returns a number of the rows of a group."""
         name = self.c.pick(("count", "sum", "min", "max", "avg"))
         over = self.expression(self.c.pick((INT, REAL)), inner, 1, 9)
         kinds = (f"{name}({over})", "count(*)", f"count(DISTINCT {over})", f"{name}(uniq({over}))")
@@ -457,7 +457,7 @@ class Grammar:
         return found
 
     def source(self, scope: Scope, depth: int, *, aliased: bool) -> Source:
-        """A source of a query."""
+        """Returns a source of a query."""
         alias = self.alias() if aliased else None
         kind = self.c.below(100)
         if kind < 38:
@@ -486,7 +486,7 @@ class Grammar:
         return Source(alias, self.literal(type_), type_)
 
     def records(self, scope: Scope, depth: int) -> tuple[str, Type]:
-        """A nested query AS dict, as a source."""
+        """Returns a nested query AS dict, as a source."""
         source = self.source(scope, 2, aliased=True)
         inner = self.inside(scope, [source])
         keys = (("k", INT), ("name", TEXT))
@@ -495,7 +495,7 @@ class Grammar:
         return text, Type("dict", keys=keys)
 
     def list(self, element: Type, scope: Scope) -> str:
-        """A list that is written out; of numbers of both kinds, if that is what it is of."""
+        """Returns a list that is written out; of numbers of both kinds, if that is what it is of."""
         values = []
         for _ in range(self.c.below(5)):
             type_ = self.c.pick((INT, REAL)) if element == NUMBER else element
@@ -507,7 +507,7 @@ class Grammar:
         return f"[{', '.join(values)}]"
 
     def pair(self, element: Type, scope: Scope) -> str:
-        """A list of two or three values."""
+        """Returns a list of two or three values."""
         atoms = [text for text, of in scope.outer if of == element]
         values = [
             self.c.pick(atoms) if atoms and self.c.chance(40) else self.literal(element)
@@ -518,7 +518,7 @@ class Grammar:
     # -- hierarchies ------------------------------------------------------------------------
 
     def hierarchy(self, scope: Scope, depth: int) -> str:
-        """A hierarchical query that a level bounds."""
+        """Returns a hierarchical query that a level bounds."""
         type_ = self.c.pick((INT, TEXT, INTS, REAL))
         aliased = self.c.chance(60)
         if self.c.chance(25):
@@ -560,13 +560,13 @@ class Grammar:
     # -- expressions ------------------------------------------------------------------------
 
     def literal(self, type_: Type) -> str:
-        """A constant of a type."""
+        """Returns a constant of a type."""
         if self.wild and type_.kind in WILD and self.c.chance(15):
             return self.c.pick(WILD[type_.kind])
         return self.c.pick(LITERALS[type_.kind])
 
     def expression(self, type_: Type, scope: Scope, size: int, depth: int) -> str:
-        """An expression of a type; seldom of another one, if errors are wanted."""
+        """Returns an expression of a type; seldom of another one, if errors are wanted."""
         if self.wild and self.c.chance(4):
             type_ = self.c.pick((INT, TEXT, REAL, INTS, FLAG))
         if size <= 0 or not self.c.chance(95 if type_ == FLAG else 62):
@@ -584,7 +584,7 @@ class Grammar:
         return self.atom(type_, scope) if type_.kind != "list" else self.listed(type_, scope, size)
 
     def atom(self, type_: Type, scope: Scope) -> str:
-        """A literal, a variable, or what an element gives."""
+        """Returns a literal, a variable, or what an element gives."""
         atoms = scope.of(type_)
         if atoms and not self.c.chance(30):
             return self.c.pick(atoms)
@@ -606,7 +606,7 @@ class Grammar:
         return atoms[0] if atoms else "[[1, 2], [3, 4]]"
 
     def listed(self, type_: Type, scope: Scope, size: int) -> str:
-        """A list of at least two elements."""
+        """Returns a list of at least two elements."""
         element = type_.element
         if element is None or element.kind not in LITERALS:
             return self.atom(type_, scope)
@@ -652,7 +652,7 @@ class Grammar:
         return f" {sign} ".join((parts * many)[:many])
 
     def counted(self, scope: Scope, depth: int) -> str:
-        """A condition that counts where it holds, or how often it is asked."""
+        """Returns a condition that counts where it holds, or how often it is asked."""
         condition = self.expression(FLAG, scope, 1, depth)
         if self.c.chance(50):
             return f"IF({condition}; tally = tally + 1, True; False)"
@@ -667,7 +667,7 @@ class Grammar:
         return self.c.pick(("0.5", "2.0", "(-3.5)", "0.1"))
 
     def integer(self, scope: Scope, size: int, depth: int) -> str:
-        """An integer."""
+        """Returns an integer."""
         one = self.expression(INT, scope, size, depth)
         match self.c.below(18):
             case 0 | 1 | 2 | 3:
@@ -703,7 +703,7 @@ class Grammar:
         return self.of_query(INT, scope, depth)
 
     def of_query(self, type_: Type, scope: Scope, depth: int) -> str:
-        """A value of a nested query."""
+        """Returns a value of a nested query."""
         kind = self.c.below(3)
         if type_ in (INT, REAL) and kind < 2:
             query = self.nested(self.query(scope, depth, type_, "list"))
@@ -721,14 +721,14 @@ class Grammar:
         return f"(SELECT {column} FROM {source.written} {order} AS value)"
 
     def indexed(self, type_: Type, scope: Scope, size: int) -> str:
-        """An element of a list."""
+        """Returns an element of a list."""
         values = self.expression(list_of(type_), scope, size, 9)
         if self.wild and self.c.chance(50):
             return f"{values}[{self.expression(INT, scope, size, 9)}]"
         return f"{values}[{self.c.pick(('0', '1', '-1', '-2'))}]"
 
     def real(self, scope: Scope, size: int, depth: int) -> str:
-        """A real number."""
+        """Returns a real number."""
         one = self.expression(REAL, scope, size, depth)
         match self.c.below(17):
             case 0 | 1 | 2:
@@ -765,7 +765,7 @@ class Grammar:
         return one if depth > self.deepest else self.of_query(REAL, scope, depth)
 
     def text(self, scope: Scope, size: int, depth: int) -> str:
-        """A text."""
+        """Returns a text."""
         one = self.expression(TEXT, scope, size, depth)
         match self.c.below(9):
             case 0 | 1:
@@ -783,7 +783,7 @@ class Grammar:
         return one if depth > self.deepest else self.of_query(TEXT, scope, depth)
 
     def flag(self, scope: Scope, size: int, depth: int) -> str:
-        """A condition."""
+        """Returns a condition."""
         entities = scope.of(ENTITY)
         kind = self.c.below(25)
         if kind >= 22:
@@ -811,7 +811,7 @@ class Grammar:
         return f"{self.c.pick(PAIR_RELATIONS)}({names[0]}, {names[1]})"
 
     def habit(self, scope: Scope, size: int, kind: int) -> str:
-        """A condition as SQL has it."""
+        """Returns a condition as SQL has it."""
         negated = self.c.pick(("", "NOT "))
         if kind == 22:
             one = self.expression(TEXT, scope, size, 9)
@@ -858,7 +858,7 @@ class Grammar:
         return f"{left} IN {self.expression(list_of(type_), scope, size, depth)}"
 
     def of_rows(self, scope: Scope, size: int, depth: int) -> str:
-        """A question about the rows of a nested query."""
+        """Returns a question about the rows of a nested query."""
         if depth > self.deepest:
             return self.comparison(scope, size, depth)
         type_ = self.c.pick((INT, TEXT, REAL))
@@ -876,7 +876,7 @@ class Grammar:
 
 
 def program(choices: Choices) -> str:
-    """The text of a program."""
+    """Returns the text of a program."""
     return Grammar(choices).program()
 
 
@@ -990,7 +990,7 @@ class Evaluators:
         return f"{text}\n    row by row: {rows}\n    SQL: {sql}"
 
     def is_all_sql(self, text: str) -> bool:
-        """Whether nothing of a program's queries is left to Python."""
+        """Checks whether nothing of a program's queries is left to Python."""
         self.refresh(self.sql)
         try:
             told = self.sql.explain(text)
@@ -1024,7 +1024,7 @@ def evaluators() -> Iterator[Evaluators]:
 
 
 def agree(rows: Outcome, sql: Outcome, text: str) -> bool:
-    """Whether SQL gives what row by row gives.
+    """Checks whether SQL gives what row by row gives.
 
     An error row by row may be a value in SQL only in a program with AND, or with LIMIT: which
     side of AND is looked at first is not promised, nor are conditions of rows beyond a limit.
@@ -1037,7 +1037,7 @@ def agree(rows: Outcome, sql: Outcome, text: str) -> bool:
 
 
 def is_same(left: Any, right: Any) -> bool:
-    """Whether two values are equal and of the same types, in the same order."""
+    """Checks whether two values are equal and of the same types, in the same order."""
     if type(left) is not type(right):
         return False
     if isinstance(left, dict):
@@ -1048,7 +1048,7 @@ def is_same(left: Any, right: Any) -> bool:
 
 
 def shrunk(taken: Sequence[int], fails: Callable[[str], bool], attempts: int = 400) -> str:
-    """The smallest program near some choices that still fails."""
+    """Returns the smallest program near some choices that still fails."""
     best = list(taken)
     left = attempts
 

@@ -19,7 +19,7 @@ def mesh(vertices, faces):
 
 
 def revolved(profile, sides):
-    """A closed mesh: a closed outline of (radius, height), counterclockwise, turned about z."""
+    """Returns a closed mesh: a closed outline of (radius, height), counterclockwise, turned about z."""
     angles = np.arange(sides) * 2 * math.pi / sides
     count = len(profile)
     vertices = [[r * math.cos(a), r * math.sin(a), z] for a in angles for r, z in profile]
@@ -44,14 +44,14 @@ def tube(radius, wall, length, sides=12):
 
 
 def cup(radius, wall, length, sides=12):
-    """A tube with a bottom, which has a pinhole: an outline may not touch the axis."""
+    """Returns a tube with a bottom, which has a pinhole: an outline may not touch the axis."""
     outer, half, in_ = radius + wall, length / 2, 1e-3
     outline = [(in_, -half - wall), (outer, -half - wall), (outer, half), (radius, half)]
     return revolved([*outline, (radius, -half), (in_, -half)], sides)
 
 
 def shell(radius, wall):
-    """A closed mesh: a box with a box-shaped cavity."""
+    """Returns a closed mesh: a box with a box-shaped cavity."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     faces = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5]]
     faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
@@ -60,13 +60,13 @@ def shell(radius, wall):
 
 
 def profile(radius):
-    """A closed mesh: an L whose open corner is around the origin."""
+    """Returns a closed mesh: an L whose open corner is around the origin."""
     whole = ell(4 * radius, 3 * radius, 4 * radius)
     return mesh(whole.vertices - [radius, 0, radius], whole.faces)
 
 
 def bowl(radius, sides=12):
-    """An open mesh: the lower half of a sphere, without its lowest point."""
+    """Returns an open mesh: the lower half of a sphere, without its lowest point."""
     rings = [(radius * math.cos(t), -radius * math.sin(t)) for t in (0.0, 0.5, 1.0, 1.5)]
     angles = np.arange(sides) * 2 * math.pi / sides
     vertices = [[r * math.cos(a), r * math.sin(a), z] for a in angles for r, z in rings]

@@ -95,7 +95,7 @@ def geometry(kind, random, is_round):
 
 
 def ell(a, b, c):
-    """An L along y, with sides a by c: the hull of it is not it."""
+    """Returns an L along y, with sides a by c: the hull of it is not it."""
     rim = np.array([[0, 0], [1, 0], [1, 0.5], [0.5, 0.5], [0.5, 1], [0, 1]]) - 0.5
     low = np.column_stack((rim[:, 0] * a, np.full(6, -b / 2), rim[:, 1] * c))
     vertices = np.concatenate((low, low + [0, b, 0]))
@@ -173,7 +173,7 @@ def verdicts(two, bound):
 
 
 def wrong_verdicts(two, gaps, bound):
-    """The numbers of pairs of shapes of which something is decided that their gaps are not."""
+    """Returns the numbers of pairs of shapes of which something is decided that their gaps are not."""
     wrong = np.zeros(len(two), bool)
     for found in verdicts(two, bound):
         wrong |= ((found == BELOW) & (gaps >= bound)) | ((found == ABOVE) & (gaps <= bound))
@@ -224,7 +224,7 @@ def corners(shape, sides=SIDES):
 
 
 def is_in(shape, point, slack):
-    """Whether a convex shape has a point."""
+    """Checks whether a convex shape has a point."""
     x, y, z = shape.matrix.T @ (np.asarray(point) - shape.position)
     a, b, c = shape.geometry.size
     match shape.geometry.type:
@@ -281,7 +281,7 @@ def found_depth_error(a, b, found):
 
 
 def least_depth(p, q):
-    """The depth of the hulls of two sets of points, by that of their difference."""
+    """Returns the depth of the hulls of two sets of points, by that of their difference."""
     difference = (p[:, None] - q[None]).reshape(-1, 3)
     try:
         return max(0.0, float(-ConvexHull(difference).equations[:, 3].max()))
@@ -295,7 +295,7 @@ def _identity(found):
 
 
 def triangles(shape):
-    """The triangles of a shape's core in the world, and the radius around them.
+    """Returns the triangles of a shape's core in the world, and the radius around them.
 
     Which triangles a face is cut into is ssduck's choice: depths of crossing triangles depend on it.
     """
@@ -326,7 +326,7 @@ def points_to_triangles(p, t):
 
 
 def edges_to_edges(s, t):
-    """The least distance of the edges of triangles, by nearest points of lines and of ends."""
+    """Returns the least distance of the edges of triangles, by nearest points of lines and of ends."""
     p, u = s.reshape(-1, 3), (np.roll(s, -1, 1) - s).reshape(-1, 3)
     q, v = t.reshape(-1, 3), (np.roll(t, -1, 1) - t).reshape(-1, 3)
     r = p[:, None] - q[None]
@@ -342,7 +342,7 @@ def edges_to_edges(s, t):
 
 
 def surface_distance(s, t):
-    """The least distance of triangles that do not cross."""
+    """Returns the least distance of triangles that do not cross."""
     ends = (
         points_to_triangles(s.reshape(-1, 3), t).min(),
         points_to_triangles(t.reshape(-1, 3), s).min(),
@@ -416,7 +416,7 @@ def mesh_error(a, b, found: SignedDistance):
 
 
 def error_of(a, b, *, full=True):
-    """The worst of ssduck's answer, and the answer."""
+    """Returns the worst of ssduck's answer, and the answer."""
     found = gap(a, b)
     if {a.kind, b.kind} & set(MESHES) and "plane" not in (a.kind, b.kind):
         return (mesh_error(a, b, found) if full else _identity(found)), found
@@ -427,7 +427,7 @@ def error_of(a, b, *, full=True):
 
 
 def moved(shape, shift, turn):
-    """A shape turned about the origin and shifted."""
+    """Returns a shape turned about the origin and shifted."""
     turner = Shape(shape.kind, shape.geometry, shift, turn)
     w, (x, y, z) = turn[0], turn[1:]
     s, u = shape.quaternion[0], shape.quaternion[1:]

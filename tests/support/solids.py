@@ -36,14 +36,14 @@ def plane(normal=(0, 0, 1)):
 
 
 def mesh_of(geometry, *, inverted=False):
-    """The surface of a solid as a mesh."""
+    """Returns the surface of a solid as a mesh."""
     surface = solid_of(geometry).surface
     faces = surface.faces[:, ::-1] if inverted else surface.faces
     return Geometry("mesh", (0, 0, 0), surface.vertices, np.ascontiguousarray(faces))
 
 
 def narrow(*entities):
-    """A tick; an entity is a list of (geometry, position) or (geometry, position, orientation)."""
+    """Returns a tick; an entity is a list of (geometry, position) or (geometry, position, orientation)."""
     shapes = [(*one, STRAIGHT)[:3] for entity in entities for one in entity]
     starts = np.cumsum([0] + [len(entity) for entity in entities]).tolist()
     positions = np.array([position for _, position, _ in shapes], float).reshape(-1, 3)

@@ -59,6 +59,6 @@ class Stage:
 
 
 def pairs_of(ss, condition):
-    """The pairs of names of which a condition on rows p and q holds, in raw SQL."""
+    """Returns the pairs of names of which a condition on rows p and q holds, in raw SQL."""
     rows = ss.sql(f"SELECT p.name, q.name FROM entities p, entities q WHERE {condition}")
     return sorted(rows.fetchall())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def link(name, *, mass=1.0, com=(0, 0, 0), rpy=(0, 0, 0), shapes=""):
-    """A URDF link with an inertial frame, and collision elements."""
+    """Returns a URDF link with an inertial frame, and collision elements."""
     return (
         f'<link name="{name}"><inertial><origin xyz="{_listed(com)}" rpy="{_listed(rpy)}"/>'
         f'<mass value="{mass}"/><inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0" ixz="0" iyz="0"/>'
@@ -13,7 +13,7 @@ def link(name, *, mass=1.0, com=(0, 0, 0), rpy=(0, 0, 0), shapes=""):
 
 
 def collision(geometry, *, xyz=(0, 0, 0), rpy=(0, 0, 0)):
-    """A URDF collision element; the geometry is XML."""
+    """Returns a URDF collision element; the geometry is XML."""
     return (
         f'<collision><origin xyz="{_listed(xyz)}" rpy="{_listed(rpy)}"/>'
         f"<geometry>{geometry}</geometry></collision>"
@@ -21,7 +21,7 @@ def collision(geometry, *, xyz=(0, 0, 0), rpy=(0, 0, 0)):
 
 
 def joint(name, kind, parent, child, *, xyz=(0, 0, 0), rpy=(0, 0, 0), axis=(0, 0, 1), limit=""):
-    """A URDF joint; the limit is XML."""
+    """Returns a URDF joint; the limit is XML."""
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="{_listed(xyz)}" rpy="{_listed(rpy)}"/><axis xyz="{_listed(axis)}"/>'
@@ -30,12 +30,12 @@ def joint(name, kind, parent, child, *, xyz=(0, 0, 0), rpy=(0, 0, 0), axis=(0, 0
 
 
 def robot(*parts, name="model"):
-    """A URDF model."""
+    """Returns a URDF model."""
     return f'<robot name="{name}">{"".join(parts)}</robot>'
 
 
 def box_obj(low, high, first=0, name=None):
-    """An OBJ box: text, with vertex numbers that begin behind `first`."""
+    """Returns an OBJ box: text, with vertex numbers that begin behind `first`."""
     corners = [
         (x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])
     ]

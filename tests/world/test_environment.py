@@ -342,7 +342,7 @@ def dynamics(world):
                 for entry in pybullet.getVisualShapeData(member.body.handle, physicsClientId=client)
             ],
         )
-        for member in world.snapshot.listed
+        for member in world.snapshot.load_order
         if member.body is not None
     }
 
@@ -416,7 +416,7 @@ def test_hulls_and_meshes_of_others(client, tmp_path):
 def test_models_of_others(kitchen):
     """The kitchen, of which nothing is known but what its client tells."""
     kitchen.step(60)
-    bodies = [member for member in kitchen.snapshot.listed if member.body is not None]
+    bodies = [member for member in kitchen.snapshot.load_order if member.body is not None]
     names = {member.body.handle: member.name for member in bodies}
     world = ssduck.World.attach(kitchen.simulator.client, names=names)
     with pytest.warns(UserWarning, match="barrett_4918, roomba_625x: what motors do"):
@@ -437,7 +437,7 @@ def test_constraints_come_with_both_of_their_bodies(menagerie):
 
 def test_a_number_that_another_body_has_by_now(client, menagerie):
     """A body that went since the tick is made of what is known of it."""
-    numbers = {member.name: member.body.handle for member in menagerie.snapshot.listed}
+    numbers = {member.name: member.body.handle for member in menagerie.snapshot.load_order}
     ball = menagerie["ball"].position
     pybullet.removeBody(numbers["ball"], client)
     shape = pybullet.createCollisionShape(

@@ -939,7 +939,7 @@ def test_colours_are_drawn_when_they_are_asked_for(mast):
     # Nobody asks any more.
     for _ in range(260):
         world.step(0)
-        world.ask(["sensings"])
+        world.request_tables(["sensings"])
     world.step(240)
     assert len(pictures) == 2
 
@@ -1079,7 +1079,7 @@ def test_what_touches_without_force_does_not_press(stage):
     world = stage.open()
     pybullet.performCollisionDetection(stage.client)
     touch = world.add_sensor("contact_sensor", "crate")
-    world.ask(["contacts"])
+    world.request_tables(["contacts"])
     assert world.snapshot.tables["contacts"].count > 0
     assert touch.rays == 0
 

@@ -49,7 +49,7 @@ def columns(world, *names):
 
 
 def test_a_tick_does_not_change_when_the_simulator_moves_on(attached, client):
-    attached.ask(["links", "shapes", "joints", "contacts"])
+    attached.request_tables(["links", "shapes", "joints", "contacts"])
     before = columns(attached, *TABLES)
     for _ in range(20):
         pybullet.stepSimulation(client)
@@ -80,21 +80,21 @@ def test_tables_that_nobody_asks_for_are_not_read(spied):
 def test_asking_takes_one_fresh_tick_if_the_table_is_not_there(spied):
     world, _ = spied
     number = world.snapshot.number
-    world.ask(["links"])
+    world.request_tables(["links"])
     assert world.snapshot.number == number + 1
-    world.ask(["links"])
-    world.ask(["entities", "ticks", "geometries"])
+    world.request_tables(["links"])
+    world.request_tables(["entities", "ticks", "geometries"])
     assert world.snapshot.number == number + 1
-    world.ask(["links", "joints", "contacts"])
+    world.request_tables(["links", "joints", "contacts"])
     assert world.snapshot.number == number + 2
     world.step()
-    world.ask(["links", "joints", "contacts"])
+    world.request_tables(["links", "joints", "contacts"])
     assert world.snapshot.number == number + 3
 
 
 def test_tables_are_forgotten_after_a_while(spied):
     world, spy = spied
-    world.ask(["contacts"])
+    world.request_tables(["contacts"])
     spy.read.clear()
     for _ in range(FORGOTTEN_AFTER + 10):
         world.tick()
@@ -102,7 +102,7 @@ def test_tables_are_forgotten_after_a_while(spied):
     assert spy.read["contacts"] == FORGOTTEN_AFTER - 1
     assert set(world.snapshot.tables["contacts"]["tick"].tolist()) <= {FORGOTTEN_AFTER + 1}
     read = spy.read["contacts"]
-    world.ask(["contacts"])
+    world.request_tables(["contacts"])
     assert spy.read["contacts"] == read + 1
 
 
@@ -141,7 +141,7 @@ def test_velocities_of_links_are_read_if_they_are_asked_for(client, write):
     world = ssduck.World(spy)
     assert spy.read["links"] == 0
     assert world["model"].velocity == pytest.approx([1, 2, 3, 0, 0, 0])
-    world.ask(["links"])
+    world.request_tables(["links"])
     assert spy.read["links"] == 1
     rows = columns(world, "links")[0]
     assert [[row[axis] for axis in ("vx", "vy", "vz")] for row in rows] == pytest.approx(
@@ -166,7 +166,7 @@ def test_buffers_stay_where_they_are(attached, client):
 
 def test_only_tables_whose_rows_change_are_made_anew(attached):
     """Contacts come and go; the number of links does not."""
-    attached.ask(["links", "contacts", "shapes"])
+    attached.request_tables(["links", "contacts", "shapes"])
     attached.tick()
     arrows = {name: table.arrow for name, table in attached.snapshot.tables.items()}
     attached.step(100)  # the boxes fall onto the floor
@@ -253,7 +253,7 @@ def test_nothing_that_follows_from_an_unknown_number_is_known(attached, client, 
         (place if what == "position" else turn)[0] = nan
         pybullet.resetBasePositionAndOrientation(1, place, turn, client)
     with pytest.warns(UserWarning, match=r"^body_1: .* is NULL") as caught:
-        attached.ask(["links", "shapes"])
+        attached.request_tables(["links", "shapes"])
     assert [w.filename for w in caught] == [__file__]
     entities, links, shapes = columns(attached, "entities", "links", "shapes")
     boxed = "xmin" if what != "velocity" else "vx"
@@ -307,7 +307,7 @@ def test_a_failed_read_leaves_the_last_tick_whole(client):
     own = pybullet.connect(pybullet.DIRECT)
     scene(own)
     world = ssduck.World.attach(own)
-    world.ask(["links", "contacts"])
+    world.request_tables(["links", "contacts"])
     before = columns(world, *TABLES)
     pybullet.disconnect(own)
     for act in (world.tick, world.step):
@@ -322,7 +322,7 @@ def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
     scene(client)
     spy = Spy(PyBulletSimulator(client, owned=False))
     world = ssduck.World(spy)
-    world.ask(["links", "joints", "shapes", "contacts"])
+    world.request_tables(["links", "joints", "shapes", "contacts"])
     before, names = columns(world, *TABLES), [e.name for e in world]
     pybullet.removeBody(0, client)
     pybullet.createMultiBody(1, basePosition=[5, 5, 5], physicsClientId=client)
@@ -343,16 +343,16 @@ def test_a_table_that_could_not_be_read_is_still_lacking(spied):
     world, spy = spied
     spy.broken = ("contacts",)
     with pytest.raises(SimulatorError, match="broken"):
-        world.ask(["contacts"])
+        world.request_tables(["contacts"])
     spy.broken = ()
     number = world.snapshot.number
-    world.ask(["contacts"])
+    world.request_tables(["contacts"])
     assert (world.snapshot.number, spy.read["contacts"]) == (number + 1, 1)
 
 
 def test_a_table_that_is_asked_for_while_a_query_runs_is_still_lacking(attached):
     with (
-        attached.held(),
+        attached.pinned(),
         pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"),
     ):
         attached["body_0"].links  # noqa: B018
@@ -362,7 +362,7 @@ def test_a_table_that_is_asked_for_while_a_query_runs_is_still_lacking(attached)
 
 
 def test_a_query_holds_the_tick(attached):
-    with attached.held():
+    with attached.pinned():
         for act in (attached.step, attached.tick, lambda: attached["body_0"].move([1, 1, 1])):
             with pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"):
                 act()
@@ -383,7 +383,7 @@ def test_tables_may_be_empty(name):
     assert table.arrow.num_rows == 0
     assert table.arrow.column_names == list(TABLES[name].names)
     table.fill(2, {})
-    table.written()
+    table.publish_unknown()
     assert table.arrow.num_rows == 2
 
 
@@ -391,13 +391,13 @@ def test_unknown_numbers_come_and_go_in_a_table():
     table = LiveTable(TABLES["ticks"].columns)
     table.fill(1, {"tick": [1]})
     table["time"][:] = np.nan
-    table.written()
+    table.publish_unknown()
     assert table.arrow["time"].to_pylist() == [None]
     table["time"][:] = 2.5
-    table.written()
+    table.publish_unknown()
     assert table.arrow["time"].to_pylist() == [2.5]
     whole = table.arrow
     table["time"][:] = 3.5
-    table.written()
+    table.publish_unknown()
     assert table.arrow is whole
     assert whole["time"].to_pylist() == [3.5]

@@ -47,7 +47,7 @@ def kitchen():
 
 def told(world):
     """All that the tables of these names say, the numbers apart; q and -q are one orientation."""
-    world.ask(TABLES)
+    world.request_tables(TABLES)
     numbers, rest = {}, {}
     for name, columns in TABLES.items():
         arrow = world.snapshot.tables[name].arrow

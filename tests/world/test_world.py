@@ -229,7 +229,7 @@ def test_what_is_not_enabled_falls_through_the_table_and_back(client):
     pybullet.performCollisionDetection(client)
 
     def touching():
-        world.ask(["contacts"])
+        world.request_tables(["contacts"])
         world.tick()
         table = world.snapshot.tables["contacts"].arrow
         return set(zip(table["a"].to_pylist(), table["b"].to_pylist(), strict=True))
@@ -253,7 +253,7 @@ def test_a_robot_that_is_not_enabled_meets_nothing(write):
     scene = '[[body]]\nname = "{}"\nurdf = "{}.urdf"\nfixed = {}\n'
     text = scene.format("carrier", "carrier", "false") + scene.format("table", "table", "true")
     world = ssduck.World.load(find_scene(write("room.toml", text)))
-    world.ask(["contacts"])
+    world.request_tables(["contacts"])
     contacts = world.snapshot.tables["contacts"]
     assert contacts.count
     world["carrier"].enabled = False
@@ -521,7 +521,7 @@ def test_openraves_setters(carrier):
 
 def test_contacts_are_of_where_things_are(kitchen):
     """As loaded and after a move, without a step."""
-    kitchen.ask(["contacts"])
+    kitchen.request_tables(["contacts"])
     can = kitchen["can"]
 
     def touching():

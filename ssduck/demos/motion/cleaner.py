@@ -222,7 +222,7 @@ class Cleaner:
         self.mover.pose(dict(zip(OPEN, map(float, now), strict=True)))
 
     def can_drop(self, cup: Entity, spots: Sequence[Array]) -> bool:
-        """Whether the robot finds a place to stand for dropping a cup on one of some spots.
+        """Checks whether the robot finds a place to stand for dropping a cup on one of some spots.
 
         Args:
             cup: an upright cup, held as by `pick`.

@@ -69,7 +69,7 @@ class KinematicChain:
     def of(cls, robot: Entity) -> KinematicChain:
         """Returns the chain of a robot from the poses of its links at the current tick."""
         world = robot.world
-        body = robot.body_of(world.snapshot.members[world.snapshot.rows[robot.id]], "plan for")
+        body = robot.body_of(world.snapshot.entities[world.snapshot.rows[robot.id]], "plan for")
         states = robot.links
         current = poses(
             np.array([state.position for state in states]),

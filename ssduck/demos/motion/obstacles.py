@@ -46,7 +46,7 @@ class Held:
 def shapes_of(entity: Entity) -> list[ObstacleShape]:
     """Returns the shapes of an entity in the frames of its links."""
     snapshot = entity.world.snapshot
-    body = entity.body_of(snapshot.members[snapshot.rows[entity.id]], "look at")
+    body = entity.body_of(snapshot.entities[snapshot.rows[entity.id]], "look at")
     return [_shape(placed) for placed in body.shapes]
 
 
@@ -152,7 +152,7 @@ class Obstacles:
         moving: Collection[int] | None = None,
         self_clearance: float | None = None,
     ) -> Flags:
-        """Whether the robot keeps clear in each of some postures, (n,).
+        """Checks whether the robot keeps clear in each of some postures, (n,).
 
         Args:
             bases: (n, 4, 4), poses of the base link.

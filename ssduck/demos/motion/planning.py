@@ -32,7 +32,7 @@ class Space(Protocol):
         """Returns the postures (n, d) on the direct path between two, both included."""
 
     def clear(self, postures: Array) -> Flags:
-        """Whether each of some postures is allowed."""
+        """Checks whether each of some postures is allowed."""
 
 
 @dataclass(eq=False)
@@ -113,7 +113,7 @@ def _grow(space: Space, tree: _Tree, goal: Array, max_growth: float, steps: int)
 
 
 def _is_clear(space: Space, path: Array) -> bool:
-    """Whether a path is clear; tests a few postures first, which often suffice to refuse it."""
+    """Checks whether a path is clear; a few postures first, which often suffice to refuse it."""
     return all(space.clear(path[some]).all() for some in (slice(None, None, 8), slice(None)))
 
 

@@ -65,7 +65,7 @@ class ArmSpace:
         return result
 
     def clear(self, postures: Array) -> Flags:
-        """Whether the arm keeps clear of obstacles and of the robot."""
+        """Checks whether the arm keeps clear of obstacles and of the robot."""
         bases = np.tile(self.base, (len(postures), 1, 1))
         full = self.full(postures)
         links = range(int(self.chain.links[self.arm].min()), len(self.chain.rest))
@@ -160,7 +160,7 @@ class BaseSpace:
         return np.array([x, y, np.arctan2(base[1, 0], base[0, 0])])
 
     def clear(self, postures: Array) -> Flags:
-        """Whether the robot keeps clear of obstacles at each place."""
+        """Checks whether the robot keeps clear of obstacles at each place."""
         places = postures[:, :2]
         inside = np.asarray(((places >= self.low) & (places <= self.high)).all(axis=1))
         some = np.flatnonzero(inside)

@@ -192,7 +192,7 @@ def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | 
 
 @dataclass(frozen=True, eq=False)
 class PresentTick:
-    """A world at its present tick, beside its past in one query: its entities stay at it."""
+    """A world at its current tick, beside its past in one query: its entities stay at it."""
 
     record: Record
     tick: int

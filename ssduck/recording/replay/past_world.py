@@ -30,7 +30,7 @@ class PastWorld(World):
         self._begin(posed, snapshot, record.world.name, record.world.camera)
         self._record = record
         entities = snapshot.tables["entities"]
-        self._recorded = entities.block[entities.places(_ENTITY_DOUBLES)].copy()
+        self._recorded = entities.block[entities.block_rows(_ENTITY_DOUBLES)].copy()
 
     @property
     def origin(self) -> World:
@@ -41,19 +41,19 @@ class PastWorld(World):
         super()._take()
         # Other tables are worked out of poses; this one is to the last digit as it was.
         entities = self.snapshot.tables["entities"]
-        entities.block[entities.places(_ENTITY_DOUBLES)] = self._recorded
-        entities.written()
+        entities.block[entities.block_rows(_ENTITY_DOUBLES)] = self._recorded
+        entities.publish_unknown()
 
-    def ask(self, tables: Iterable[str]) -> None:
+    def request_tables(self, tables: Iterable[str]) -> None:
         """See to it that there are these tables; what was recorded is there."""
         wanted = frozenset(tables)
         if MASSES in wanted:
             self._record.warn_of_masses()
-        super().ask(_READ & wanted)
+        super().request_tables(_READ & wanted)
 
     def shapes(self) -> ShapeQueries:
         """The shapes of this tick, to be compared."""
-        self.ask(("shapes",))
+        self.request_tables(("shapes",))
         return self.snapshot.shapes()
 
     def entity(self, id: int) -> Entity:

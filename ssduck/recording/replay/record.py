@@ -162,7 +162,7 @@ class Record:
         """
         with self.world.lock:
             self._place_of(tick)
-            snapshot = self._placings.snapshot(tick, _untold(self))
+            snapshot = self._placings.snapshot(tick, _unavailable(self))
             snapshot.calls = self.calls
             return self.take(snapshot, tick), snapshot
 
@@ -312,7 +312,7 @@ def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
     return np.array(columns).reshape(len(names), rows.num_rows).T
 
 
-def _untold(record: Record) -> dict[str, str]:
+def _unavailable(record: Record) -> dict[str, str]:
     """Tables whose rows nobody knows at a past tick, and why."""
     world = record.world.name
     return {

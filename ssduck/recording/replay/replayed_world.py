@@ -73,7 +73,7 @@ class ReplayedWorld(PastWorld):
         """
         time = validation.seconds(time, "a time")
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             times = self._record.ticks.times
             place = place_at(self.name, time, times, float(times[-1]))
             self._tick = int(self._record.ticks.numbers[place])
@@ -87,7 +87,7 @@ class ReplayedWorld(PastWorld):
             EvaluationError: the record ends before that.
         """
         with self.lock:
-            self._check_not_held()
+            self._check_not_pinned()
             place = int(np.searchsorted(self._times, self.time, side="right")) - 1 + count
             if place >= len(self._times):
                 raise EvaluationError(

@@ -63,22 +63,22 @@ class SnapshotRestorer:
         self._empty = empty
         self._placings: dict[tuple[int, ...], _Placing] = {}
 
-    def snapshot(self, tick: int, untold: Mapping[str, str]) -> Snapshot:
+    def snapshot(self, tick: int, unavailable: Mapping[str, str]) -> Snapshot:
         """One of the entities at a tick, to be taken.
 
         Args:
             tick: which one.
-            untold: tables whose rows nobody knows there, and why.
+            unavailable: tables whose rows nobody knows there, and why.
         """
-        return self._at(tick).template.past(tick, untold)
+        return self._at(tick).template.past(tick, unavailable)
 
     def take(self, snapshot: Snapshot, tick: int, time: float) -> StaticSimulator:
         """Make a snapshot that of a tick; gives what stands for a simulator there."""
         placing = self._at(tick)
-        members = placing.template.listed
+        members = placing.template.load_order
         rows = self._rows.rows("entities", tick)
         by_id = np.argsort(rows["id"])
-        listed = [member.id for member in placing.template.members]
+        listed = [member.id for member in placing.template.entities]
         order = by_id[np.searchsorted(rows["id"][by_id], listed)]
         doubles = np.array([rows[name] for name in _ENTITY_DOUBLES])[:, order]
         own_states = np.array([rows[name] for name in _STATE])[:, order].T
@@ -88,7 +88,7 @@ class SnapshotRestorer:
             name: frozenset(
                 member.body
                 for member, is_so in zip(
-                    placing.template.members, rows[name][order].tolist(), strict=True
+                    placing.template.entities, rows[name][order].tolist(), strict=True
                 )
                 if member.body is not None and not is_so
             )
@@ -106,8 +106,8 @@ class SnapshotRestorer:
         snapshot.take(posed, members)
         # To the last digit as it was.
         entities = snapshot.tables["entities"]
-        entities.block[entities.places(_ENTITY_DOUBLES)] = doubles
-        entities.written()
+        entities.block[entities.block_rows(_ENTITY_DOUBLES)] = doubles
+        entities.publish_unknown()
         for table in _COPIED & self._tables:
             told = self._rows.rows(table, tick)
             snapshot.tables[table].fill(len(told["tick"]), told)
@@ -123,7 +123,10 @@ class SnapshotRestorer:
             layout = TableLayout(members, is_external=False)
             posed = StaticSimulator(
                 0.0,
-                {part.bodies: _nowhere(part) for part in (layout.still, layout.moving)},
+                {
+                    part.bodies: _nowhere(part)
+                    for part in (layout.static_bodies, layout.moving_bodies)
+                },
                 {body: np.zeros((len(body.joints), 3)) for _, body in layout.bodies},
                 frozenset(),
                 frozenset(),
@@ -131,7 +134,9 @@ class SnapshotRestorer:
             template.take(posed, members)
             laid = template.layout
             starts = _starts(laid)
-            sources = tuple(_sources(part, laid, starts) for part in (laid.still, laid.moving))
+            sources = tuple(
+                _sources(part, laid, starts) for part in (laid.static_bodies, laid.moving_bodies)
+            )
             bases = [(start, laid.rows[id]) for id, start in starts.items()]
             self._placings[ids] = _Placing(
                 template, sources, np.array(bases, dtype=np.intp).reshape(-1, 2)
@@ -181,7 +186,7 @@ def _nowhere(part: BodyGroup) -> LinkPoses:
 
 def _starts(layout: TableLayout) -> dict[int, int]:
     """The row of the base of each body of several links, behind the rows of all entities."""
-    first = len(layout.members)
+    first = len(layout.entities)
     found: dict[int, int] = {}
     for id, body in sorted(layout.bodies, key=lambda entry: entry[0]):
         if len(body.links) > 1:

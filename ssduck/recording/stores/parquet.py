@@ -203,7 +203,7 @@ class ParquetRecording:
         Raises:
             RecordError: it cannot be written, for the disk is full, say; nothing is lost by that.
         """
-        with self._world.held():
+        with self._world.pinned():
             self._recorder.flush()
             return self._folder.last_tick
 
@@ -218,7 +218,7 @@ class ParquetRecording:
         self._recorder.reweighed.warn(self._world)
         self.flush()
         self._folder.finish()
-        self._world.forget(self._recorder)
+        self._world.remove_recorder(self._recorder)
         self._recorders.remove(self._recorder)
 
     def __enter__(self) -> Self:

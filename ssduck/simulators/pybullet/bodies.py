@@ -97,7 +97,7 @@ def describe(
 
 
 def joint_of(info: tuple[Any, ...]) -> Joint:
-    """A joint from the result of `getJointInfo`; PyBullet's empty range means no limits.
+    """Returns a joint from the result of `getJointInfo`; PyBullet's empty range means no limits.
 
     Its axis is still in the frame of the link's centre of mass.
     """
@@ -126,13 +126,13 @@ def xyzw(orientations: Array) -> Array:
 
 
 def com_of(client: int, handle: int) -> Pose:
-    """The poses of a body's centres of mass in its link frames, (links, 3) and (links, 4)."""
+    """Returns the centres of mass as poses in the link frames, (links, 3) and (links, 4)."""
     links = range(-1, pybullet.getNumJoints(handle, client))
     return _com([pybullet.getDynamicsInfo(handle, link, client) for link in links])
 
 
 def masses_of(client: int, body: Body) -> list[float]:
-    """The present masses of a body's links; of a soft body, the described ones."""
+    """Returns the present masses of a body's links; of a soft body, the described ones."""
     links = range(-1, len(body.links) - 1)
     dynamics = [pybullet.getDynamicsInfo(body.handle, link, client) for link in links]
     # What PyBullet says of a soft body is no number of kilograms.
@@ -196,7 +196,7 @@ class _Reader:
         return BodyDescription(body, self.com, not body.has_stand_ins, link_margins)
 
     def _joint(self, info: tuple[Any, ...]) -> Joint:
-        """A joint, its axis in the frame of its link."""
+        """Returns a joint, its axis in the frame of its link."""
         joint = joint_of(info)
         axis = rotation_matrices(self.com[1][[joint.link]])[0] @ joint.axis
         # PyBullet turns by as many radians however long the axis is, but does not shift so.
@@ -207,7 +207,7 @@ class _Reader:
     # -- shapes ---------------------------------------------------------------------------
 
     def _told(self, link: int) -> KnownMargins:
-        """What PyBullet tells of the margins of a link."""
+        """Returns what PyBullet tells of the margins of a link."""
         if all(
             margin_of(shape.geometry.type, KnownMargins(None)) == 0.0 for shape in self.own[link]
         ):
@@ -225,7 +225,7 @@ class _Reader:
         return [list(self.shapes(link)) for link in range(len(self.dynamics))]
 
     def shapes(self, link: int) -> Iterator[PlacedGeometry]:
-        """The collision shapes of a link in its link frame (link 0 is the base).
+        """Yields the collision shapes of a link in its link frame (link 0 is the base).
 
         Shapes that the caller gave come first, then those that PyBullet returns, then those that it
         saves. If one shape is still unknown, the box of the link stands in for all of its shapes.
@@ -243,7 +243,7 @@ class _Reader:
             yield from shapes
 
     def _known(self, link: int) -> Shapes:
-        """The shapes of a link with the single ones that were given; None if one is unknown."""
+        """Returns the shapes of a link, given ones included; None if one is unknown."""
         entries = self._entries(link)
         numbers = {number for at, number in self.given if at == link and number is not None}
         if numbers:
@@ -271,7 +271,7 @@ class _Reader:
         return [PlacedGeometry(link, own, np.zeros(3), IDENTITY) for own in geometries]
 
     def _entries(self, link: int) -> list[Shapes] | None:
-        """The shapes of a link one by one, as far as they are known; None if nothing is.
+        """Returns the shapes of a link one by one, as far as they are known; None if nothing is.
 
         PyBullet gives back no triangles; of rigid and soft bodies no shapes at all; and asked
         for a capsule between two points of an MJCF file it crashes. A link that may have one is
@@ -294,7 +294,7 @@ class _Reader:
         return entries or None
 
     def _saved(self, link: int) -> Shapes:
-        """The shapes of a link as PyBullet saves them; None if it does not."""
+        """Returns the shapes of a link as PyBullet saves them; None if it does not."""
         saved = None if self.type == _SOFT_BODY else self.saved.of(self.handle, link)
         if saved is None:
             return None
@@ -306,7 +306,7 @@ class _Reader:
         return found
 
     def _shape(self, link: int, index: int, entry: tuple[Any, ...]) -> Shapes:
-        """What PyBullet tells of a shape: in general one; None if it does not tell."""
+        """Returns the shapes of an entry, in general one; None if PyBullet lacks them."""
         com = self._com_of(link)
         local = np.array([entry[5]]), wxyz(np.array([entry[6]]))
         position, orientation = compose(*com, *local)
@@ -330,7 +330,7 @@ class _Reader:
     def _from_file(
         self, link: int, file: Path, scale: tuple[float, ...], local: Pose
     ) -> Sequence[Geometry] | None:
-        """A mesh as its file has it: hulls, or the surface of a concave one.
+        """Returns a mesh as its file has it: hulls, or the surface of a concave one.
 
         PyBullet makes one hull of each object in the file, and gives back the first only, and
         that rounded to about a 10,000th of its size. Of a concave mesh it gives nothing; so a
@@ -378,7 +378,7 @@ class _Reader:
         return {entry[1] + 1 for entry in self._visuals if entry[2] == pybullet.GEOM_CAPSULE}
 
     def _drawn(self, link: int) -> list[PlacedGeometry]:
-        """What is drawn of a link; nothing if part of it is a mesh."""
+        """Returns the visual shapes of a link; none if one is a mesh."""
         entries = [entry for entry in self._visuals if entry[1] == link - 1]
         found = [(entry, primitive_of(entry[2], entry[3])) for entry in entries]
         shapes = [
@@ -389,7 +389,7 @@ class _Reader:
         return shapes if len(shapes) == len(entries) else []
 
     def _agree(self, shapes: Sequence[PlacedGeometry], link: int) -> bool:
-        """Whether PyBullet's box of a link is that of these shapes.
+        """Checks whether PyBullet's box of a link is that of these shapes.
 
         Its box of several is that of their boxes in the frame of the centre of mass, widened
         there by at most 4 cm on each side and then turned.
@@ -420,7 +420,7 @@ class _Reader:
         )
 
     def _stand_in(self, link: int) -> PlacedGeometry:
-        """A link's box as PyBullet has it now, for shapes that it does not give back."""
+        """Returns a link's box as PyBullet has it now, for shapes that it does not give back."""
         low, high = self._own_box(link)
         position, orientation = self._com_pose(link)
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
@@ -431,7 +431,7 @@ class _Reader:
         return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0], exact=False)
 
     def _is_bare(self, link: int) -> bool:
-        """Whether a link has no shapes: its box is but a margin of 1 mm around its mass."""
+        """Checks whether a link has no shapes: its box is but a margin of 1 mm around its mass."""
         low, high = self._own_box(link)
         shift = (low + high) / 2 - self._com_pose(link)[0][0]
         return bool((high - low).max() < _BARE and np.abs(shift).max() < 1e-6)
@@ -449,7 +449,7 @@ class _Reader:
 
 
 def _are_alike(some: Sequence[PlacedGeometry], others: Sequence[PlacedGeometry]) -> bool:
-    """Whether primitives are the same shapes in the same places, but for single floats."""
+    """Checks whether primitives are the same shapes in the same places, but for single floats."""
     if len(some) != len(others):
         return False
     for one, other in zip(some, others, strict=True):
@@ -466,7 +466,7 @@ def _are_alike(some: Sequence[PlacedGeometry], others: Sequence[PlacedGeometry])
 
 
 def primitive_of(kind: int, size: Sequence[float]) -> Geometry | None:
-    """The geometry of a shape by PyBullet's numbers; None for what is no primitive."""
+    """Returns the geometry of a shape by PyBullet's numbers; None for what is no primitive."""
     a, b, c = size
     if kind == pybullet.GEOM_BOX:
         return Geometry.primitive("box", (a, b, c))
@@ -482,7 +482,7 @@ def primitive_of(kind: int, size: Sequence[float]) -> Geometry | None:
 
 
 def _half_extents(shape: Geometry) -> Array:
-    """Of the box of a primitive in its own frame; a plane has none, hulls and meshes not here."""
+    """Returns the half extents of a bounded primitive in its own frame."""
     a, b, c = shape.size
     match shape.type:
         case "box":

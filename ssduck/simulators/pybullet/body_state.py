@@ -43,7 +43,7 @@ class BodyState:
 
 
 def state_of(client: int, handle: int) -> BodyState:
-    """The state of a body."""
+    """Returns the state of a body."""
     joints = [
         pybullet.getJointStateMultiDof(handle, joint, client)[:2]
         for joint in range(pybullet.getNumJoints(handle, client))
@@ -73,7 +73,7 @@ def set_state(client: int, handle: int, body: Body, state: BodyState) -> None:
 
 
 def contacts_of(client: int, handles: Mapping[int, int]) -> list[tuple[Any, ...]]:
-    """The contacts, with other numbers for the bodies, the links, and points rounded to 1e-9 m."""
+    """Returns the contacts with mapped body numbers and points rounded to 1e-9 m, sorted."""
     found = [
         (handles[a], link_a, handles[b], link_b, *(round(x, 9) for x in (*at_a, *at_b)))
         for _, a, b, link_a, link_b, at_a, at_b, *_ in pybullet.getContactPoints(

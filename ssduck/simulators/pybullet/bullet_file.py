@@ -82,7 +82,7 @@ class SavedShapes:
         self._handles = handles
 
     def of(self, handle: int, link: int) -> list[Placed] | None:
-        """The shapes of a link in the frame of its centre of mass; the base is link 0.
+        """Returns the shapes of a link in the frame of its centre of mass; the base is link 0.
 
         Returns:
             None for what is not known: height fields, or if PyBullet cannot save.
@@ -136,7 +136,7 @@ class SavedShapes:
 
 
 def _save(client: int) -> bytes | None:
-    """What PyBullet saves; None if it cannot, or not as it is understood here."""
+    """Returns the content of a file that PyBullet saves; None if that fails."""
     with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
         path = Path(folder) / "saved.bullet"
         try:
@@ -179,7 +179,7 @@ class _File:
         self._types: dict[str, npt.DTypeLike] = {}
 
     def colliders(self) -> Iterator[tuple[float, int]]:
-        """Of each thing that collides, its friction and the address of its shape."""
+        """Yields the friction and the address of the shape of each collider."""
         for address in self._colliders:
             own = self._at(address)[0]
             while "m_friction" not in own.dtype.names:
@@ -187,7 +187,7 @@ class _File:
             yield float(own["m_friction"]), int(own["m_collisionShape"])
 
     def shapes(self, address: int) -> list[Placed] | None:
-        """A shape, with those that it is made of; None if one is not told."""
+        """Returns a shape, or those that it is made of; None if one is not supported."""
         shape = self._at(address)[0]
         head = shape
         while "m_shapeType" not in head.dtype.names:
@@ -228,7 +228,7 @@ class _File:
         return found
 
     def _spheres(self, shape: Any) -> list[Placed] | None:
-        """The hull of spheres: one of them, or two of a size, which are a capsule."""
+        """Returns the hull of spheres: one of them, or two of a size, which are a capsule."""
         spheres = self._at(int(shape["m_localPositionArrayPtr"]))
         scale = _vector(shape["m_convexInternalShapeData"]["m_localScaling"])
         centres = np.array([_vector(sphere["m_pos"]) for sphere in spheres]) * scale
@@ -270,7 +270,7 @@ class _File:
         return [_placed(Geometry("mesh", (0.0, 0.0, 0.0), scaled, triangles))]
 
     def _corners(self, part: Any) -> npt.NDArray[np.int32] | None:
-        """The corners of a part's triangles, (n, 3)."""
+        """Returns the corners of a part's triangles, (n, 3)."""
         for name, field in (
             ("m_indices32", "m_value"),
             ("m_3indices16", "m_values"),
@@ -286,12 +286,12 @@ class _File:
     # -- structures -------------------------------------------------------------------------
 
     def _at(self, address: int) -> npt.NDArray[Any]:
-        """The block at an address, as an array of its structures."""
+        """Returns the block at an address, as an array of its structures."""
         structure, count, place = self._blocks[address]
         return np.frombuffer(self._data, self._type(self._structures[structure].name), count, place)
 
     def _type(self, name: str) -> Any:
-        """Numpy's type of a structure or a number."""
+        """Returns numpy's type of a structure or a number."""
         if name in _NUMBERS:
             return np.dtype(_NUMBERS[name])
         if name not in self._types:
@@ -305,7 +305,7 @@ class _File:
 
 
 def _structures(data: bytes) -> list[_Structure]:
-    """What the end of a file says of its structures."""
+    """Parses the description of the structures at the end of a file."""
     place = 4  # behind "SDNA"
 
     def words() -> list[str]:
@@ -338,12 +338,12 @@ def _structures(data: bytes) -> list[_Structure]:
 
 
 def _decimal(number: Any) -> float:
-    """The shortest decimal that is a single float."""
+    """Returns the shortest decimal that is a single float."""
     return float(str(np.float32(number)))
 
 
 def _vector(fields: Any) -> Array:
-    """A vector of the file, (3,)."""
+    """Returns a vector of the file, (3,)."""
     numbers = fields["m_floats"][:3]
     if numbers.dtype == np.float32:
         return np.array([_decimal(number) for number in numbers])
@@ -364,7 +364,7 @@ def _plane(shape: Any) -> list[Placed]:
 
 
 def _primitive(kind: int, shape: Any) -> Placed | None:
-    """A box, a sphere, a capsule or a cylinder; None for what is none of these."""
+    """Returns a box, a sphere, a capsule or a cylinder; None for what is none of these."""
     own, axis = shape, 2
     if "m_upAxis" in shape.dtype.names:
         own, axis = shape["m_convexInternalShapeData"], int(shape["m_upAxis"])
@@ -390,7 +390,7 @@ def _primitive(kind: int, shape: Any) -> Placed | None:
 
 
 def _turned_to(axis: Array) -> Array:
-    """A quaternion w, x, y, z that turns z to an axis of length 1."""
+    """Returns a quaternion w, x, y, z that turns z to an axis of length 1."""
     x, y, z = axis
     if z < -1.0 + 1e-12:
         return np.array([0.0, 1.0, 0.0, 0.0])

@@ -40,6 +40,6 @@ def _connected() -> int:
 
 
 def handles_of(client: int) -> list[int]:
-    """The numbers of the client's bodies."""
+    """Returns the numbers of the client's bodies."""
     count = pybullet.getNumBodies(client)
     return list(map(pybullet.getBodyUniqueId, range(count), repeat(client)))

@@ -44,7 +44,7 @@ class KnownMargins:
 def known_margins(
     dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None
 ) -> KnownMargins:
-    """The margin of a link as PyBullet returns it.
+    """Returns the margin of a link as PyBullet returns it.
 
     Args:
         dynamics: the result of `getDynamicsInfo`.
@@ -61,7 +61,7 @@ def known_margins(
 
 
 def margin_of(type: str, known: KnownMargins) -> float:
-    """The margin of a shape, metres.
+    """Returns the margin of a shape, metres.
 
     `changeDynamics` does not reach the hulls of a mesh file in a compound. A margin of 0 of a
     compound of hulls may be set or not; it counts as not set.
@@ -83,12 +83,12 @@ def margin_of(type: str, known: KnownMargins) -> float:
 
 
 def with_margins(shapes: Sequence[PlacedGeometry], known: KnownMargins) -> list[PlacedGeometry]:
-    """The shapes of a link with their margins."""
+    """Returns the shapes of a link with their margins."""
     return [replace(shape, margin=margin_of(shape.geometry.type, known)) for shape in shapes]
 
 
 def margins_of(client: int, body: Body, known: Sequence[KnownMargins]) -> list[float]:
-    """The margins of a body's shapes as they are now, metres.
+    """Returns the margins of a body's shapes as they are now, metres.
 
     Args:
         client: the client that has the body.

@@ -31,7 +31,7 @@ def add_fixed_constraint(client: int, on: tuple[int, int], to: int) -> None:
 
 
 def fixed_constraints(client: int, on: int, to: int) -> list[int]:
-    """The numbers of the fixed constraints between links of a body and the base of another."""
+    """Returns the numbers of the fixed constraints between a body and the base of another."""
     numbers = [
         pybullet.getConstraintUniqueId(index, physicsClientId=client)
         for index in range(pybullet.getNumConstraints(client))

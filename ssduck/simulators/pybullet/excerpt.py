@@ -100,7 +100,7 @@ class _NotCarriedError(Exception):
 def _may_carry_contacts(
     source: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> bool:
-    """Whether the contacts of a client can be restored in a copy of all its bodies."""
+    """Checks whether the contacts of a client can be restored in a copy of all its bodies."""
     if len(originals) < source.count() or tick.disabled:
         return False
     shapes = [Counter(shape.frame for shape in o.body.shapes) for o in originals]
@@ -187,7 +187,7 @@ class _Copier:
         self.loaded.held = {h: o for h, o in self.loaded.held.items() if h in kept}
 
     def _origin_of(self, body: Body) -> tuple[BodySpec | None, int]:
-        """The scene entry that a body was loaded from, if it can be loaded again."""
+        """Returns the scene entry that a body was loaded from, if it can be loaded again."""
         if self.source is None or self._known(body) is None:
             return None, 0
         origin = self.source.loaded.origins.get(body.handle)
@@ -250,7 +250,7 @@ class _Copier:
         return as_now
 
     def _is_as_now(self, original: BodyToCopy) -> bool:
-        """Whether a body is now as it was at the tick, to the last bit."""
+        """Checks whether a body is now as it was at the tick, to the last bit."""
         body = original.body
         if self.source is None or self._known(body) is None:
             return False
@@ -268,7 +268,7 @@ class _Copier:
         return bool((np.isnan(original.joints) | (joints == original.joints)).all())
 
     def _told_state(self, original: BodyToCopy, com: tuple[Array, Array], handle: int) -> BodyState:
-        """The state of a body at the tick."""
+        """Returns the state of a body at the tick."""
         link_poses = original.link_poses
         base = np.array([0])
         link = link_poses.positions[:1], link_poses.states[:1, 3:7]
@@ -290,7 +290,7 @@ class _Copier:
         )
 
     def _joints_by_frames(self, original: BodyToCopy, handle: int) -> Array:
-        """The positions of joints that are not recorded, computed from the links; at rest."""
+        """Returns the positions of unrecorded joints, computed from the links; at rest."""
         body = original.body
         what = "velocities" if self._known(body) is not None else "positions and velocities"
         self._guess(f"{what} of joints are not recorded; they rest where links are", original)
@@ -337,7 +337,7 @@ class _Copier:
         self.loaded.held[handle] = targets
 
     def _carry_contacts(self, file: Path) -> None:
-        """Restore the contacts that the solver knows of, and the impulses that it begins with.
+        """Restores the solver's contacts and the impulses that it begins with.
 
         They are found by numbers that count the colliders ever made in a client, which are the
         same here if none was removed there.
@@ -358,7 +358,7 @@ class _Copier:
     # -- constraints ----------------------------------------------------------------------
 
     def _tie(self) -> None:
-        """Make the constraints between the bodies, and to the world."""
+        """Makes the constraints between the bodies, and to the world."""
         if self.source is None:
             return
         known = [body for body in self.handles if self._known(body) is not None]

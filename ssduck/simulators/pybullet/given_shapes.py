@@ -30,7 +30,7 @@ _MESHES = "a trimesh.Trimesh, (vertices, faces), the path of a mesh file, or a l
 def given_shapes(
     client: int, handles: Sequence[int], shapes: ShapesByBody | None
 ) -> dict[int, GivenShapes]:
-    """The given shapes, by body.
+    """Returns the given shapes, by body.
 
     Raises:
         ArgumentError: a key is not valid, there is no such body or link, two keys select the same
@@ -50,7 +50,7 @@ def given_shapes(
 
 
 def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int | None]:
-    """The body, the link (the base is 0) and the index of a key."""
+    """Returns the body, the link (the base is 0) and the index of a key."""
     parts = key if isinstance(key, tuple) else (key,)
     if not 1 <= len(parts) <= 3 or not all(map(validation.is_integer, parts)):
         raise ArgumentError(f"shapes: {short_repr(key)} is no key: a key is {_KEYS}")
@@ -74,7 +74,7 @@ def _geometries(key: Any, value: Any) -> list[Geometry]:
 
 
 def _is_pair(value: Any) -> bool:
-    """Whether a list is [vertices, faces] rather than some meshes."""
+    """Checks whether a list is [vertices, faces] rather than some meshes."""
     return len(value) == 2 and all(np.ndim(_ragged(part)) == 2 for part in value)
 
 

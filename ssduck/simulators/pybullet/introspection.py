@@ -35,7 +35,7 @@ _ELEMENTS = {
 
 
 def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
-    """The model of a body.
+    """Returns the model of a body.
 
     Raises:
         UnsupportedError: it is soft.
@@ -61,7 +61,7 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
 
 
 def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
-    """The contact parameters of a link, without PyBullet's defaults, 0 and -1."""
+    """Returns the contact parameters of a link, without PyBullet's defaults, 0 and -1."""
     contact = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
     return {element: value for element, value in contact.items() if value not in (0.0, -1.0)} | {
         "lateral_friction": float(dynamic[1])
@@ -69,7 +69,7 @@ def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
 
 
 def guessed_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel:
-    """The model of a recorded body, with the masses at the centres of its shapes."""
+    """Returns the model of a recorded body, with the masses at the centres of its shapes."""
     positions = positions_by_link(body, joints)
     com = np.array([_middle(body, link) for link in range(len(body.links))])
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
@@ -85,7 +85,7 @@ def guessed_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel
 
 
 def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
-    """The positions of joints by link; an unknown one is 0, or the limit nearest to 0."""
+    """Returns the positions of joints by link; an unknown one is 0, or the limit nearest to 0."""
     found = {}
     for joint, states in zip(body.joints, joints, strict=True):
         if joint.type in SCALAR_JOINTS:
@@ -95,7 +95,7 @@ def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
 
 
 def _middle(body: Body, link: int) -> Array:
-    """The centre of a link's shapes in its frame, weighted by the volumes of their boxes."""
+    """Returns the centre of a link's shapes, in its frame, weighted by box volume."""
     shapes = [replace(shape, frame=0) for shape in body.shapes if shape.frame == link]
     if not shapes or any(shape.geometry.type == "plane" for shape in shapes):
         return np.zeros(3)
@@ -124,7 +124,7 @@ def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
 
 
 def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, End, End]]:
-    """The constraints of a client with the links that they connect; -1, -1 is the world."""
+    """Yields the constraints of a client with the links that they connect; -1, -1 is the world."""
     names = {number: name for name, number in CONSTRAINTS.items()}
     for index in range(pybullet.getNumConstraints(client)):
         number = pybullet.getConstraintUniqueId(index, physicsClientId=client)

@@ -49,7 +49,7 @@ class LinkPosesReader:
         self._shifted = bool(positions.any())
 
     def read(self, client: int, with_velocities: bool) -> LinkPoses:
-        """The poses of all links as they are now, body after body; with velocities if requested."""
+        """Returns the present poses of all links, body after body; with velocities on request."""
         links = map(
             pybullet.getLinkStates,
             self._linked,
@@ -82,7 +82,7 @@ _UNKNOWN = (((np.nan,),),)
 
 
 def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
-    """The number of values in the answers, and the places of each link's 13 values, (links, 13).
+    """Returns the number of values in PyBullet's results and each link's places, (links, 13).
 
     The answers are the bases' poses, the bases' velocities, the links' states with or without
     velocities, and an unknown value. A pose is x y z and the quaternion x y z w.
@@ -102,5 +102,5 @@ def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
 
 
 def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:
-    """The link poses of one body as they are now."""
+    """Returns the link poses of one body as they are now."""
     return LinkPosesReader([body], [com]).read(client, with_velocities=True)

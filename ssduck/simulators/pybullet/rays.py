@@ -27,7 +27,7 @@ _fraction = itemgetter(2)
 
 
 def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayHits:
-    """The first hit of each ray, ignoring the body that it passes through."""
+    """Returns the first hit of each ray, ignoring the body that it passes through."""
     bodies, fractions = _cast(client, starts, ends)
     blocked = np.flatnonzero((bodies == through) & (bodies >= 0))
     if blocked.size:
@@ -38,7 +38,7 @@ def cast_rays(client: int, starts: Array, ends: Array, through: Indices) -> RayH
 
 
 def _behind(client: int, starts: Array, ends: Array, through: Indices) -> tuple[Indices, Array]:
-    """The first of all hits, ignoring the bodies that the rays pass through."""
+    """Returns the first of all hits, ignoring the bodies that the rays pass through."""
     bodies = np.full(len(starts), -1, dtype=np.intp)
     fractions = np.ones(len(starts))
     left = np.arange(len(starts))
@@ -55,7 +55,7 @@ def _behind(client: int, starts: Array, ends: Array, through: Indices) -> tuple[
 
 
 def _cast(client: int, starts: Array, ends: Array, number: int = -1) -> tuple[Indices, Array]:
-    """The bodies and fractions of the first hits, or of the hits with an index."""
+    """Returns the bodies and fractions of the first hits, or of the hits with an index."""
     total = len(starts)
     threads = 1 if total < WORTH_THREADS else _ALL_THREADS
     hits = [

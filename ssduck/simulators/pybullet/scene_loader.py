@@ -128,7 +128,7 @@ def set_solver_settings(engine: Mapping[str, int], client: int) -> None:
 
 
 def solver_settings(client: int) -> dict[str, int]:
-    """The settings of the solver, by the names of `Engine`."""
+    """Returns the settings of the solver, by the names of `Engine`."""
     told = pybullet.getPhysicsEngineParameters(client)
     return {name: int(told[called]) for name, called in _ENGINE.items()}
 
@@ -339,6 +339,6 @@ def _range(joint: Joint) -> tuple[float, float]:
 
 
 def position_nearest_zero(joint: Joint) -> float:
-    """0, or the limit of a joint nearest to 0."""
+    """Returns 0, or the limit of a joint nearest to 0."""
     low, high = _range(joint)
     return min(max(0.0, low), high)

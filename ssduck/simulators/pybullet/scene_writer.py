@@ -30,7 +30,7 @@ _NAMED = re.compile(r"^\s*(?:mtllib|map_\w+)\s+(.+?)\s*$", re.MULTILINE)
 def scene_of(
     simulator: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
 ) -> Scene:
-    """The scene that a simulation is, without its sensors; writes its models into a folder."""
+    """Describes a simulation as a scene without sensors; writes its models into a folder."""
     told = simulator.parameters()
     gravity = tuple(told[f"gravityAcceleration{axis}"] for axis in "XYZ")
     models = _ModelWriter(simulator, folder)
@@ -61,7 +61,7 @@ def _constraints(client: int, originals: Mapping[int, BodyToCopy]) -> Iterator[C
 
 
 def _link_name(body: Body, link: int) -> str | None:
-    """The name that a link has in a scene; None for the base."""
+    """Returns the name that a link has in a scene; None for the base."""
     return None if link < 0 else unique_names(part.name for part in body.links)[link + 1]
 
 
@@ -80,7 +80,7 @@ class _ModelWriter:
     copies: dict[Path, Path | None] = field(default_factory=dict)
 
     def spec_of(self, original: BodyToCopy, tick: TickToCopy) -> BodySpec:
-        """What the scene says of a body."""
+        """Returns the scene's entry of a body."""
         body, states = original.body, original.joints
         origin = self.simulator.loaded.origins.get(body.handle)
         copy = None if origin is None else self._copied(origin.spec.model)
@@ -116,7 +116,7 @@ class _ModelWriter:
         )
 
     def _copied(self, file: Path) -> Path | None:
-        """A copy of a URDF file, with all that it needs; None if it cannot be copied as it is."""
+        """Returns a copy of a URDF file and its meshes; None if it cannot be copied."""
         if file not in self.copies:
             self.copies[file] = self._copy(file)
         return self.copies[file]
@@ -144,7 +144,10 @@ class _ModelWriter:
 
 
 def _needed(file: Path) -> list[Path] | None:
-    """The files that a URDF file refers to, relative to its folder; None if some lie elsewhere."""
+    """Returns the files that a URDF file refers to, relative to its folder.
+
+    None if some lie elsewhere.
+    """
     try:
         root = ET.parse(file).getroot()  # noqa: S314  # PyBullet has read it
     except ET.ParseError:  # which PyBullet does not mind
@@ -167,5 +170,5 @@ def _needed(file: Path) -> list[Path] | None:
 
 
 def _file_name(name: str) -> str:
-    """A name with only letters, digits, - and _."""
+    """Returns a name with only letters, digits, - and _."""
     return re.sub(r"[^\w-]+", "_", name) or "body"

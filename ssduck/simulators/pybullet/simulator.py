@@ -113,7 +113,7 @@ class PyBulletSimulator:
     # -- bodies ---------------------------------------------------------------------------
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
-        """The bodies that came and went since the last call.
+        """Returns the bodies that came and went since the last call.
 
         PyBullet reuses the number of a removed body at once. So every known body carries a tag
         (user data, which is removed with it) that tells the two apart.
@@ -161,7 +161,7 @@ class PyBulletSimulator:
         self._removed.append(body)
 
     def description_of(self, body: Body) -> BodyDescription | None:
-        """The description of a body, if the client still has the body."""
+        """Returns the description of a body, if the client still has the body."""
         known = self._known.get(body.handle)
         if known is None or known.body is not body or self._lost is not None:
             return None
@@ -174,11 +174,11 @@ class PyBulletSimulator:
         return known
 
     def count(self) -> int:
-        """The number of bodies that the client has now."""
+        """Returns the number of bodies that the client has now."""
         return self._call(lambda: int(pybullet.getNumBodies(self.client)))
 
     def visual_colours(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
-        """The colours of a body, shown or hidden: link, index among its visual shapes, colour."""
+        """Returns the colours of a body, shown or hidden: link, index of the shape, colour."""
         return self._colours.get(body) or self._call(
             lambda: visual_colours(self.client, body.handle)
         )
@@ -224,7 +224,7 @@ class PyBulletSimulator:
         self.clock = clock
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
-        """The poses of all links of some bodies as they are now, body after body."""
+        """Returns the poses of all links of some bodies as they are now, body after body."""
         if self._layout[0] is not bodies:
             self._layout = (
                 bodies,
@@ -233,7 +233,7 @@ class PyBulletSimulator:
         return self._call(lambda: self._layout[1].read(self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Position, velocity and effort of the joints of some bodies, (joints, 3)."""
+        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3)."""
 
         def read() -> Iterator[tuple[float, float, float]]:
             for body in bodies:
@@ -245,7 +245,7 @@ class PyBulletSimulator:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The masses of the links of some bodies; of a body that is gone, the last ones."""
+        """Returns the masses of bodies' links; the last known ones if a body is gone."""
         there = self._are_there(bodies)
         client = self.client
         return self._call(
@@ -253,20 +253,20 @@ class PyBulletSimulator:
         )
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """The collision margins of the shapes of some bodies; of one that is gone, the last."""
+        """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
         told = {body: self._known[body.handle].link_margins for body in self._are_there(bodies)}
         return self._call(
             lambda: [margins_of(self.client, body, told.get(body, ())) for body in bodies]
         )
 
     def _are_there(self, bodies: Sequence[Body]) -> set[Body]:
-        """The bodies that the client still has."""
+        """Returns the bodies that the client still has."""
         tags = dict(zip(*self._listed, strict=True))
         now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
         return {b for b, tag in zip(bodies, now, strict=True) if tag == tags.get(b.handle)}
 
     def read_contacts(self) -> Iterable[Contact]:
-        """The contact points of the last step, without PyBullet's points of separate shapes."""
+        """Yields the contacts of the last step, without PyBullet's points of separate shapes."""
         for entry in self._call(lambda: pybullet.getContactPoints(physicsClientId=self.client)):
             if entry[8] <= 0.0:
                 yield Contact(
@@ -283,7 +283,7 @@ class PyBulletSimulator:
                 )
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
-        """The first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
+        """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
         return self._call(lambda: cast_rays(self.client, starts, ends, through))
 
     def step(self, count: int) -> None:
@@ -303,11 +303,11 @@ class PyBulletSimulator:
         self._call(run)
 
     def _clients_timestep(self) -> float:
-        """The client's time step, which the user may change at any time."""
+        """Returns the client's time step, which the user may change at any time."""
         return float(self.parameters()["fixedTimeStep"])
 
     def parameters(self) -> dict[str, Any]:
-        """PyBullet's parameters of gravity, time step and solver."""
+        """Returns PyBullet's parameters of gravity, time step and solver."""
         told: dict[str, Any] = self._call(lambda: pybullet.getPhysicsEngineParameters(self.client))
         return told
 
@@ -351,7 +351,7 @@ class PyBulletSimulator:
         self._call(put)
 
     def has_constraint(self, body: Body, other: Body) -> bool:
-        """Whether a fixed constraint connects a link of a body to the base of another."""
+        """Checks whether a fixed constraint connects a link of a body to the base of another."""
         return bool(self._call(lambda: fixed_constraints(self.client, body.handle, other.handle)))
 
     def add_constraint(self, body: Body, link: int, other: Body) -> None:
@@ -359,7 +359,7 @@ class PyBulletSimulator:
         self._call(lambda: add_fixed_constraint(self.client, (body.handle, link - 1), other.handle))
 
     def remove_constraint(self, body: Body, other: Body) -> None:
-        """Remove the fixed constraints between links of a body and the base of another."""
+        """Removes the fixed constraints between links of a body and the base of another."""
 
         def remove() -> None:
             for number in fixed_constraints(self.client, body.handle, other.handle):
@@ -408,11 +408,11 @@ class PyBulletSimulator:
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
-        """The colour image of a camera by PyBullet's software renderer, (height, width, 3)."""
+        """Returns a camera's colour image by PyBullet's software renderer, (height, width, 3)."""
         return self._drawn(width, height, *_seen(camera, width, height), shadow=shadow)
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
-        """The number of the body in each pixel of that image, (height, width); -1 for none."""
+        """Returns the number of the body in each pixel, (height, width); -1 for none."""
         view, lens = _seen(camera, width, height)
         bodies = self._call(
             lambda: pybullet.getCameraImage(
@@ -427,7 +427,7 @@ class PyBulletSimulator:
         return np.asarray(bodies, dtype=np.intp).reshape(height, width)
 
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
-        """The colour image of a camera on a body, by PyBullet's software renderer."""
+        """Returns the colour image of a camera on a body, by PyBullet's software renderer."""
         target = view.position + view.matrix[:, 0]
         seen = pybullet.computeViewMatrix(
             view.position.tolist(), target.tolist(), view.matrix[:, 2].tolist()
@@ -486,7 +486,7 @@ class PyBulletSimulator:
 
 
 def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
-    """PyBullet's view and projection matrices of a camera."""
+    """Returns PyBullet's view and projection matrices of a camera."""
     view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
     # A view much deeper than the scene has too little depth resolution: shadows get rings.
     depth = 3.0 * math.dist(camera.eye, camera.target)
@@ -504,7 +504,7 @@ def _warn_of_guesses(bodies: Sequence[Body]) -> None:
 
 
 def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
-    """The colours of a body: link, index among its visual shapes, colour."""
+    """Returns the colours of a body: link, index among its visual shapes, colour."""
     shapes: Counter[int] = Counter()
     colours = []
     for entry in pybullet.getVisualShapeData(handle, physicsClientId=client):
@@ -514,7 +514,7 @@ def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[fl
 
 
 def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:
-    """The friction force on body A, along two directions normal to the contact normal."""
+    """Returns the friction force on body A, along two directions normal to the contact normal."""
     (first, along), (second, beside) = (entry[10], entry[11]), (entry[12], entry[13])
     x, y, z = (first * a + second * b for a, b in zip(along, beside, strict=True))
     return x, y, z

@@ -78,7 +78,7 @@ class BodyModel:
 def zero_poses(
     body: Body, link_poses: LinkPoses, positions: Mapping[int, float]
 ) -> tuple[Array, Array]:
-    """The poses of links in their parents' frames at joint positions of 0.
+    """Returns the poses of links in their parents' frames at joint positions of 0.
 
     Args:
         body: the body.
@@ -234,7 +234,7 @@ def _add_origin(element: ET.Element, position: Array, orientation: Array) -> Non
 
 
 def roll_pitch_yaw(orientation: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw, rad, of a quaternion w, x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll).
+    """Returns roll, pitch and yaw of a quaternion w, x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll).
 
     By arctangents only: the arcsine of PyBullet's function loses half of the digits near a pitch of
     90°.
@@ -260,7 +260,7 @@ class _Meshes:
         self._names: dict[str, str] = {}
 
     def written(self, geometry: Geometry) -> str:
-        """The name of a file that has a hull or a mesh."""
+        """Returns the name of a file that has a hull or a mesh."""
         if geometry.key not in self._names:
             name = self._next(".obj")
             (self._folder / name).write_text(_obj(geometry), encoding="utf-8")
@@ -268,7 +268,7 @@ class _Meshes:
         return self._names[geometry.key]
 
     def copied(self, file: Path) -> str:
-        """The name of a copy of a mesh file."""
+        """Returns the name of a copy of a mesh file."""
         key = str(file.resolve())
         if key not in self._names:
             name = self._next(file.suffix)

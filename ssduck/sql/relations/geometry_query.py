@@ -197,7 +197,7 @@ class GeometryUdf:
 
 
 def udf_name(function: Callable[..., Any]) -> str:
-    """Returns the SQL name of a method of `ShapeQueries`; a blank tells it from users' functions."""
+    """Returns the SQL name of a method of `ShapeQueries`; no user's function has a blank."""
     return f"narrow {function.__name__}"
 
 
