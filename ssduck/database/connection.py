@@ -200,7 +200,7 @@ class Connection:
     # -- statements -----------------------------------------------------------------------
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
-        """Returns all rows of a statement from the translator; the caller holds the worlds."""
+        """Returns all rows of a statement from the translator; the caller pins the worlds."""
         max_rows = self.meter.limits.rows
 
         def fetch() -> list[tuple[Any, ...]]:
@@ -212,7 +212,7 @@ class Connection:
         return rows
 
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
-        """Returns all rows of a user's statement; the caller holds the worlds."""
+        """Returns all rows of a user's statement; the caller pins the worlds."""
         max_rows = self.meter.limits.rows
 
         def fetch() -> pa.Table:

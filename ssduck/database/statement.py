@@ -100,7 +100,7 @@ class Statement:
         self._deallocate = f"DEALLOCATE {name}"
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
-        """Returns all rows for these values of the parameters; the caller holds the worlds."""
+        """Returns all rows for these values of the parameters; the caller pins the worlds."""
         for name, value in values.items():
             self._row[name][0] = value
         generation = self._plans.generation(self._reads)

@@ -52,7 +52,7 @@ class AsClause:
         Args:
             query: the query to run.
             frame: the scope and the rows around it.
-            run: the function that runs it, while the caller holds the worlds.
+            run: the function that runs it, while the caller pins the worlds.
 
         Raises:
             LimitError: the form writes a file and files are switched off, or the time is up.

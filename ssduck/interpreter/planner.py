@@ -98,7 +98,7 @@ class Planner:
         self._evaluated_aliases.clear()
 
     def run(self, query: Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
-        """Returns the rows of a query; the caller holds the worlds.
+        """Returns the rows of a query; the caller pins the worlds.
 
         A plan is first optimistic: its SQL fails where only Python gives the right result, for
         example for a number out of range. Then the cautious plan runs, which leaves such parts to

@@ -132,7 +132,7 @@ class PlannedQuery:
         return dict(zip(aliases, values, strict=True))
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """Returns the rows of the query; the caller holds the worlds.
+        """Returns the rows of the query; the caller pins the worlds.
 
         Args:
             outer: the variables, and the rows of the queries around this one.
@@ -413,7 +413,7 @@ class RowByRowQuery:
         return self.resolved.columns
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """Returns the rows of the query; the caller holds the worlds.
+        """Returns the rows of the query; the caller pins the worlds.
 
         Args:
             outer: the variables, and the rows of the queries around this one.
