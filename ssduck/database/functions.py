@@ -48,7 +48,7 @@ def add_user_function(
         ]
         return _exact_value(function(values), signature.result)
 
-    memo = Memo(call_with_list, keeps_same=False)
+    memo = Memo(call_with_list, by_identity=False)
 
     def call(*arguments: Any) -> Any:
         return memo(list(arguments))

@@ -130,21 +130,21 @@ class Execution(Namespace, ABC):
 
     def _linted_statements(self, program: Program, frame: Frame) -> Iterator[Node]:
         """Yields the statements of a program, after reporting probable mistakes in each."""
-        if program.doubts:
+        if program.suspicions:
             self._report(
-                ArgumentError(d.message, text=program.text, span=d.span) for d in program.doubts
+                ArgumentError(d.message, text=program.text, span=d.span) for d in program.suspicions
             )
         for node in self._with_overrides(program).statements:
             self._report(self._linter.check(program.text, node, frame.local))
             yield node
 
-    def _report(self, doubts: Iterable[SelectScriptError]) -> None:
+    def _report(self, suspicions: Iterable[SelectScriptError]) -> None:
         """Warns of probable mistakes, once of each; in strict interpreters it raises the first."""
-        for doubt in doubts:
+        for suspicion in suspicions:
             if self.strict:
-                raise doubt
-            if self._linter.is_new(doubt):
-                warn(str(doubt), ProgramWarning)
+                raise suspicion
+            if self._linter.is_new(suspicion):
+                warn(str(suspicion), ProgramWarning)
 
     def _recorded_names(self, world: World) -> set[str]:
         """Returns the names of all entities in the record of a world."""

@@ -53,10 +53,10 @@ from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
-from ssduck.language.overrides import NAMED
+from ssduck.language.overrides import OPERATOR_NAMES
 from ssduck.language.parser import parse
 from ssduck.language.tree import Query
-from ssduck.language.value_keys import plain
+from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.spec import Recording
 from ssduck.world.running import run
@@ -336,7 +336,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             UserWarning: the function replaces a relation, a function or an operator of the
                 language (`on`, `count`, `add` for `+`) in programs of this interpreter.
         """
-        if not isinstance(name, str) or name not in NAMED:
+        if not isinstance(name, str) or name not in OPERATOR_NAMES:
             check_name(name, "a function")
         validation.function(function, name)
         with self._lock:
@@ -434,6 +434,6 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
 def _plain(value: Any) -> Any:
     """Returns the value with Python's numbers in place of NumPy's."""
     try:
-        return plain(value)
+        return python_value(value)
     except RecursionError:  # a list that contains itself; its use is the error
         return value

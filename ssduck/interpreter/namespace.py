@@ -21,9 +21,16 @@ from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked_name, written_name
+from ssduck.language.overrides import (
+    BINARY_SIGNS,
+    NOT_OVERRIDABLE,
+    OPERATOR_NAMES,
+    UNARY_SIGNS,
+    marked_name,
+    written_name,
+)
 from ssduck.language.parser import is_reserved
-from ssduck.language.sql_suggestions import instead_of_name
+from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Node
 from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
 from ssduck.recording.replay.past import past_of
@@ -70,7 +77,7 @@ class Namespace:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
-        instead = instead_of_name(name)
+        instead = suggestion_for_name(name)
         raise UnknownNameError(
             f"there is no variable {short_repr(name)}" + (f"; {instead}" if instead else ""),
             suggestions=() if instead else nearest(name, self.names()),
@@ -164,17 +171,17 @@ class Namespace:
         """
         name = function.name
         known = self._functions.get(name)
-        if name in FIXED or name in TEMPORAL_FUNCTIONS:
+        if name in NOT_OVERRIDABLE or name in TEMPORAL_FUNCTIONS:
             raise ArgumentError(f"{name!r} is a part of the language; choose another name")
         is_users = known is not None and not known.builtin
-        if is_users or not (name in RELATIONS or name in NAMED or known is not None):
+        if is_users or not (name in RELATIONS or name in OPERATOR_NAMES or known is not None):
             self._functions[name] = function
             return
         if known is not None and unwrap(known.call) is function.call:
             return  # `addFunction('str', str)` of the published programs
         self._overrides[name] = known
         self._functions[name] = function
-        sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
+        sign = BINARY_SIGNS.get(name) or UNARY_SIGNS.get(name)
         part = f"the operator {sign}" if sign else f"the language's own {name}"
         sql_note = "; raw SQL keeps its own" if name in RELATIONS else ""
         warn(
@@ -224,7 +231,10 @@ class Namespace:
             fits, usage = count in relation.expressions, relation.usage
         elif name in self._functions:
             function = self._functions[name]
-            minimum, maximum = function.least, count if function.most is None else function.most
+            minimum, maximum = (
+                function.min_arguments,
+                count if function.max_arguments is None else function.max_arguments,
+            )
             fits, usage = minimum <= count <= maximum, f"see help('{name}')"
         else:
             raise unknown_function(node, self._known_functions())
@@ -332,5 +342,5 @@ def check_name(name: str, owner: str) -> None:
 
 def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
     function = Function.of(name, call, f"{about}\nUsage: {name}({usage})")
-    least = 1 if usage.endswith("...") else function.least
-    return replace(function, builtin=True, least=least)
+    min_arguments = 1 if usage.endswith("...") else function.min_arguments
+    return replace(function, builtin=True, min_arguments=min_arguments)

@@ -156,7 +156,7 @@ class Planner:
         """Returns the value of a relation outside a query, by a query of one row."""
         types = self._types_in(frame)
         planned, _ = self._plan_for(query, frame, types, cautious=True)
-        if planned.plan.left:
+        if planned.plan.python_parts:
             (call,) = query.items
             assert isinstance(call, Call)
             values = [
@@ -330,7 +330,7 @@ class Planner:
         resolved = resolve(query, shapes, types)
         names = {part.name for part in query.walk() if isinstance(part, Name)}
         deferred = {name: types.deferred(name) for name in names}
-        of_past = any(shape.moments for shape in shapes)
+        of_past = any(shape.past_kind for shape in shapes)
         rows = RowByRowQuery(
             query, resolved, self._scope, self._limits.depth, deferred, of_past=of_past
         )
@@ -353,7 +353,7 @@ class InterpreterTypes:
     """
 
     def __init__(self, scope: FunctionScope, frame: Frame, database: Database) -> None:
-        self.deepest = database.connection.meter.limits.depth
+        self.max_depth = database.connection.meter.limits.depth
         self._scope = scope
         self._frame = frame
         self._database = database
@@ -427,7 +427,7 @@ class InterpreterTypes:
     def fits(self, plan: Plan, shapes: Sequence[SourceType]) -> bool:
         """Checks whether a plan is right for these sources and the present variables."""
         return (
-            plan.shapes == shapes
+            plan.source_types == shapes
             and self.has_same_names(plan.bare)
             and self.has_same_lists(plan.deferred)
             and all(self.sql_type(node) == sql_type for node, sql_type in plan.constants.items())

@@ -18,11 +18,11 @@ from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (
     aliases_of,
+    cached_by_node,
     calls_of,
     changing,
     free_aliases,
     is_impure,
-    known,
     mentions,
     states,
 )
@@ -92,16 +92,16 @@ class PlannedQuery:
             compiler = ExpressionCompiler(
                 scope,
                 known,
-                frozenset(plan.once),
+                frozenset(plan.python_constants),
                 memorize=not is_impure(plan.query),
                 query=plan.query,
             )
-            self._clauses = Clauses(plan.rest, compiler)
+            self._clauses = Clauses(plan.python_clauses, compiler)
 
     @property
     def columns(self) -> tuple[SelectedValue, ...]:
         """The selected columns."""
-        return self.plan.rest.columns
+        return self.plan.python_clauses.columns
 
     def _column_reader(self, output: OutputColumn) -> Thunk:
         """Returns a function that reads the value of an SQL column from a frame."""
@@ -128,7 +128,7 @@ class PlannedQuery:
         return _parameter_values(self.plan, outer, self._by_alias(values))
 
     def _by_alias(self, values: Sequence[Any]) -> dict[str, Any]:
-        aliases = [shape.alias for shape in self.plan.shapes]
+        aliases = [source_type.alias for source_type in self.plan.source_types]
         return dict(zip(aliases, values, strict=True))
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
@@ -207,10 +207,12 @@ class PlannedQuery:
         registered = []
         try:
             for alias, name in plan.tables.items():
-                shape = next(shape for shape in plan.shapes if shape.alias == alias)
-                assert shape.sql_type is not None
+                source_type = next(
+                    source_type for source_type in plan.source_types if source_type.alias == alias
+                )
+                assert source_type.sql_type is not None
                 database.connection.register(
-                    name, arrow_table(elements_of(sources[alias]), shape.sql_type)
+                    name, arrow_table(elements_of(sources[alias]), source_type.sql_type)
                 )
                 registered.append(name)
             return database.connection.rows(plan.sql, parameters or None)
@@ -241,8 +243,11 @@ class PlannedQuery:
         plan = self.plan
         outer_elements: dict[str | None, Any] = dict(outer.elements)
         outer_elements.pop(None, None)
-        getters = [(shape.alias, self._element_reader(shape, sources)) for shape in plan.shapes]
-        only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
+        getters = [
+            (source_type.alias, self._element_reader(source_type, sources))
+            for source_type in plan.source_types
+        ]
+        only = plan.source_types[0].alias if len(plan.source_types) == 1 else None
         cached = {MEMOS: {}, **outer.cached}
         step = outer.scope.meter.step
         for columns in fetched:
@@ -255,13 +260,13 @@ class PlannedQuery:
             yield outer.row(elements, cached, columns)
 
     def _element_reader(
-        self, shape: SourceType, sources: Mapping[str, Any]
+        self, source_type: SourceType, sources: Mapping[str, Any]
     ) -> Callable[[tuple[Any, ...]], Any]:
         """Returns a function that reads the current element of a source."""
-        output = self.plan.elements[shape.alias]
+        output = self.plan.elements[source_type.alias]
         index = output.index
         if output.sql_type.type in ("any", "record"):
-            elements = elements_of(sources[shape.alias])
+            elements = elements_of(sources[source_type.alias])
             return lambda columns: elements[columns[index] - 1]
         convert = self._converters[output.sql_type]
         if convert is None:
@@ -302,7 +307,7 @@ def _graph_paths(
     count: Callable[[], None],
 ) -> Paths:
     """Returns the paths through a graph whose edges SQL has found, breadth first."""
-    root = Vertex[tuple[Any, ...]]((), found=False)
+    root = Vertex[tuple[Any, ...]]((), is_result=False)
     vertices = {(): root}
     for start, end, is_result, *items in edges:
         if tuple(end) not in vertices:
@@ -310,8 +315,8 @@ def _graph_paths(
         successors = vertices[tuple(start)].next
         if vertices[tuple(end)] not in successors:
             successors.append(vertices[tuple(end)])
-    paths = simple_paths(root.next, list(vertices.values())[1:], graph.longest, count)
-    limited = islice(paths, graph.most)
+    paths = simple_paths(root.next, list(vertices.values())[1:], graph.max_length, count)
+    limited = islice(paths, graph.max_paths)
     return Paths([Paths([Rows([step], names) for step in path]) for path in limited])
 
 
@@ -478,20 +483,22 @@ def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set
     return constants
 
 
-def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) -> bool:
+def is_small(query: Query, source_types: Sequence[SourceType], values: Sequence[Any]) -> bool:
     """Checks whether a query is faster row by row than as a statement.
 
     This is so for a search through short lists, and for a product of short lists: DuckDB takes
     half a millisecond and more to plan a statement, Python microseconds for a row.
     """
-    if any(not shape.has_values or shape.sql_type is None for shape in shapes):
+    if any(
+        not source_type.has_values or source_type.sql_type is None for source_type in source_types
+    ):
         return False
     if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
         return False
     return not any(map(_needs_sql, query.children()))
 
 
-@known
+@cached_by_node
 def _needs_sql(node: Node) -> bool:
     """Checks whether a part is or contains a relation or a query."""
     if isinstance(node, Query) or (isinstance(node, Call) and node.name in RELATIONS):

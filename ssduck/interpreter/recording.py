@@ -51,7 +51,7 @@ class RecordingMethods(ABC):
         Raises:
             ArgumentError: the world is not of this interpreter, or lacks an entity of the
                 recording.
-            UnsupportedError: the world is a record itself.
+            UnsupportedError: the world is itself a record.
         """
         if not isinstance(recording, Recording | None):
             raise ArgumentError(f"record takes a Recording or None, not {short_repr(recording)}")

@@ -19,7 +19,7 @@ from ssduck.language.clauses import LockstepSource
 from ssduck.language.tree import Query
 from ssduck.recording.replay.past import Past, PresentTick
 from ssduck.recording.replay.record import Record
-from ssduck.sql.plan import Moments, SourceType
+from ssduck.sql.plan import PastKind, SourceType
 from ssduck.sql.types import ANY, INTEGER, SqlType
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
@@ -157,12 +157,12 @@ def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if isinstance(value, World):
         return SourceType(alias, schema_of(value))
     if isinstance(value, Past):
-        moments: Moments = "window" if value.is_window else "instant"
+        past_kind: PastKind = "window" if value.is_window else "instant"
         return SourceType(
-            alias, schema_of(value.world), moments=moments, of_one=value.id is not None
+            alias, schema_of(value.world), past_kind=past_kind, is_one_entity=value.id is not None
         )
     if isinstance(value, PresentTick):
-        return SourceType(alias, schema_of(value.world), moments="now")
+        return SourceType(alias, schema_of(value.world), past_kind="now")
     elements = elements_of(value)
     sql_type = _element_type(elements, schema_of)
     dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))

@@ -26,33 +26,33 @@ from ssduck.language.tree import (
 
 T = TypeVar("T")
 
-# Calls that do something, or see more than their arguments: made row by row, in order.
+# Calls with side effects or hidden inputs; they are evaluated row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
 # Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.temporal_functions).
 OVER_TIME = frozenset(("since", "heldFor", "holds", "changes", "least"))
 
 
-def known(look: Callable[[Node], T]) -> Callable[[Node], T]:
-    """Caches a function of nodes: a planner calls it for each node, and for each that contains it.
+def cached_by_node(function: Callable[[Node], T]) -> Callable[[Node], T]:
+    """Caches a function of nodes by node.
 
-    Children are visited first, so that no call recurses.
+    Children are visited first, so that recursive calls in the function find cached results.
     """
     result: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
 
-    @wraps(look)
-    def once(node: Node) -> T:
+    @wraps(function)
+    def cached(node: Node) -> T:
         if node not in result:
             parts = [node]
-            for part in parts:  # which grows meanwhile
+            for part in parts:  # the loop appends to the list
                 parts.extend(child for child in part.children() if child not in result)
             for part in reversed(parts):
-                result[part] = look(part)
+                result[part] = function(part)
         return result[node]
 
-    return once
+    return cached
 
 
-@known
+@cached_by_node
 def free_aliases(node: Node) -> frozenset[str | None]:
     """Returns the aliases whose `this` a part mentions, and that no query in it has as a source."""
     if isinstance(node, This):
@@ -70,7 +70,7 @@ def free_aliases(node: Node) -> frozenset[str | None]:
         if not isinstance(child, Source):
             result |= free_aliases(child)
     result -= {None, *(source.alias for source in node.sources)}
-    for source in node.sources:  # a source sees what is around the query
+    for source in node.sources:  # a source depends on outer queries, not on this one
         result |= free_aliases(source)
     return frozenset(result)
 
@@ -80,7 +80,7 @@ def sees_outside(query: Query) -> bool:
     return bool(free_aliases(query))
 
 
-@known
+@cached_by_node
 def is_impure(node: Node) -> bool:
     """Checks whether evaluation has side effects, so that its order and number matter."""
     match node:
@@ -89,7 +89,7 @@ def is_impure(node: Node) -> bool:
         case Call(name=name) if name in IMPURE:
             return True
         case Recursion(start=start, step=step, stop=stop):
-            # State variables are nothing that anything else sees.
+            # State variables are visible only in the query.
             parts = (
                 part.value if isinstance(part, Assignment) else part for part in (*start, *step)
             )
@@ -97,22 +97,22 @@ def is_impure(node: Node) -> bool:
     return any(map(is_impure, node.children()))
 
 
-@known
+@cached_by_node
 def calls_of(node: Node) -> frozenset[str]:
     """Returns the functions that a part calls."""
-    own: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
-    own = (node.key,) if isinstance(node, QualifiedName) else own
-    own = (
-        node.operators if isinstance(node, OperatorChain) else own
+    names: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
+    names = (node.key,) if isinstance(node, QualifiedName) else names
+    names = (
+        node.operators if isinstance(node, OperatorChain) else names
     )  # users' functions may be among them
-    return frozenset(own).union(*map(calls_of, node.children()))
+    return frozenset(names).union(*map(calls_of, node.children()))
 
 
-@known
+@cached_by_node
 def forms_of(node: Node) -> frozenset[str]:
     """Returns the result forms that a part names."""
-    own = (node.name,) if isinstance(node, AdapterClause) else ()
-    return frozenset(own).union(*map(forms_of, node.children()))
+    names = (node.name,) if isinstance(node, AdapterClause) else ()
+    return frozenset(names).union(*map(forms_of, node.children()))
 
 
 def states(query: Query) -> frozenset[str]:
@@ -133,7 +133,7 @@ def mentions(node: Node, names: Collection[str]) -> bool:
     return not variables_of(node).isdisjoint(names)
 
 
-@known
+@cached_by_node
 def variables_of(node: Node) -> frozenset[str]:
     """Returns the variables that a node reads.
 
@@ -141,9 +141,9 @@ def variables_of(node: Node) -> frozenset[str]:
     >>> sorted(variables_of(parse("x = y + z{1.0};").statements[0]))
     ['y', 'z']
     """
-    own = (node.name,) if isinstance(node, Name | TimeIndex) else ()
-    own = (node.alias,) if isinstance(node, QualifiedName) else own
-    return frozenset(own).union(*map(variables_of, node.children()))
+    names = (node.name,) if isinstance(node, Name | TimeIndex) else ()
+    names = (node.alias,) if isinstance(node, QualifiedName) else names
+    return frozenset(names).union(*map(variables_of, node.children()))
 
 
 def aliases_of(query: Query) -> list[str]:
@@ -161,7 +161,7 @@ def aliases_of(query: Query) -> list[str]:
     for index, alias in enumerate(aliases):
         if alias in aliases[:index]:
             raise ArgumentError(
-                f"two sources are called {alias!r}; write FROM a={alias}, b=…",
+                f"two sources have the name {alias!r}; write FROM a={alias}, b=…",
                 span=query.sources[index].span,
             )
     return aliases

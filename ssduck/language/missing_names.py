@@ -9,7 +9,7 @@ from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownN
 from ssduck.formatting import first_line, short_repr
 
 
-def no_element(
+def missing_source_error(
     alias: str | None, elements: Mapping[str | None, Any], span: SourceSpan
 ) -> SelectScriptError:
     """Returns the error for `this`, or `alias.this`, where there is no such source."""
@@ -28,7 +28,7 @@ def no_element(
     )
 
 
-def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
+def unknown_name_error(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
     """Returns the error for a bare name that is no key of the current element, a dict."""
     texts = [key for key in keys if isinstance(key, str)]
     return UnknownNameError(
@@ -37,7 +37,7 @@ def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownName
     )
 
 
-def is_a_key(name: str) -> UnknownNameError:
+def key_not_variable_error(name: str) -> UnknownNameError:
     """Returns the error for an unknown variable whose name is a key of the current element."""
     return UnknownNameError(
         f"there is no variable {short_repr(name)}; write this.{first_line(name)}"

@@ -1,7 +1,7 @@
 """Chains of operators of one precedence level, and the nodes that they become.
 
-A few are nested as they are evaluated, from the left. Many are kept flat, so that neither parsing
-nor evaluating them is nested deeply.
+Few operands are nested from the left. Many are kept in a flat node, so that neither parsing nor
+evaluation recurses deeply.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from ssduck.errors import SourceSpan
 from ssduck.language.tree import Binary, Node, OperatorChain
 
-# So many operands are nested. It is less than what a statement of SQL may nest.
+# The largest number of nested operands; SQL allows more.
 MAX_NESTING = 32
-# So many conditions are joined in SQL; DuckDB's time grows with their square.
+# The largest number of joined conditions in SQL; DuckDB's time grows with their square.
 MAX_CHAIN = 400
 
 

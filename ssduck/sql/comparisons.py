@@ -9,7 +9,7 @@ from ssduck.sql.types import BOOLEAN, SqlType, merged
 
 COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 # Of these values none is equal to one of another kind.
-_APART = ("string", "list", "number")
+_DISJOINT_KINDS = ("string", "list", "number")
 
 
 def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
@@ -18,14 +18,14 @@ def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlV
         raise NotSqlError  # NULL is equal to nothing, not even to NULL
     kinds = tuple("number" if v.sql_type.is_number else v.sql_type.type for v in (left, right))
     equality = sign in ("==", "!=")
-    if equality and kinds[0] != kinds[1] and all(kind in _APART for kind in kinds):
+    if equality and kinds[0] != kinds[1] and all(kind in _DISJOINT_KINDS for kind in kinds):
         return SqlValue(exp.convert(sign == "!="), BOOLEAN)
-    alike = kinds in (("number", "number"), ("string", "string")) or (
+    comparable = kinds in (("number", "number"), ("string", "string")) or (
         equality and _may_be_equal(left.sql_type, right.sql_type)
     )
     if kinds == ("number", "number") and (left.may_exceed_double or right.may_exceed_double):
-        alike = left.sql_type.type == right.sql_type.type == "integer"
-    if not alike:
+        comparable = left.sql_type.type == right.sql_type.type == "integer"
+    if not comparable:
         raise NotSqlError
     kind = COMPARISONS[sign]
     if kinds == ("entity", "entity"):

@@ -18,7 +18,7 @@ from ssduck.sql.types import BOOLEAN, DOUBLE, INTEGER, STRING, Signature, SqlTyp
 class WorldNames:
     """The names of a program that has worlds and nothing else."""
 
-    deepest = 1000
+    max_depth = 1000
 
     def has_variable(self, name: str) -> bool:  # noqa: ARG002
         """Checks whether there is a variable of that name."""

@@ -48,10 +48,10 @@ def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, P
             continue
         given = [
             source.value
-            for source, shape in zip(query.sources, plan.shapes, strict=True)
-            if shape.has_values
+            for source, source_type in zip(query.sources, plan.source_types, strict=True)
+            if source_type.has_values
         ]
-        yield from _plans(outermost([*given, *plan.constants, *plan.once]), plan_of)
+        yield from _plans(outermost([*given, *plan.constants, *plan.python_constants]), plan_of)
 
 
 def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:
@@ -59,8 +59,8 @@ def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) 
         lines = [f"-- row by row in Python: {_source(text, query)}"]
     else:
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
-        lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
-        lines += [f"-- left to Python: {clause}" for clause in plan.rest.clauses]
+        lines += [f"-- left to Python: {_source(text, node)}" for node in plan.python_parts]
+        lines += [f"-- left to Python: {clause}" for clause in plan.python_clauses.clauses]
     return "\n".join([*lines, *_narrow_phase_lines(query), *_inexact_lines(query, stand_ins)])
 
 

@@ -111,7 +111,7 @@ class Expressions(ExpressionScope):
                 return self._index(node)
             case ListLiteral(items=items):
                 return list_of(self.context, [self.value(item) for item in items])
-            case If(otherwise=(otherwise,)) if len(node.further) < MAX_NESTING:
+            case If(otherwise=(otherwise,)) if len(node.else_ifs) < MAX_NESTING:
                 return self._choice(node, otherwise)
         raise NotSqlError
 

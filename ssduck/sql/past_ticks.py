@@ -19,7 +19,7 @@ class QueryTicks:
     Args:
         context: what all expressions of the statement share.
         rows: the current element of each source, by alias.
-        around: the same of the query around this one.
+        outer: the same of the query around this one.
 
     Attributes:
         joined_entities: handles at the ticks of rows of the past, by both; and pairs of entities.
@@ -28,11 +28,11 @@ class QueryTicks:
     """
 
     def __init__(
-        self, context: StatementContext, rows: Mapping[str, SqlValue], around: QueryTicks | None
+        self, context: StatementContext, rows: Mapping[str, SqlValue], outer: QueryTicks | None
     ) -> None:
         self._context = context
         self._rows = rows
-        self._around = around
+        self._around = outer
         self.joined_entities: dict[tuple[str, ...], JoinedEntity] = {}
         self._parameters: dict[str, exp.Expr] = {}
         self.tick_ranges: dict[str, TickRange] = {}
@@ -163,8 +163,8 @@ class QueryTicks:
 
     def _all_rows(self) -> list[SqlValue]:
         """Returns the current elements of all sources, those of outer queries first."""
-        around = self._around._all_rows() if self._around is not None else []  # noqa: SLF001
-        return [*around, *self._rows.values()]
+        outer = self._around._all_rows() if self._around is not None else []  # noqa: SLF001
+        return [*outer, *self._rows.values()]
 
     def _is_of_own_row(self, tick: exp.Expr) -> bool:
         """Checks whether a tick is that of a source of this query, and not of one around it."""

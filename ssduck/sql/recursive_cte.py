@@ -72,7 +72,9 @@ def recursive_search(
     levels = _number(recursion.memorize)
     place = SqlType("list", INTEGER)
     return RecursiveSearch(
-        search.edges(levels), (place, place, BOOLEAN, *items), PathSearch(levels, search.most())
+        search.edges(levels),
+        (place, place, BOOLEAN, *items),
+        PathSearch(levels, search.path_limit()),
     )
 
 
@@ -105,7 +107,7 @@ class _Search:
             raise NotSqlError
         self.stop = sql.condition(recursion.stop)
         where = query.where
-        self.found = self.stop if where is None else sql.condition(where)
+        self.is_result = self.stop if where is None else sql.condition(where)
         sql.context.note_possible_failure()  # it may be too broad
 
     def _started(self, value: tree.Node) -> SqlValue:
@@ -162,10 +164,10 @@ class _Search:
         select = select.where(_column(_PATHS, "found")).order_by(_column(_PATHS, "place"))
         union = exp.union(self._first(), self._following(), distinct=False)
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
-        most = self.most()
-        return select if most is None else select.limit(most)
+        path_limit = self.path_limit()
+        return select if path_limit is None else select.limit(path_limit)
 
-    def most(self) -> int | None:
+    def path_limit(self) -> int | None:
         """Returns the limit of paths."""
         limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
         return min(map(_number, limits), default=None)
@@ -210,7 +212,7 @@ class _Search:
         )
 
     def _steps(self) -> exp.Select:
-        ends = exp.paren(self.found.copy())
+        ends = exp.paren(self.is_result.copy())
         states = [
             exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.names.values()
         ]
@@ -249,7 +251,7 @@ class _Search:
         for name, element in self.entities.items():
             is_state = exp.EQ(this=element.value.sql, expression=self._state_column(name))
             select = select.where(is_state)
-        goes_on = exp.or_(self.found.copy(), exp.Not(this=exp.paren(self.stop.copy())))
+        goes_on = exp.or_(self.is_result.copy(), exp.Not(this=exp.paren(self.stop.copy())))
         return select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
 
     def _open(self) -> exp.Expr:
@@ -257,7 +259,7 @@ class _Search:
         count = exp.Window(this=exp.Count(this=exp.Star()))
         many = exp.GT(this=count, expression=exp.Literal.number(MAX_OPEN_STATES))
         length = exp.func("len", _column(_PATHS, "item 0"))
-        deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.deepest))
+        deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.max_depth))
         endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), deep)
         checked = exp.case().when(exp.or_(many, endless), failure(BOOLEAN)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
@@ -331,7 +333,7 @@ class _Search:
         place = exp.Anonymous(
             this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
         )
-        result = exp.alias_(exp.paren(self.found.copy()), "found")
+        result = exp.alias_(exp.paren(self.is_result.copy()), "found")
         states = self._as_states(self.next)
         select = exp.select(*states, *items, exp.alias_(place, "place"), result)
         known = exp.select(exp.Literal.number(1)).from_(
@@ -345,8 +347,8 @@ class _Search:
 
     def _checked(self, levels: int) -> exp.Expr:
         """Returns the rows of the last level; too many levels, and Python tells so."""
-        deepest = exp.Literal.number(self.sql.names.deepest)
-        deep = exp.GTE(this=self._level(), expression=deepest)
+        max_depth = exp.Literal.number(self.sql.names.max_depth)
+        deep = exp.GTE(this=self._level(), expression=max_depth)
         checked = exp.case().when(deep, failure(BOOLEAN)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(self._within(levels))
         rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))

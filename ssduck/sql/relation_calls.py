@@ -28,7 +28,7 @@ def expanded(
         name: the column to be taken instead of `name`, for a relation that yields an entity.
     """
 
-    def put_in(part: exp.Expr) -> exp.Expr:
+    def substitute(part: exp.Expr) -> exp.Expr:
         if not isinstance(part, exp.Column):
             return part
         if (part.table or part.name) not in values:
@@ -39,7 +39,7 @@ def expanded(
         assert column is not None, f"{part.table} has no columns"
         return column(name if name is not None and part.name == "name" else part.name)
 
-    result: exp.Expr = formula.copy().transform(put_in)
+    result: exp.Expr = formula.copy().transform(substitute)
     return exp.paren(result) if isinstance(result, exp.Connector | exp.In) else result
 
 

@@ -33,7 +33,7 @@ class ExpressionScope(ABC):
 
     Args:
         context: what all expressions of the statement share.
-        around: the expressions of the query around this one.
+        outer: the expressions of the query around this one.
 
     Attributes:
         rows: the current element of each source, by alias.
@@ -42,15 +42,15 @@ class ExpressionScope(ABC):
         ticks: at which ticks its entities are.
     """
 
-    def __init__(self, context: StatementContext, around: ExpressionScope | None = None) -> None:
+    def __init__(self, context: StatementContext, outer: ExpressionScope | None = None) -> None:
         self.context = context
         self.names = context.names
-        self.around = around
+        self.outer = outer
         self.rows: dict[str, SqlValue] = {}
         self.only: str | None = None
-        self.locals: Mapping[str, SqlValue] = around.locals if around else {}
+        self.locals: Mapping[str, SqlValue] = outer.locals if outer else {}
         self._are_constant: dict[Node, bool] = {}
-        self.ticks: QueryTicks = QueryTicks(context, self.rows, around.ticks if around else None)
+        self.ticks: QueryTicks = QueryTicks(context, self.rows, outer.ticks if outer else None)
 
     def inside(self) -> Self:
         """Returns the expressions of a query nested in this one."""
@@ -64,7 +64,7 @@ class ExpressionScope(ABC):
         if name is not None and name in self.rows:
             return self.rows[name]
         # `this` alone is never that of a query further out.
-        return self.around.element(alias) if self.around and alias is not None else None
+        return self.outer.element(alias) if self.outer and alias is not None else None
 
     def is_constant(self, node: Node) -> bool:
         """Checks whether the node has the same value for all rows of the statement."""

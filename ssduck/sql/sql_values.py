@@ -190,12 +190,12 @@ def copied(sql: exp.Expr) -> exp.Expr:
 def with_values(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
     """Returns a transformation that replaces parameters by values; those without one stay."""
 
-    def put_in(part: exp.Expr) -> exp.Expr:
+    def substitute(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Parameter) and part.name in values:
             return literal(values[part.name])
         return part
 
-    return put_in
+    return substitute
 
 
 def column_type(name: str) -> SqlType:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ssduck.language.analysis import known
+from ssduck.language.analysis import cached_by_node
 from ssduck.language.tree import Call, Name, Node, QualifiedName, UnresolvedName
 from ssduck.sql.relations.registry import RELATIONS
 
 
-@known
+@cached_by_node
 def tables_of(node: Node) -> frozenset[str]:
     """Returns the tables that relations in a part look things up in, and masses."""
     own: frozenset[str] = frozenset()

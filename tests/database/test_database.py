@@ -136,7 +136,7 @@ def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
     interpreter, _, _ = sim
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
-        with pytest.raises(ssduck.SelectScriptError, match="upper from lower case"):
+        with pytest.raises(ssduck.SelectScriptError, match="SQL ignores case"):
             interpreter.add_variable("Sim", kitchen)
     assert len(interpreter.eval("SELECT id FROM sim;")) == 3
 

@@ -125,7 +125,7 @@ MISTAKES = [
         "SELECT id FROM kitchen, kitchen;",
         ArgumentError,
         "kitchen",
-        "two sources are called 'kitchen'",
+        "two sources have the name 'kitchen'",
         [],
     ),
     (

@@ -277,9 +277,9 @@ def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     assert len(world["barrett_4918"].joints) == len(world["barrett_4918"].links) - 1
     with pytest.raises(UnsupportedError, match="recorded tick"):
         cup.move([0, 0, 1])
-    with pytest.raises(UnsupportedError, match="is a record itself"):
+    with pytest.raises(UnsupportedError, match="is itself a record"):
         opened.record("kitchen", Recording())
-    with pytest.raises(UnsupportedError, match="is a record itself"):
+    with pytest.raises(UnsupportedError, match="is itself a record"):
         opened.record_to("elsewhere", "kitchen")
     assert not Path("elsewhere").exists()
 

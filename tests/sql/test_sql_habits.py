@@ -426,7 +426,7 @@ REFUSED = [
     ("CASE WHEN 1 THEN 2 END;", "END", "ELSE"),
     ("CASE WHEN 1 THEN 2 ELSE 3;", ";", "END"),
     ("CASE 1 THEN 2 END;", "THEN", "WHEN"),
-    ("WITH a AS (SELECT 1) SELECT id FROM a;", "a", "name what a query gives"),
+    ("WITH a AS (SELECT 1) SELECT id FROM a;", "a", "name the result of a query"),
     ("INSERT INTO kitchen VALUES (1);", "INTO", "ss.sql"),
     ("UPDATE kitchen SET z = 1;", "kitchen", "ss.sql"),
     ("DELETE FROM kitchen;", "FROM", "ss.sql"),
