@@ -30,7 +30,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.paths import given_path
+from ssduck.recording.paths import expand_path
 from ssduck.recording.recorder import Recorder
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
@@ -94,7 +94,7 @@ class Connection:
         # The name of an unknown table is an error, not a Python variable of the caller.
         self.run("SET python_enable_replacements = false")
         if self.is_file:
-            self.run("SET wal_autocheckpoint = '1TB'")  # see Writer.settle
+            self.run("SET wal_autocheckpoint = '1TB'")  # see WriterConnection.checkpoint
 
     def apply_limits(self) -> None:
         """Applies the limits of memory and files to all later statements."""
@@ -362,7 +362,7 @@ def _absolute_path(path: str, *, is_written: bool = False) -> str:
         SqlError: DuckDB would misread a character of the path.
     """
     try:
-        absolute = str(given_path(path).absolute())
+        absolute = str(expand_path(path).absolute())
         absolute.encode()
     except (OSError, RuntimeError, ValueError) as error:
         raise SqlError(f"{short_repr(path)} is not the path of a file: {error}") from error
@@ -398,7 +398,7 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], pr
     if os.getpid() != process:
         return
     if any(
-        recorder.is_stored_here for recorder in recorders
+        recorder.is_writer_thread for recorder in recorders
     ):  # in its own thread, by garbage collection
         threading.Thread(target=_finish, args=(connection, recorders, process)).start()
         return

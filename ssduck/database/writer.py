@@ -47,7 +47,7 @@ class WriterConnection:
         with self._lock, _storing_errors():
             self._connection.execute(sql).fetchall()
 
-    def settle(self) -> None:
+    def checkpoint(self) -> None:
         """Makes DuckDB move stored rows from its log into its file, if there are many.
 
         DuckDB would do so by itself, but invalidates the database if the disk is full then.

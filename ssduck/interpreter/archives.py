@@ -14,7 +14,7 @@ from sqlglot import exp
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest
 from ssduck.recording.episode import Episode
-from ssduck.recording.paths import given_path
+from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
@@ -61,7 +61,7 @@ def episodes(path: str | Path) -> list[Episode]:
     """
     database = Database(":memory:", None)
     try:
-        return [run.episode for run in recorded_runs(given_path(path), database)]
+        return [run.episode for run in recorded_runs(expand_path(path), database)]
     finally:
         database.close()
 
@@ -126,7 +126,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     archive: ParquetArchive | DuckDBStore
     if isinstance(run, FolderRun):
         tables = [table for table in run.tables if table in RECORDABLE]
-        recording = _recording({**run.recording, "tables": tables}, run.about)
+        recording = _recording({**run.recording, "tables": tables}, run.about_file)
         archive = ParquetArchive(run, recording, database.connection.writer())
         ticks, models = archive.ticks, archive.model_rows()
     else:
@@ -146,7 +146,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         members_of(models),
         archive.tables,
         archive.fetch,
-        lambda tick: archive.near(tick, None),
+        lambda tick: archive.near_pairs(tick, None),
         geometries_of(models),
         number,
     )

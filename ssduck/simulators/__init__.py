@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ssduck.simulators.interface import (
         Body,
         CameraView,
-        Contact,
+        ContactPoints,
         Joint,
         Link,
         LinkPoses,
@@ -30,7 +30,7 @@ __all__ = [
     "SENSOR_TYPES",
     "Body",
     "CameraView",
-    "Contact",
+    "ContactPoints",
     "Joint",
     "Link",
     "LinkPoses",
@@ -48,7 +48,7 @@ __getattr__, __dir__ = exports(
         "backends": ("backend",),
         "interface": (
             "Body",
-            "Contact",
+            "ContactPoints",
             "LinkPoses",
             "RayHits",
             "Joint",

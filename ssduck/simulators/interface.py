@@ -1,6 +1,6 @@
 """The interface between ssduck and a simulator.
 
-A simulator describes its bodies once and then answers, tick after tick, where their links are.
+A simulator describes its bodies once, and returns the poses of their links tick after tick.
 Link 0 of a body is its base, link i + 1 is the link of joint i. Poses are those of the link frames
 (not of the centres of mass), in the world frame. Lengths are metres, angles radians, and
 quaternions w, x, y, z.
@@ -8,7 +8,7 @@ quaternions w, x, y, z.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
@@ -24,7 +24,7 @@ from ssduck.simulators.scenes import Camera
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
 # The types of joints whose position is one number.
 SCALAR_JOINTS = ("revolute", "prismatic")
-# The simulator of worlds that name no other.
+# The simulator of worlds that do not name one.
 DEFAULT_BACKEND = "pybullet"
 
 
@@ -143,32 +143,35 @@ class LinkPoses:
 
 
 @dataclass(frozen=True)
-class Contact:
-    """A contact point of the physics solver, in the world; the normal points from b to a.
+class ContactPoints:
+    """Contact points of the physics solver, in the world; normals point from body b to body a.
 
     Attributes:
-        body_a: the handle of body a.
-        link_a: the link of body a.
-        body_b: the handle of body b.
-        link_b: the link of body b.
-        point_a: on a.
-        point_b: on b.
-        normal: of length 1.
-        depth: how deep the shapes are in each other, m.
-        force: along the normal, N.
-        friction: the friction force on a, N.
+        bodies: (n, 2), the handles of bodies a and b.
+        links: (n, 2), the links of bodies a and b.
+        points: (n, 2, 3), the points on a and on b, m.
+        normals: (n, 3), of length 1.
+        depths: (n,), the penetration depths, m.
+        forces: (n,), the forces along the normals, N.
+        frictions: (n, 3), the friction forces on a, N.
     """
 
-    body_a: int
-    link_a: int
-    body_b: int
-    link_b: int
-    point_a: tuple[float, float, float]
-    point_b: tuple[float, float, float]
-    normal: tuple[float, float, float]
-    depth: float
-    force: float
-    friction: tuple[float, float, float]
+    bodies: Indices
+    links: Indices
+    points: Array
+    normals: Array
+    depths: Array
+    forces: Array
+    frictions: Array
+
+    @classmethod
+    def none(cls) -> ContactPoints:
+        """Returns no contact points."""
+        pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
+        return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
+
+    def __len__(self) -> int:
+        return len(self.depths)
 
 
 @dataclass(frozen=True)
@@ -223,9 +226,8 @@ class CameraView:
 class Simulator(Protocol):
     """One running simulation.
 
-    Ticks need `describe`, the properties and the methods `read_…`. Each of the other methods is
-    needed by one function of worlds. A simulator that cannot do what a method says raises
-    `UnsupportedError` there.
+    Ticks need `describe`, the properties and the methods `read_…`. Each of the other methods serves
+    one function of worlds. A method that a simulator does not support raises `UnsupportedError`.
     """
 
     @property
@@ -285,8 +287,8 @@ class Simulator(Protocol):
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes, m; the last known ones if a body is gone."""
 
-    def read_contacts(self) -> Iterable[Contact]:
-        """Returns the contacts of the last step."""
+    def read_contacts(self) -> ContactPoints:
+        """Returns the contact points of the last step."""
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits now.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -11,7 +11,7 @@ import numpy as np
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Contact, LinkPoses
+from ssduck.simulators.interface import DEFAULT_BACKEND, Body, ContactPoints, LinkPoses
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,11 +22,11 @@ class StaticSimulator:
 
     Attributes:
         time: simulated seconds.
-        link_poses: the poses of the links, by the bodies that are read together.
+        link_poses: the poses of the links, by the sequence of bodies that are read together.
         joints: position, velocity and effort of each body's joints, (joints, 3).
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
-        description: the name of such a world in errors.
+        description: the noun for the world in errors.
         backend: the backend that makes running simulations of its bodies.
     """
 
@@ -64,15 +64,15 @@ class StaticSimulator:
         """Returns the margins as described."""
         return [body.margins for body in bodies]
 
-    def read_contacts(self) -> Iterable[Contact]:
+    def read_contacts(self) -> ContactPoints:
         """Returns no contacts: they come from a physics solver."""
-        return ()
+        return ContactPoints.none()
 
     def step(self, count: int) -> None:  # noqa: ARG002
         """Raises `UnsupportedError`."""
         raise UnsupportedError(
             f"{self.description} is not simulated: it cannot be stepped; step the world that it "
-            "was taken of"
+            "was taken from"
         )
 
     def _refuse_change(self, *_: Any) -> NoReturn:

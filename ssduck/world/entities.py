@@ -325,15 +325,15 @@ class Entity(OpenRaveEntity):
     def visible(self, on: bool) -> None:
         self.state.show(self, on)
 
-    def body_of(self, member: EntityInfo, verb: str) -> Body:
+    def body_of(self, info: EntityInfo, verb: str) -> Body:
         """What it is made of, by its entry in the world; `verb` says what for.
 
         Raises:
             ArgumentError: it is a sensor.
         """
-        if member.body is None:
+        if info.body is None:
             raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
-        return member.body
+        return info.body
 
     def column(self, name: str) -> Any:
         """Its value in a column of the table of entities; None for an unknown one."""
@@ -473,8 +473,8 @@ class Sensor(OpenRaveSensor, Entity):
     @property
     def host(self) -> int:
         """The id of the body that it sits on."""
-        member = self.state.snapshot.entities[self._row()]
-        return member.mount[0]
+        info = self.state.snapshot.entities[self._row()]
+        return info.mount[0]
 
     @property
     def spec(self) -> SensorSpec:

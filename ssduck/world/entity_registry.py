@@ -45,13 +45,13 @@ class EntityRegistry:
             return
         came, gone = changes
         gone_bodies = set(gone)
-        gone_ids = {member.id for member in self.entities if member.body in gone_bodies}
+        gone_ids = {info.id for info in self.entities if info.body in gone_bodies}
         self.entities = [
-            member
-            for member in self.entities
-            if member.id not in gone_ids and member.mount[0] not in gone_ids
+            info
+            for info in self.entities
+            if info.id not in gone_ids and info.mount[0] not in gone_ids
         ]
-        taken = {member.name for member in self.entities}
+        taken = {info.name for info in self.entities}
         for body in came:
             name = _unique(body.name, taken)
             taken.add(name)
@@ -59,7 +59,7 @@ class EntityRegistry:
 
     def of(self, id: int) -> EntityInfo | None:
         """The member of that id; None if it is there no longer."""
-        return next((member for member in self.entities if member.id == id), None)
+        return next((info for info in self.entities if info.id == id), None)
 
     def add_sensor(
         self, type: str, host: EntityInfo, name: str | None, settings: Mapping[str, Any]
@@ -75,7 +75,7 @@ class EntityRegistry:
         Raises:
             ArgumentError: the name is taken, or a setting is wrong.
         """
-        taken = {member.name for member in self.entities}
+        taken = {info.name for info in self.entities}
         if name in taken:
             raise ArgumentError(f"add_sensor: name: {name!r} is there already")
         values = {
@@ -86,16 +86,16 @@ class EntityRegistry:
         }
         try:
             spec = read_sensor(values, [host.name])
-            (member,) = self._mounted([next(self._ids)], [spec])
+            (info,) = self._mounted([next(self._ids)], [spec])
         except SceneError as error:
             message = f"add_sensor: {error.message.removeprefix('sensor[0].')}"
             raise ArgumentError(message, suggestions=error.suggestions) from error
-        self.entities = [*self.entities, member]
-        return member
+        self.entities = [*self.entities, info]
+        return info
 
     def remove(self, id: int) -> None:
         """Take a sensor away."""
-        self.entities = [member for member in self.entities if member.id != id]
+        self.entities = [info for info in self.entities if info.id != id]
 
     def host(self, on: str | Entity, world: str) -> EntityInfo:
         """The body that a sensor is to sit on.
@@ -110,13 +110,13 @@ class EntityRegistry:
             ArgumentError: it is a sensor.
         """
         if isinstance(on, Entity):
-            found = [member for member in self.entities if member.id == on.id]
+            found = [info for info in self.entities if info.id == on.id]
             if not found:
                 raise on.removed()
         else:
-            found = [member for member in self.entities if member.name == on]
+            found = [info for info in self.entities if info.name == on]
         if not found:
-            known = [member.name for member in self.entities if member.body is not None]
+            known = [info.name for info in self.entities if info.body is not None]
             raise UnknownNameError(
                 f"world {world!r} has no body {on!r}", suggestions=nearest(on, known)
             )
@@ -126,7 +126,7 @@ class EntityRegistry:
 
     def _mounted(self, ids: Iterable[int], specs: Sequence[SensorSpec]) -> list[EntityInfo]:
         """The sensors on the bodies that carry them."""
-        by_name = {member.name: member for member in self.entities}
+        by_name = {info.name: info for info in self.entities}
         sensors = []
         for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
             host = by_name[spec.on]

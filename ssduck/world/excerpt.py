@@ -1,4 +1,4 @@
-"""Excerpts: new, running simulations of some bodies as they are at a tick."""
+"""Copies entities of a tick into a new, running simulation."""
 
 from __future__ import annotations
 
@@ -14,46 +14,48 @@ from ssduck.world.snapshot import Snapshot
 
 
 def excerpt(
-    snapshot: Snapshot, chosen: Collection[int], source: Simulator
+    snapshot: Snapshot, ids: Collection[int], source: Simulator
 ) -> tuple[Simulator, list[SensorSpec]]:
-    """A new simulation of some entities of a tick, and the sensors that are among them.
+    """Returns a new simulation of some entities of a tick, and the sensors among them.
 
     Args:
         snapshot: the tick.
-        chosen: the ids of the entities; a sensor brings the body that it sits on.
-        source: what runs them now.
+        ids: the ids of the entities; with a sensor, its body is copied, too.
+        source: the simulator to copy from.
     """
-    members = {member.id: member for member in snapshot.load_order}
-    everyone = {*chosen, *(members[id].mount[0] for id in chosen if members[id].sensor is not None)}
-    sensors = sensors_of(snapshot, everyone)
-    originals = list(originals_of(snapshot, everyone))
+    by_id = {info.id: info for info in snapshot.load_order}
+    with_hosts = {*ids, *(by_id[id].mount[0] for id in ids if by_id[id].sensor is not None)}
+    sensors = sensors_of(snapshot, with_hosts)
+    originals = list(originals_of(snapshot, with_hosts))
     return backend(source.backend).excerpt(source, originals, tick_of(snapshot)), sensors
 
 
 def tick_of(snapshot: Snapshot) -> TickToCopy:
-    """What a tick tells of all of its bodies."""
+    """Returns the state of a tick as a whole, to be copied."""
     return TickToCopy(snapshot.time, snapshot.disabled, snapshot.hidden)
 
 
-def sensors_of(snapshot: Snapshot, chosen: Container[int]) -> list[SensorSpec]:
-    """The sensors of a tick that are among these entities, on or off as they are."""
+def sensors_of(snapshot: Snapshot, ids: Container[int]) -> list[SensorSpec]:
+    """Returns the specifications of the sensors among some entities, powered as at the tick."""
     return [
-        replace(member.sensor, powered=snapshot.sensing.is_on(member.id))
-        for member in snapshot.load_order
-        if member.sensor is not None and member.id in chosen
+        replace(info.sensor, powered=snapshot.sensing.is_on(info.id))
+        for info in snapshot.load_order
+        if info.sensor is not None and info.id in ids
     ]
 
 
-def originals_of(snapshot: Snapshot, chosen: Container[int]) -> Iterator[BodyToCopy]:
-    """What a tick tells of some bodies, in load order."""
-    where = {body: (part, told) for part, told in snapshot.body_groups for body in part.bodies}
+def originals_of(snapshot: Snapshot, ids: Container[int]) -> Iterator[BodyToCopy]:
+    """Yields the bodies among some entities with their states at a tick, in load order."""
+    groups = {
+        body: (group, poses) for group, poses in snapshot.body_groups for body in group.bodies
+    }
     joints = snapshot.joints() if snapshot.has("joints") else {}
-    for member in snapshot.load_order:
-        body = member.body
-        if body is None or member.id not in chosen:
+    for info in snapshot.load_order:
+        body = info.body
+        if body is None or info.id not in ids:
             continue
-        part, told = where[body]
-        run = part.runs[body]
-        link_poses = LinkPoses(told.positions[run], told.matrices[run], told.states[run])
+        group, poses = groups[body]
+        run = group.runs[body]
+        link_poses = LinkPoses(poses.positions[run], poses.matrices[run], poses.states[run])
         unknown = np.full((len(body.joints), 3), np.nan)
-        yield BodyToCopy(member.name, body, link_poses, joints.get(body, unknown)[:, :2])
+        yield BodyToCopy(info.name, body, link_poses, joints.get(body, unknown)[:, :2])

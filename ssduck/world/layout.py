@@ -1,8 +1,8 @@
-"""Where the entities of a world go in its tables.
+"""Lays out the entities of a world as rows of its tables.
 
 A `BodyGroup` is a set of bodies that are read together: those that can move, or those that cannot.
-What does not depend on their poses is worked out once; each tick then costs a few operations
-on whole arrays.
+Values that do not depend on poses are computed once, so that each tick costs a few operations on
+whole arrays.
 """
 
 from __future__ import annotations
@@ -24,9 +24,15 @@ from ssduck.simulators.scenes import SensorSpec
 
 @dataclass(frozen=True, eq=False)
 class EntityInfo:
-    """An entity as the tables know it: a body, or a sensor on one.
+    """The description of an entity: a body, or a sensor on one.
 
     Attributes:
+        id: the id of the entity.
+        name: its name, unique in the world.
+        kind: robot, kinbody or sensor.
+        parent: of a sensor, the name of its body.
+        body: of a robot or a kinbody, the body of the simulator.
+        sensor: of a sensor, its specification.
         mount: of a sensor, the id of its body and the number of the link.
     """
 
@@ -40,16 +46,16 @@ class EntityInfo:
 
     @property
     def mass(self) -> float:
-        """Kilograms; 0 for a sensor and for what cannot move."""
+        """The mass of all links, kg; 0 for a sensor and for a body that cannot move."""
         return sum(self.masses)
 
     @property
     def masses(self) -> list[float]:
-        """Those of the links, kg."""
+        """The masses of the links, kg; empty for a sensor."""
         return [link.mass for link in self.body.links] if self.body else []
 
     def with_masses(self, masses: Sequence[float]) -> EntityInfo:
-        """The same entity with other masses of its links, kg."""
+        """Returns the entity with other masses of its links, kg."""
         if self.body is None or list(masses) == self.masses:
             return self
         links = (
@@ -58,42 +64,42 @@ class EntityInfo:
         return replace(self, body=replace(self.body, links=tuple(links)))
 
 
-def margins_of(members: Iterable[EntityInfo]) -> float:
-    """How far apart two shapes of some entities may be that touch by their margins, metres."""
-    bodies = (member.body for member in members if member.body is not None)
+def margins_of(entities: Iterable[EntityInfo]) -> float:
+    """Returns the largest distance of two shapes of entities whose margins touch, m."""
+    bodies = (info.body for info in entities if info.body is not None)
     return 2.0 * max((shape.margin for body in bodies for shape in body.shapes), default=0.0)
 
 
 class TableLayout:
-    """The rows of some entities in their world's tables.
+    """The rows of entities in the tables of their world.
 
     Args:
-        members: the entities, in load order.
-        is_external: whether bodies that cannot move by themselves may be moved by others.
+        entities: the entities, in load order.
+        is_external: whether users of the client may move bodies that the simulator cannot move.
 
     Attributes:
-        members: the entities by row: sensors first, then bodies.
-        rows: the row of each entity's id.
-        bodies: the bodies, each with the id of its entity, in order.
-        still: the bodies that are known never to move.
-        moving: the others.
+        entities: the entities by row: sensors first, then bodies.
+        rows: the rows, by the ids of the entities.
+        bodies: the bodies in order, each after the id of its entity.
+        static_bodies: the bodies that never move.
+        moving_bodies: the other bodies.
     """
 
-    def __init__(self, members: Iterable[EntityInfo], is_external: bool) -> None:
-        self.entities = sorted(members, key=lambda member: member.kind != "sensor")
-        self.rows = {member.id: row for row, member in enumerate(self.entities)}
+    def __init__(self, entities: Iterable[EntityInfo], is_external: bool) -> None:
+        self.entities = sorted(entities, key=lambda info: info.kind != "sensor")
+        self.rows = {info.id: row for row, info in enumerate(self.entities)}
         self.bodies = [(m.id, m.body) for m in self.entities if m.body is not None]
-        # In the tables of links and of shapes, where each body's begin.
+        # The row of each body's first link and first shape.
         links = [len(body.links) for _, body in self.bodies]
         shapes = [len(body.shapes) for _, body in self.bodies]
-        places = zip(accumulate(links, initial=0), accumulate(shapes, initial=0), strict=True)
-        first = dict(zip((id for id, _ in self.bodies), places, strict=False))
-        still = {id for id, body in self.bodies if not (is_external or body.movable)}
+        starts = zip(accumulate(links, initial=0), accumulate(shapes, initial=0), strict=True)
+        first = dict(zip((id for id, _ in self.bodies), starts, strict=False))
+        static = {id for id, body in self.bodies if not (is_external or body.movable)}
         self.static_bodies, self.moving_bodies = (
             BodyGroup(
-                [m for m in self.entities if m.body and (m.id in still) is stands], self, first
+                [m for m in self.entities if m.body and (m.id in static) is is_static], self, first
             )
-            for stands in (True, False)
+            for is_static in (True, False)
         )
 
 
@@ -101,100 +107,100 @@ class BodyGroup:
     """Bodies that are read together, the sensors on them, and their rows in the tables.
 
     Args:
-        members: the bodies, in order.
-        layout: all entities, the sensors among them, and their rows.
-        first: of each body's id, the rows of its first link and of its first shape.
+        entities: the entities of the bodies, in order.
+        layout: the rows of all entities, including sensors.
+        first: the rows of the first link and of the first shape, by the id of the entity.
 
     Attributes:
         bodies: the bodies.
-        runs: of each body, where its links are among the frames.
+        runs: the range of each body's links among the link poses of the group.
         sensors: the sensors on them.
-        sensors_on_links: whether a sensor moves with a link that is no base.
+        sensors_on_links: whether a sensor is mounted on a link other than a base.
     """
 
     def __init__(
         self,
-        members: Sequence[EntityInfo],
+        entities: Sequence[EntityInfo],
         layout: TableLayout,
         first: Mapping[int, tuple[int, int]],
     ) -> None:
-        self.bodies = tuple(member.body for member in members if member.body is not None)
+        self.bodies = tuple(info.body for info in entities if info.body is not None)
         counts = [len(body.links) for body in self.bodies]
         starts = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
         self._bases = starts[:-1]
         runs = map(slice, starts[:-1].tolist(), starts[1:].tolist())
         self.runs = dict(zip(self.bodies, runs, strict=True))
-        self._link_rows = _runs([first[member.id][0] for member in members], counts)
+        self._link_rows = _runs([first[info.id][0] for info in entities], counts)
         shape_counts = [len(body.shapes) for body in self.bodies]
-        self._shape_rows = _runs([first[member.id][1] for member in members], shape_counts)
+        self._shape_rows = _runs([first[info.id][1] for info in entities], shape_counts)
         self._shapes = [
             replace(shape, frame=start + shape.frame)
             for start, body in zip(starts.tolist(), self.bodies, strict=False)
             for shape in body.shapes
         ]
         self._owners = np.repeat(np.arange(len(self.bodies)), shape_counts).tolist()
-        start_of = dict(zip((member.id for member in members), starts.tolist(), strict=False))
-        sensors = [member for member in layout.entities if member.mount[0] in start_of]
+        start_of = dict(zip((info.id for info in entities), starts.tolist(), strict=False))
+        sensors = [info for info in layout.entities if info.mount[0] in start_of]
         self.sensors = tuple(sensors)
         self._mounts = [
             PlacedGeometry(
-                start_of[member.mount[0]] + member.mount[1],
+                start_of[info.mount[0]] + info.mount[1],
                 _POINT,
-                np.array(member.sensor.position),
-                np.array(member.sensor.orientation),
+                np.array(info.sensor.position),
+                np.array(info.sensor.orientation),
             )
-            for member in sensors
-            if member.sensor is not None
+            for info in sensors
+            if info.sensor is not None
         ]
-        # A product with a constant quaternion is one with a matrix: the products of 1, i, j, k.
-        self._turns = np.array(
+        # Multiplying by a constant quaternion is a matrix product of fixed rows.
+        self._turn_matrices = np.array(
             [multiply(np.eye(4), np.tile(m.orientation, (4, 1))) for m in self._mounts]
         )
-        # The rows of the table of entities, and the frames that they tell of.
-        rows = [layout.rows[member.id] for member in (*members, *sensors)]
+        # The rows in the table of entities, and the frame of each.
+        rows = [layout.rows[info.id] for info in (*entities, *sensors)]
         self._rows = np.array(rows, dtype=np.intp)
         mounts = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         self.sensors_on_links = bool(np.setdiff1d(mounts, self._bases).size)
-        self._told = np.concatenate((self._bases, mounts))
+        self._row_frames = np.concatenate((self._bases, mounts))
 
-    # Rows x to zmax of the tables of entities and links: pose, velocities, box.
+    # The columns x to zmax of the tables of entities and links are pose, velocities and box.
 
     def write_entities(self, frames: LinkPoses, block: Array) -> None:
-        """Write the rows of these bodies and of their sensors; `block` is (19, entities)."""
+        """Writes the rows of the bodies and of their sensors; `block` is (19, entities)."""
         boxes = self._entity_boxer.boxes(frames.positions, frames.matrices)
-        positions = frames.positions.take(self._told, axis=0)
+        positions = frames.positions.take(self._row_frames, axis=0)
         first = len(self.bodies)
         if self._mounts:
-            # A sensor is a point on its link and moves with it; its box tells where it is.
+            # A sensor is a point that moves with its link; its box contains only this point.
             positions[first:] = boxes[:3, first:].T
-        states = frames.states_at(positions, self._told)
+        states = frames.states_at(positions, self._row_frames)
         if self._mounts:
-            states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turns)
+            states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turn_matrices)
         block[:, self._rows] = np.concatenate((states.T, boxes))
 
     def sensor_poses(self, frames: LinkPoses) -> tuple[Array, Array]:
-        """Where the sensors on these bodies are: (n, 3) and matrices (n, 3, 3)."""
-        on = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
+        """Returns positions (n, 3), m, and rotation matrices (n, 3, 3) of the sensors."""
+        indices = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         positions, orientations = compose(
-            frames.positions[on],
-            frames.states[on, 3:7],
+            frames.positions[indices],
+            frames.states[indices, 3:7],
             np.array([mount.position for mount in self._mounts]).reshape(-1, 3),
             np.array([mount.orientation for mount in self._mounts]).reshape(-1, 4),
         )
         return positions, rotation_matrices(orientations)
 
     def write_links(self, frames: LinkPoses, block: Array) -> None:
-        """Write the rows of these bodies' links; `block` is (19, links)."""
+        """Writes the rows of the links; `block` is (19, links)."""
         states = frames.states_at(frames.positions, np.arange(len(frames.positions)))
         boxes = self._link_boxer.boxes(frames.positions, frames.matrices)
         block[:, self._link_rows] = np.concatenate((states.T, boxes))
 
     def write_shapes(self, frames: LinkPoses, block: Array) -> None:
-        """Write the rows of these bodies' shapes; `block` is (13, shapes): pose, box."""
-        on = np.array([shape.frame for shape in self._shapes], dtype=np.intp)
+        """Writes the rows of the shapes; `block` is (13, shapes): pose, box."""
+        indices = np.array([shape.frame for shape in self._shapes], dtype=np.intp)
         positions, orientations = compose(
-            frames.positions[on],
-            frames.states[on, 3:7],
+            frames.positions[indices],
+            frames.states[indices, 3:7],
             np.array([shape.position for shape in self._shapes]).reshape(-1, 3),
             np.array([shape.orientation for shape in self._shapes]).reshape(-1, 4),
         )
@@ -225,11 +231,11 @@ _POINT = Geometry.primitive("sphere", (0, 0, 0))
 
 
 def _point(frame: int) -> PlacedGeometry:
-    """The box of what has no shapes is the frame's origin."""
+    """Returns a point at the origin of a frame: the box of a link or body without shapes."""
     return PlacedGeometry(frame, _POINT, np.zeros(3), IDENTITY)
 
 
 def _runs(starts: Sequence[int], counts: Sequence[int]) -> Indices:
-    """start, start + 1, … (count of them), for each start."""
+    """Returns start, start + 1, … (as many as the count) for each start, concatenated."""
     runs = [np.arange(start, start + n) for start, n in zip(starts, counts, strict=True)]
     return np.concatenate(runs).astype(np.intp) if runs else np.zeros(0, np.intp)

@@ -1,7 +1,7 @@
-"""The rows of a tick: numpy buffers that an Arrow table looks into.
+"""Holds the rows of a tick in numpy buffers that an Arrow table shares.
 
-The numbers of a table are written in place, so that whoever holds the Arrow table (DuckDB does)
-sees the next tick without being told.
+The numbers of a table are overwritten in place, so that readers of the Arrow table, such as
+DuckDB, see the next tick without further calls.
 """
 
 from __future__ import annotations
@@ -32,12 +32,16 @@ _versions = count(1)
 
 
 class LiveTable:
-    """The columns of one table.
+    """A table of the current tick.
 
     Attributes:
-        arrow: the table; its numbers change in place.
-        version: another one whenever `arrow` became another object; no two tables have the same.
-        whole: whether every number is known; an unknown one is NaN here and NULL in `arrow`.
+        columns: the declared columns.
+        count: the number of rows.
+        block: the columns of doubles, (columns, rows).
+        arrow: the Arrow table; its numbers change in place.
+        version: a number that changes whenever `arrow` is replaced; it is unique to the table.
+        is_complete: whether every number is known; an unknown one is NaN in the buffers and NULL
+            in `arrow`.
     """
 
     def __init__(self, columns: tuple[Column, ...]) -> None:
@@ -45,26 +49,26 @@ class LiveTable:
         self.fill(0, {})
 
     def fill(self, count: int, values: dict[str, Any]) -> None:
-        """Make the table anew with that many rows; columns without values start at 0."""
+        """Resets the table to a number of rows; columns of numbers without values start at 0."""
         self.count = count
         kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
         self._numbers: dict[str, npt.NDArray[Any]] = {}
-        # What is given with gaps stays as it is given; the rest are buffers to be written.
-        live = [
+        # Columns of numbers without missing values get buffers; the others stay Arrow arrays.
+        buffered = [
             (name, kind)
             for name, kind in kinds.items()
             if kind in ("double", "integer") and not _has_none(values.get(name, ()))
         ]
-        # One block for all doubles: neighbouring columns can be written in one go.
-        doubles = [name for name, kind in live if kind == "double"]
+        # One block for all doubles: adjacent columns can be written in one operation.
+        doubles = [name for name, kind in buffered if kind == "double"]
         self.block = np.zeros((len(doubles), count))
         self._row = {name: row for row, name in enumerate(doubles)}
-        for name, kind in live:
+        for name, kind in buffered:
             if kind == "double":
                 self._numbers[name] = self.block[self._row[name]]
             else:
                 self._numbers[name] = np.zeros(count, dtype=np.int64)
-        self._others = {
+        self._arrays = {
             name: pa.array(values[name] if name in values else [None] * count, ARROW_TYPES[kind])
             for name, kind in kinds.items()
             if name not in self._numbers
@@ -74,15 +78,15 @@ class LiveTable:
                 column[:] = values[name]
         self.publish()
 
-    def put(self, values: dict[str, Any]) -> None:
-        """Put other values in the place of columns that hold no numbers."""
+    def set_columns(self, values: dict[str, Any]) -> None:
+        """Replaces columns that are not columns of numbers."""
         kinds = {column.name: column.type for column in self.columns}
         new = {name: pa.array(column, ARROW_TYPES[kinds[name]]) for name, column in values.items()}
-        self._others = self._others | new
+        self._arrays = self._arrays | new
         self.publish()
 
     def clone(self) -> LiveTable:
-        """The same rows in buffers of their own; what is never written in place is shared."""
+        """Returns a table of the same rows with its own buffers; constant columns are shared."""
         clone = copy.copy(self)
         clone.block = self.block.copy()
         clone._numbers = {  # noqa: SLF001  # one class
@@ -93,14 +97,14 @@ class LiveTable:
         return clone
 
     def publish(self) -> None:
-        """Make the Arrow table anew: its numbers look into the buffers, but for unknown ones."""
+        """Replaces the Arrow table; columns with unknown numbers are copied, others shared."""
         unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
         self.is_complete = not any(unknown)
         arrays = []
         for column in self.columns:
             name = column.name
             if name not in self._numbers:
-                arrays.append(self._others[name])
+                arrays.append(self._arrays[name])
             elif name in self._row and unknown[self._row[name]]:
                 arrays.append(pa.array(self._numbers[name], from_pandas=True))
             else:
@@ -112,29 +116,29 @@ class LiveTable:
         self.version = next(_versions)
 
     def booleans(self, name: str) -> npt.NDArray[np.uint8]:
-        """A column of booleans, 0 or 1."""
+        """Returns a column of booleans as 0 and 1, (rows,)."""
         column: npt.NDArray[np.uint8] = (
-            self._others[name].fill_null(False).to_numpy(zero_copy_only=False)
+            self._arrays[name].fill_null(False).to_numpy(zero_copy_only=False)
         )
         return column.astype(np.uint8)
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
-        """The buffer of a column of numbers."""
+        """Returns the buffer of a column of numbers, (rows,)."""
         return self._numbers[name]
 
     def doubles(self, first: str, last: str) -> Array:
-        """The buffers of neighbouring columns of doubles, (columns, rows)."""
+        """Returns the buffer of adjacent columns of doubles, (columns, rows)."""
         return self.block[self._row[first] : self._row[last] + 1]
 
     def block_rows(self, names: Sequence[str]) -> slice | Indices:
-        """The rows of `block` that are some columns of doubles; a slice if these are neighbours."""
+        """Returns the rows of `block` that hold columns; a slice if they are adjacent."""
         rows = [self._row[name] for name in names]
         if rows == list(range(rows[0], rows[0] + len(rows))):
             return slice(rows[0], rows[0] + len(rows))
         return np.array(rows, dtype=np.intp)
 
     def publish_unknown(self) -> None:
-        """Tell that numbers were written: an unknown one (NaN) becomes NULL."""
+        """Turns unknown numbers (NaN) into NULL, after numbers were written."""
         if not self.is_complete or np.isnan(self.block).any():
             self.publish()
 

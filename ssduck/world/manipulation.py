@@ -114,7 +114,7 @@ class ManipulableSimulation(SteppedSimulation):
     def _present(self, entity: Entity, verb: str) -> Body:
         """What an entity is made of, if the simulation still has it."""
         self._registry.update(self._simulator)  # its number may be another body's by now
-        member = self._registry.of(entity.id)
-        if member is None:
+        info = self._registry.of(entity.id)
+        if info is None:
             raise entity.removed()
-        return entity.body_of(member, verb)
+        return entity.body_of(info, verb)

@@ -1,7 +1,7 @@
-"""Who wants ticks of a world at certain simulated times: `TickObserver`, and a world's side of it.
+"""Notifies observers of the ticks of a world.
 
-A follower says when it wants the next tick; stepping stops there, takes it, and tells all
-followers. Steps at whose end nobody wants a tick take none.
+A `TickObserver` requests its next tick at a simulated time. Stepping stops there, takes the tick
+and notifies all observers. Steps at whose end no observer requests a tick take none.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from typing import Any, Protocol
 
 from ssduck.simulators.interface import Simulator
 
-# The part of a step by which sums of steps may be off.
+# The share of a step by which sums of steps may be off.
 _ROUNDING = 1e-6
 
 
 class TickObserver(Protocol):
-    """Who follows worlds; see `Observable.follow`."""
+    """An observer of worlds; see `Observable.follow`."""
 
     def due(self, world: Any, /) -> float:
-        """The simulated time, s, at which it next wants a tick of a world; inf for none.
+        """Returns the simulated time of the next requested tick of a world, s; inf for none.
 
-        It is asked between steps and must be quick. A time that is past: after the next step.
+        Stepping calls it between steps, so it must be quick. A past time means the next step.
         """
 
     def ticked(self, world: Any, /) -> None:
-        """Be told of a tick, which need not be one that it wanted: `reached` tells."""
+        """Handles a tick, which another observer may have requested; see `Observable.reached`."""
 
 
 class Observable(ABC):
-    """What of a world its followers use."""
+    """A world as its observers see it."""
 
     lock: threading.RLock
     _simulator: Simulator
@@ -40,69 +40,73 @@ class Observable(ABC):
     @property
     @abstractmethod
     def time(self) -> float:
-        """Simulated seconds at the last tick."""
+        """The simulated time of the last tick, s."""
 
     @property
     @abstractmethod
     def timestep(self) -> float:
-        """Simulated seconds that the next step takes; 0 where there are no steps."""
+        """The simulated time of the next step, s; 0 for a world that cannot be stepped."""
 
-    def _begin_following(self) -> None:
-        self._followers: tuple[weakref.ref[TickObserver], ...] = ()
-        self._telling = threading.Lock()
+    def _init_observers(self) -> None:
+        self._observers: tuple[weakref.ref[TickObserver], ...] = ()
+        self._notifying = threading.Lock()
 
     def follow(self, follower: TickObserver) -> None:
-        """Let a follower say when it wants ticks, and tell it of those that are taken.
+        """Adds an observer, which may request ticks and is notified of all ticks.
 
-        It is told of the ticks of `step`, `run` and `tick`, in the thread that takes them, with
-        no lock of ssduck's held, so that it may query any world: an interpreter's lock comes
-        before those of worlds, and who holds a world's `lock` must not step it.
+        The observer is notified of the ticks of `step`, `run` and `tick`, in the thread that
+        takes them. That thread then holds no lock of ssduck, so the observer may query any world.
+        (An interpreter's lock is acquired before those of worlds; a thread that holds a world's
+        `lock` must not step it.)
 
-        While followers are told, a step that one of them makes, or another thread, runs through
-        and tells nobody; what became due meanwhile is told of with the next tick. So nothing
-        recurses.
+        If an observer or another thread steps the world during notification, these steps notify
+        no one; the next tick notifies observers that became due meanwhile. So notifications do
+        not recurse.
 
-        The world does not keep it alive: it follows until it is gone, or `unfollow`.
+        The world has only a weak reference to the observer.
+
+        Args:
+            follower: the observer.
         """
         with self.lock:
-            kept = [ref for ref in self._followers if ref() is not None]
-            if not any(ref() is follower for ref in kept):
-                kept.append(weakref.ref(follower))
-            self._followers = tuple(kept)
+            alive = [ref for ref in self._observers if ref() is not None]
+            if not any(ref() is follower for ref in alive):
+                alive.append(weakref.ref(follower))
+            self._observers = tuple(alive)
 
     def unfollow(self, follower: TickObserver) -> None:
-        """Tell a follower nothing any more."""
+        """Removes an observer."""
         with self.lock:
-            self._followers = tuple(ref for ref in self._followers if ref() is not follower)
+            self._observers = tuple(ref for ref in self._observers if ref() is not follower)
 
     def reached(self, due: float) -> bool:
-        """Whether the last tick is of that simulated time or a later one, rounding aside."""
+        """Whether the last tick is at a simulated time or later, up to rounding."""
         return self.time >= due - self.slack
 
     @property
     def slack(self) -> float:
-        """Seconds that a sum of steps may be off by rounding: a millionth of a step."""
+        """The rounding error allowed in a sum of steps, s: a millionth of a step."""
         return _ROUNDING * self.timestep
 
     def steps_to_due(self) -> float:
-        """After how many steps, at least 1, a follower wants a tick; inf if none does."""
-        if not self._followers or self._telling.locked():
+        """Returns the number of steps, 1 or more, to the next requested tick; inf for none."""
+        if not self._observers or self._notifying.locked():
             return math.inf
-        followers = [ref() for ref in self._followers]
-        due = min((f.due(self) for f in followers if f is not None), default=math.inf)
+        observers = [ref() for ref in self._observers]
+        due = min((o.due(self) for o in observers if o is not None), default=math.inf)
         if not self.timestep:
             return math.inf
         steps = max(1.0, (due - self._simulator.time) / self.timestep - _ROUNDING)
         return steps if steps == math.inf else math.ceil(steps)
 
     def notify_observers(self) -> None:
-        """Tell the followers of the last tick; the caller holds no lock."""
-        if not self._followers or not self._telling.acquire(blocking=False):
+        """Notifies the observers of the last tick; the caller must not hold a lock."""
+        if not self._observers or not self._notifying.acquire(blocking=False):
             return
         try:
-            for ref in self._followers:
-                follower = ref()
-                if follower is not None:
-                    follower.ticked(self)
+            for ref in self._observers:
+                observer = ref()
+                if observer is not None:
+                    observer.ticked(self)
         finally:
-            self._telling.release()
+            self._notifying.release()

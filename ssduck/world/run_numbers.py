@@ -1,13 +1,13 @@
-"""The numbers by which rows tell which run of a world they are of."""
+"""Makes the numbers that distinguish the runs of a world in recorded rows."""
 
 from __future__ import annotations
 
 import secrets
 
-# As many bits as a double has: readers that make a double of an integer lose nothing.
+# The bits of a double's significand: readers may convert the number to a double without loss.
 _BITS = 53
 
 
 def new_run() -> int:
-    """A number for a run: random, so that no two runs have the same, whoever records them."""
+    """Returns a random number for a run, above 0, which no other run has in practice."""
     return secrets.randbits(_BITS) or 1

@@ -1,8 +1,8 @@
-"""Worlds run in simulated time: several in lockstep, at the pace of a clock, with a bar.
+"""Runs worlds for a simulated time: in lockstep, in real time, with a progress bar.
 
-A *stop* is a moment of a run, in simulated seconds since its start, at which ticks are taken:
-where a follower of some world wants one, each so many steps, and at the end. All worlds run up
-to a stop before anybody is told of it.
+A *stop* is a simulated time since the start of the run, in seconds, at which ticks are taken:
+whenever an observer of some world requests one, after every given number of steps, and at the end.
+All worlds reach a stop before any observer is notified of it.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.world.ticking import SteppedSimulation
 
-# Is told how many simulated seconds were run.
-Watch: TypeAlias = Callable[[float], object]
-# Ticks a second by the clock on the wall, of a run at its pace.
-PICTURES = 30
-# The part of a step by which sums of steps may be off.
+# A function that is called with the simulated seconds that were run since the last call.
+ProgressCallback: TypeAlias = Callable[[float], object]
+# Ticks per second of wall time in a real-time run.
+TICKS_PER_SECOND = 30
+# The share of a step by which sums of steps may be off.
 _ROUNDING = 1e-6
 
 
@@ -36,25 +36,25 @@ def run(
     progress: bool | Literal["always"] = False,
     every: int | None = None,
 ) -> None:
-    """Run worlds for so much simulated time; the arguments are those of `World.run`."""
+    """Runs worlds for a simulated time, s; the arguments are those of `World.run`."""
     seconds = validation.duration(seconds, "run: seconds")
     speed = _speed(realtime)
     if every is not None:
         every = validation.integer(
             every, "run: every", minimum=1, expected="number of steps; 1 or more"
         )
-    period = every if speed is None or every is not None else speed / PICTURES
+    period = every if speed is None or every is not None else speed / TICKS_PER_SECOND
     lanes = [_Lane(world, seconds, period) for world in worlds]
-    began = time.monotonic()
-    with _bar(seconds, len(lanes), progress) as watch:
+    start = time.monotonic()
+    with _progress_bar(seconds, len(lanes), progress) as on_progress:
         for lane in lanes:
             if not lane.total:
                 lane.world.step(0)
         while stops := [stop for lane in lanes if (stop := lane.next_stop()) is not None]:
             for lane in lanes:
-                lane.advance(min(stops), watch)
+                lane.advance(min(stops), on_progress)
             if speed is not None:
-                time.sleep(max(0.0, began + min(stops) / speed - time.monotonic()))
+                time.sleep(max(0.0, start + min(stops) / speed - time.monotonic()))
             for lane in lanes:
                 lane.world.notify_observers()
 
@@ -64,15 +64,15 @@ class _Lane:
 
     Args:
         world: the world.
-        seconds: for how long it runs.
-        period: ticks are taken each so many steps, if it is an integer, or seconds.
+        seconds: the simulated time of the run, s.
+        period: the interval of ticks: steps if it is an integer, else simulated seconds.
     """
 
     def __init__(self, world: SteppedSimulation, seconds: float, period: float | None) -> None:
         self.world = world
         self._timestep = world.timestep
         if not self._timestep:
-            world.step()  # refuses
+            world.step()  # raises: the world cannot be stepped
         self.total = validation.steps_in(seconds, self._timestep, "run: seconds")
         self._done = 0
         self._period = period
@@ -80,7 +80,7 @@ class _Lane:
             self._period = max(1, math.floor(period / self._timestep + 0.5))
 
     def next_stop(self) -> float | None:
-        """The next moment at which it wants a tick; None at the end."""
+        """Returns the time of the next required tick, s since the start; None at the end."""
         if self._done == self.total:
             return None
         steps = min(self.total - self._done, self.world.steps_to_due())
@@ -88,29 +88,29 @@ class _Lane:
             steps = min(steps, self._period - self._done % self._period)
         return (self._done + steps) * self._timestep
 
-    def advance(self, stop: float, watch: Watch | None) -> None:
-        """Run up to a stop, not beyond it, and take a tick there if it is one of its steps."""
+    def advance(self, stop: float, on_progress: ProgressCallback | None) -> None:
+        """Steps up to a stop, not beyond it, and takes a tick if there was a step."""
         goal = min(self.total, math.floor(stop / self._timestep + _ROUNDING))
         if goal > self._done:
-            told = None if watch is None else lambda steps: watch(steps * self._timestep)
-            self.world.advance(goal - self._done, told)
+            on_steps = None if on_progress is None else lambda n: on_progress(n * self._timestep)
+            self.world.advance(goal - self._done, on_steps)
             self._done = goal
 
 
 def _speed(realtime: Any) -> float | None:
-    """How many times as fast as the clock; None for as fast as can be."""
+    """Returns the speed relative to wall time; None for as fast as possible."""
     if isinstance(realtime, bool | np.bool_):
         return 1.0 if realtime else None
     return validation.positive_number(realtime, "run: realtime", "speed; True, or a number above 0")
 
 
 @contextmanager
-def _bar(seconds: float, lanes: int, progress: bool | str) -> Iterator[Watch | None]:
-    """A bar on standard error, and who is to be told of seconds that were run; or nobody."""
+def _progress_bar(
+    seconds: float, lanes: int, progress: bool | str
+) -> Iterator[ProgressCallback | None]:
+    """Shows a bar on standard error; yields the function that advances it, None without a bar."""
     if not validation.is_boolean(progress) and progress != "always":
-        raise ArgumentError(
-            f"run: progress: {short_repr(progress)} is none of True, False, 'always'"
-        )
+        raise ArgumentError(f"run: progress: {short_repr(progress)} is not True, False or 'always'")
     if not progress:
         yield None
         return
@@ -121,7 +121,7 @@ def _bar(seconds: float, lanes: int, progress: bool | str) -> Iterator[Watch | N
     if not console.is_terminal:
         yield None
         return
-    told = TextColumn("{task.completed:.1f} of {task.total:g} s simulated")
-    with Progress(BarColumn(), told, TimeRemainingColumn(), console=console) as bar:
+    simulated = TextColumn("{task.completed:.1f} of {task.total:g} s simulated")
+    with Progress(BarColumn(), simulated, TimeRemainingColumn(), console=console) as bar:
         task = bar.add_task("", total=seconds)
-        yield lambda run: bar.advance(task, run / lanes)
+        yield lambda seconds_run: bar.advance(task, seconds_run / lanes)

@@ -43,7 +43,7 @@ def new_folder(folder: Path) -> Iterator[None]:
 
 def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path) -> Scene:
     """The scene of a simulation at a tick; writes the models that it needs into a folder."""
-    everyone = {member.id for member in snapshot.load_order}
+    everyone = {info.id for info in snapshot.load_order}
     originals = list(originals_of(snapshot, everyone))
     scene = backend(simulator.backend).scene_of(simulator, originals, tick_of(snapshot), folder)
     return replace(scene, sensors=tuple(sensors_of(snapshot, everyone)))

@@ -1,8 +1,8 @@
-"""What the sensors of a world perceive: their readings, and when a new one is due.
+"""Reads the sensors of a world.
 
-A *reading* is what one sensor measured at one tick; it never changes. A sensor is read when its
-table or its reading is asked for, and then again when its period has passed: until then its last
-reading is kept. All rays of a tick are cast in one call.
+A *reading* is the result of one measurement of a sensor; it never changes. A sensor is read when
+the table of sensings or its reading is requested, and again when its period has passed; until then
+its last reading remains valid. All rays of a tick are cast in one call.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.interface import CameraView, Contact, LinkPoses, Simulator
+from ssduck.simulators.interface import CameraView, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
 
-# Sums of time steps are off by less.
+# Sums of time steps deviate by less than this, s.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a sensor measured; its arrays cannot be written to.
+    """A measurement of a sensor; its arrays are read-only.
 
     A ray is a ray of a laser, a pixel of a camera, row by row from the upper left, or a contact
     point of a contact sensor.
 
     Attributes:
-        tick: the number of the tick that it was read at.
-        time: its simulated time, s.
-        entities: (n,), the id of what each ray ends on; 0 for nothing.
-        points: (m, 3), where rays end on something, world frame, m.
-        ranges: (n,), how long each ray is, m; inf for one that ends on nothing.
-        depth: (height, width), of a camera: how far along its axis each pixel is, m, else inf.
+        tick: the number of the tick of the measurement.
+        time: the simulated time of the measurement, s.
+        entities: (n,), the id of the entity that each ray hits; 0 for none.
+        points: (m, 3), the points that rays hit, world frame, m.
+        ranges: (n,), the length of each ray, m; inf for one that hits nothing.
+        depth: (height, width), of a camera: the distance of each pixel along the axis, m; inf for
+            nothing.
         segmentation: (height, width), of a camera: `entities` as an image.
-        image: (height, width, 3), of a camera: red, green, blue; if it was asked for.
+        image: (height, width, 3), of a camera: red, green, blue; None unless requested.
         forces: (n,), of a contact sensor: the normal forces, N.
     """
 
@@ -61,45 +62,45 @@ class Reading:
 
     @property
     def rays(self) -> int:
-        """How many rays, pixels or contact points it has."""
+        """The number of rays, pixels or contact points."""
         return len(self.entities)
 
     @cached_property
     def hits(self) -> Mapping[int, int]:
-        """How many of them end on each entity, by its id, in the order of the ids."""
+        """The number of rays that hit each entity, by its id, in the order of the ids."""
         ids, counts = np.unique(self.entities[self.entities > 0], return_counts=True)
         return dict(zip(ids.tolist(), counts.tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class SensorPose:
-    """A sensor and where it is: its position (3,) and its matrix (3, 3), in the world."""
+    """The pose of a sensor in the world frame: position (3,), m, and rotation matrix (3, 3)."""
 
-    member: EntityInfo
+    info: EntityInfo
     position: Array
     matrix: Array
 
 
 @dataclass(frozen=True, eq=False)
 class TickContext:
-    """What is known of a tick when its sensors are read.
+    """The tick at which sensors are read.
 
     Attributes:
-        tick: its number.
-        time: simulated seconds.
+        tick: the number of the tick.
+        time: the simulated time, s.
         layout: the entities.
-        anew: whether things came, went or were moved by hand: no time passed, and yet all
-            readings are out of date.
+        is_discontinuous: whether entities were added, removed or moved by hand, so that all
+            readings are out of date although no time passed.
     """
 
     tick: int
     time: float
     layout: TableLayout
-    anew: bool
+    is_discontinuous: bool
 
     @cached_property
     def ids(self) -> Indices:
-        """The id of each handle's entity, and a 0 at the end, for handle -1."""
+        """The entity's id for each body handle, and a final 0 for handle -1."""
         bodies = self.layout.bodies
         ids = np.zeros(max((body.handle for _, body in bodies), default=-1) + 2, dtype=np.int64)
         for id, body in bodies:
@@ -107,28 +108,28 @@ class TickContext:
         return ids
 
     def entities(self, handles: Indices) -> Indices:
-        """The ids of bodies; 0 for none, and for a body that is not in the world yet."""
+        """Returns the ids of body handles; 0 for none, and for bodies not in the world yet."""
         known = np.where(handles < len(self.ids) - 1, handles, -1)
-        found: Indices = self.ids[known]
-        return found
+        ids: Indices = self.ids[known]
+        return ids
 
 
 class SensorReader:
-    """The readings of a world's sensors, and which of them are switched on.
+    """The readings and the switches of a world's sensors.
 
     Attributes:
-        readings: the last reading of each sensor that has one, by its id.
+        readings: the last reading of each sensor that has one, by the sensor's id.
     """
 
     def __init__(self) -> None:
         self.readings: Mapping[int, Reading] = {}
         self._off: set[int] = set()
-        # Of each sensor, the tick at which its picture was last asked for.
+        # The tick at which each camera's picture was last requested.
         self._pictures: dict[int, int] = {}
         self._rays: dict[int, Array] = {}
 
     def clone(self) -> SensorReader:
-        """The same switches, without a reading."""
+        """Returns a reader with the same switches and no readings."""
         clone = SensorReader()
         clone._off = set(self._off)
         return clone
@@ -138,137 +139,146 @@ class SensorReader:
         return id not in self._off
 
     def switch(self, id: int, *, on: bool) -> None:
-        """Switch a sensor on or off; its last reading is forgotten."""
+        """Switches a sensor on or off, and discards its last reading."""
         if on:
             self._off.discard(id)
         else:
             self._off.add(id)
-        self._forget(id)
+        self._discard(id)
 
     def request_picture(self, id: int, tick: int) -> bool:
-        """Note that a camera's picture is asked for; tells whether its reading lacks it."""
+        """Notes a request for a camera's picture; returns whether its reading lacks one."""
         self._pictures[id] = tick
         reading = self.readings.get(id)
         if reading is not None and reading.image is not None:
             return False
-        self._forget(id)  # its depth and its colours are of one moment
+        self._discard(id)  # depth and colours must be of the same tick
         return True
 
-    def _forget_gone(self, layout: TableLayout) -> None:
-        """Let go of what is kept of sensors that are gone."""
+    def _discard_removed(self, layout: TableLayout) -> None:
+        """Discards the state of removed sensors."""
         self._off &= layout.rows.keys()
         self._pictures = {id: at for id, at in self._pictures.items() if id in layout.rows}
         self._rays = {id: ends for id, ends in self._rays.items() if id in layout.rows}
 
-    def _forget(self, id: int) -> None:
+    def _discard(self, id: int) -> None:
         self.readings = {key: value for key, value in self.readings.items() if key != id}
 
     # -- a tick ---------------------------------------------------------------------------
 
     def due(
-        self, scan: TickContext, sensors: Iterable[EntityInfo], *, is_external: bool
+        self, context: TickContext, sensors: Iterable[EntityInfo], *, is_external: bool
     ) -> set[int]:
-        """Those of these sensors that are to be read, by their ids.
+        """Returns the ids of the sensors whose readings are out of date.
 
         Args:
-            scan: the tick.
-            sensors: those that are asked for.
-            is_external: whether others may move things while no time passes that is known of.
+            context: the tick.
+            sensors: the requested sensors.
+            is_external: whether users of the client may move bodies while no known time passes.
         """
         return {
-            member.id
-            for member in sensors
-            if self.is_on(member.id)
-            and (scan.anew or self._is_over(member, scan.time, is_external=is_external))
+            info.id
+            for info in sensors
+            if self.is_on(info.id)
+            and (
+                context.is_discontinuous
+                or self._is_outdated(info, context.time, is_external=is_external)
+            )
         }
 
-    def _is_over(self, member: EntityInfo, time: float, *, is_external: bool) -> bool:
-        reading = self.readings.get(member.id)
-        if reading is None or member.sensor is None:
+    def _is_outdated(self, info: EntityInfo, time: float, *, is_external: bool) -> bool:
+        reading = self.readings.get(info.id)
+        if reading is None or info.sensor is None:
             return True
         elapsed = time - reading.time
         if is_external and elapsed == 0.0:
             return True
-        return not 0.0 <= elapsed < member.sensor.period - _ROUNDING
+        return not 0.0 <= elapsed < info.sensor.period - _ROUNDING
 
     def read(
         self,
         simulator: Simulator,
-        scan: TickContext,
-        posed: Sequence[SensorPose],
-        contacts: Sequence[Contact],
+        context: TickContext,
+        poses: Sequence[SensorPose],
+        contacts: ContactPoints,
     ) -> Mapping[int, Reading]:
-        """The readings at a tick: new ones of these sensors, the last ones of the others."""
-        if scan.anew:
-            self._forget_gone(scan.layout)
-        if not posed:
-            return {} if scan.anew else self.readings
-        due = {sensor.member.id for sensor in posed}
-        kept = {} if scan.anew else {id: r for id, r in self.readings.items() if id not in due}
-        feeling = [sensor.member for sensor in posed if not has_rays(sensor.member)]
-        # A simulation that explodes has poses that are no numbers; there is nothing to see.
-        seeing = [
-            sensor
-            for sensor in posed
-            if has_rays(sensor.member)
-            and np.isfinite(sensor.position).all()
-            and np.isfinite(sensor.matrix).all()
+        """Returns the readings at a tick: new ones of some sensors, the last ones of the others."""
+        if context.is_discontinuous:
+            self._discard_removed(context.layout)
+        if not poses:
+            return {} if context.is_discontinuous else self.readings
+        read_ids = {pose.info.id for pose in poses}
+        others = (
+            {}
+            if context.is_discontinuous
+            else {id: r for id, r in self.readings.items() if id not in read_ids}
+        )
+        contact_sensors = [pose.info for pose in poses if not has_rays(pose.info)]
+        # A diverging simulation has poses that are not numbers; their sensors see nothing.
+        ray_sensors = [
+            pose
+            for pose in poses
+            if has_rays(pose.info)
+            and np.isfinite(pose.position).all()
+            and np.isfinite(pose.matrix).all()
         ]
-        felt = {member.id: _touched(member, scan, contacts) for member in feeling}
-        return {**kept, **felt, **self._cast(simulator, scan, seeing)}
+        by_contact = {
+            info.id: _contact_reading(info, context, contacts) for info in contact_sensors
+        }
+        return {**others, **by_contact, **self._cast(simulator, context, ray_sensors)}
 
     def _cast(
-        self, simulator: Simulator, scan: TickContext, sensors: Sequence[SensorPose]
+        self, simulator: Simulator, context: TickContext, sensors: Sequence[SensorPose]
     ) -> dict[int, Reading]:
-        """Cast the rays of these sensors in one go."""
+        """Returns the readings of ray sensors, whose rays it casts in one call."""
         if not sensors:
             return {}
-        rays = [self._rays_of(sensor.member) for sensor in sensors]
+        rays = [self._rays_of(sensor.info) for sensor in sensors]
         counts = [len(ends) for ends in rays]
-        places = np.array([sensor.position for sensor in sensors])
-        hosts = [_host(sensor.member, scan.layout) for sensor in sensors]
-        starts = np.repeat(places, counts, axis=0)
-        ways = np.concatenate(
+        positions = np.array([sensor.position for sensor in sensors])
+        hosts = [_host(sensor.info, context.layout) for sensor in sensors]
+        starts = np.repeat(positions, counts, axis=0)
+        offsets = np.concatenate(
             [ends @ sensor.matrix.T for ends, sensor in zip(rays, sensors, strict=True)]
         )
-        hits = simulator.cast_rays(starts, starts + ways, np.repeat(hosts, counts))
-        entities = scan.entities(hits.bodies)
-        met = hits.bodies >= 0
-        points = starts + hits.fractions[:, None] * ways
+        hits = simulator.cast_rays(starts, starts + offsets, np.repeat(hosts, counts))
+        entities = context.entities(hits.bodies)
+        is_hit = hits.bodies >= 0
+        points = starts + hits.fractions[:, None] * offsets
         readings = {}
-        last = np.cumsum(counts).tolist()
-        for sensor, ends, stop in zip(sensors, rays, last, strict=True):
-            own = slice(stop - len(ends), stop)
-            fractions = np.where(met[own], hits.fractions[own], np.inf)
-            readings[sensor.member.id] = Reading(
-                scan.tick,
-                scan.time,
-                entities[own].copy(),
-                points[own][met[own]],
+        stops = np.cumsum(counts).tolist()
+        for sensor, ends, stop in zip(sensors, rays, stops, strict=True):
+            run = slice(stop - len(ends), stop)
+            fractions = np.where(is_hit[run], hits.fractions[run], np.inf)
+            readings[sensor.info.id] = Reading(
+                context.tick,
+                context.time,
+                entities[run].copy(),
+                points[run][is_hit[run]],
                 fractions * np.linalg.norm(ends, axis=1),
-                **self._images(simulator, scan, sensor, fractions, entities[own]),
+                **self._images(simulator, context, sensor, fractions, entities[run]),
             )
         return readings
 
-    def _rays_of(self, member: EntityInfo) -> Array:
-        """Where a sensor's rays end at their longest, in its own frame."""
-        spec = member.sensor
-        if member.id not in self._rays and spec is not None:
-            make = SENSOR_TYPES[spec.type].rays
-            assert make is not None
-            self._rays[member.id] = make(spec.max_range, spec.settings)
-        return self._rays[member.id]
+    def _rays_of(self, info: EntityInfo) -> Array:
+        """Returns the ends of a sensor's rays at maximum range, in its own frame, (n, 3)."""
+        spec = info.sensor
+        if info.id not in self._rays and spec is not None:
+            ray_ends = SENSOR_TYPES[spec.type].rays
+            assert ray_ends is not None
+            self._rays[info.id] = ray_ends(spec.max_range, spec.settings)
+        return self._rays[info.id]
 
     def _images(
         self,
         simulator: Simulator,
-        scan: TickContext,
+        context: TickContext,
         sensor: SensorPose,
         fractions: Array,
         entities: Indices,
     ) -> dict[str, Any]:
-        """What only a camera has."""
-        spec = sensor.member.sensor
+        """Returns the images of a reading by attribute; empty unless the sensor is a camera."""
+        spec = sensor.info.sensor
         assert spec is not None
         kind = SENSOR_TYPES[spec.type]
         if not kind.has_picture:
@@ -278,61 +288,64 @@ class SensorReader:
             "depth": (fractions * spec.max_range).reshape(height, width),
             "segmentation": entities.reshape(height, width).copy(),
         }
-        asked = self._pictures.get(sensor.member.id)
-        if asked is not None and scan.tick - asked <= FORGOTTEN_AFTER:
+        requested = self._pictures.get(sensor.info.id)
+        if requested is not None and context.tick - requested <= FORGOTTEN_AFTER:
             view = CameraView(sensor.position, sensor.matrix, spec.settings["fov"], width, height)
             images["image"] = simulator.photograph(view)
         return images
 
 
-def posed(
-    layout: TableLayout, still: LinkPoses, moving: LinkPoses, ids: set[int]
+def sensor_poses(
+    layout: TableLayout, static: LinkPoses, moving: LinkPoses, ids: set[int]
 ) -> list[SensorPose]:
-    """Where these sensors are, in the order of the rows."""
-    found = []
-    for part, frames in ((layout.static_bodies, still), (layout.moving_bodies, moving)):
-        if ids.isdisjoint(member.id for member in part.sensors):
+    """Returns the poses of sensors, in the order of their rows.
+
+    Args:
+        layout: the entities.
+        static: the link poses of the bodies that cannot move.
+        moving: those of the other bodies.
+        ids: the ids of the sensors.
+    """
+    poses = []
+    for group, link_poses in ((layout.static_bodies, static), (layout.moving_bodies, moving)):
+        if ids.isdisjoint(info.id for info in group.sensors):
             continue
-        positions, matrices = part.sensor_poses(frames)
-        found += [
-            SensorPose(member, position, matrix)
-            for member, position, matrix in zip(part.sensors, positions, matrices, strict=True)
-            if member.id in ids
+        positions, matrices = group.sensor_poses(link_poses)
+        poses += [
+            SensorPose(info, position, matrix)
+            for info, position, matrix in zip(group.sensors, positions, matrices, strict=True)
+            if info.id in ids
         ]
-    return sorted(found, key=lambda sensor: layout.rows[sensor.member.id])
+    return sorted(poses, key=lambda pose: layout.rows[pose.info.id])
 
 
-def has_rays(member: EntityInfo) -> bool:
-    """Whether a sensor sees; else it feels."""
-    assert member.sensor is not None
-    return SENSOR_TYPES[member.sensor.type].rays is not None
+def has_rays(info: EntityInfo) -> bool:
+    """Whether a sensor casts rays; otherwise it measures contacts."""
+    assert info.sensor is not None
+    return SENSOR_TYPES[info.sensor.type].rays is not None
 
 
-def _host(member: EntityInfo, layout: TableLayout) -> int:
-    """The handle of the body that a sensor sits on."""
-    body = layout.entities[layout.rows[member.mount[0]]].body
+def _host(info: EntityInfo, layout: TableLayout) -> int:
+    """Returns the handle of the body that a sensor is mounted on."""
+    body = layout.entities[layout.rows[info.mount[0]]].body
     assert body is not None
     return body.handle
 
 
-def _touched(member: EntityInfo, scan: TickContext, contacts: Sequence[Contact]) -> Reading:
-    """The contacts of the link that a sensor sits on, or of the whole body."""
-    host = _host(member, scan.layout)
-    spec = member.sensor
-    link = member.mount[1] if spec is not None and spec.link is not None else None
-    found = []
-    for contact in contacts:
-        sides = (
-            (contact.body_a, contact.link_a, contact.point_a, contact.body_b),
-            (contact.body_b, contact.link_b, contact.point_b, contact.body_a),
-        )
-        for own, own_link, point, other in sides:
-            if own == host != other and contact.force > 0 and link in (None, own_link):
-                found.append((other, point, contact.force))
+def _contact_reading(info: EntityInfo, context: TickContext, contacts: ContactPoints) -> Reading:
+    """Returns the reading of a contact sensor: contacts of its link, or of the whole body."""
+    host = _host(info, context.layout)
+    spec = info.sensor
+    link = info.mount[1] if spec is not None and spec.link is not None else None
+    presses = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
+    own = (contacts.bodies == host) & presses[:, None]
+    if link is not None:
+        own &= contacts.links == link
+    rows, sides = np.nonzero(own)
     return Reading(
-        scan.tick,
-        scan.time,
-        scan.entities(np.array([other for other, _, _ in found], dtype=np.intp)),
-        np.array([point for _, point, _ in found]).reshape(-1, 3),
-        forces=np.array([force for _, _, force in found], dtype=np.float64),
+        context.tick,
+        context.time,
+        context.entities(contacts.bodies[rows, 1 - sides]),
+        contacts.points[rows, sides],
+        forces=contacts.forces[rows],
     )

@@ -1,20 +1,21 @@
-"""A tick to tables.
+"""Reads ticks from a simulator into tables: `Snapshot`.
 
-A *tick* is one snapshot of a world at a simulated time; its tables are those of
+A *tick* is one reading of a world's state at a simulated time; its tables are those of
 `ssduck.schema`.
 
-Contract of time. `Snapshot.take` replaces all of it at once; between two takes nothing changes
-it, and it never asks the simulator again. A table that nobody asked for is not read from the
-simulator; asking for one takes a fresh tick with it in, so that all tables that a query reads
-are of one moment. A table that was asked for is read with every tick until `FORGOTTEN_AFTER`
-ticks have passed without a question.
+`Snapshot.take` replaces all tables at once. Between two takes nothing changes them, and the
+simulator is not read again. A table that nobody requested is not read from the simulator;
+requesting one takes a fresh tick that includes it, so that all tables that a query reads are of
+the same tick. A requested table is read with every tick until `FORGOTTEN_AFTER` ticks have passed
+without another request.
 """
 
 from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import accumulate, chain
 from typing import Any
 
@@ -29,29 +30,52 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, TABLES
-from ssduck.simulators.interface import Body, Contact, LinkPoses, Simulator
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
+from ssduck.world.contact_rows import contact_rows
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.run_numbers import new_run
-from ssduck.world.sensor_readings import Reading, SensorReader, TickContext, has_rays, posed
+from ssduck.world.sensor_readings import Reading, SensorReader, TickContext, has_rays, sensor_poses
+
+
+@dataclass(frozen=True, eq=False)
+class _TickState:
+    """The state of a simulator at a tick, as far as it was read.
+
+    Attributes:
+        static: the link poses of the bodies that cannot move.
+        moving: those of the other bodies.
+        joints: position, velocity and effort of all joints, (joints, 3); None if not read.
+        contacts: the contacts; empty if not read.
+        readings: the last reading of each sensor, by its id.
+        sensors: the ids of the sensors whose readings are up to date.
+    """
+
+    static: LinkPoses
+    moving: LinkPoses
+    joints: Array | None
+    contacts: ContactPoints
+    readings: Mapping[int, Reading]
+    sensors: frozenset[int]
 
 
 class Snapshot:
     """The tables of the current tick of one world.
 
     Attributes:
-        tables: by name.
-        number: of the tick, from 1.
-        time: of the tick, simulated seconds.
-        listed: the entities in load order, as they were given to `take`.
+        tables: the tables by name.
+        number: the number of the tick, from 1.
+        time: the simulated time of the tick, s.
+        load_order: the entities in load order, as passed to `take`.
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
-        unavailable: tables whose rows nobody knows, and why: asking for them is an error.
-        sensing: what its sensors have measured.
-        calls: how often the narrow phase was called, over all ticks.
-        masses: of the links of bodies by entity, kg, as they were read last.
-        geometries: the numbers of geometries in the table of geometries, by their keys.
-        run: the number of the run that its ticks are of; that of a what-if world is another one.
+        unavailable: the tables whose rows are unknown, with the reason; requesting one is an
+            error.
+        sensing: the readings of the sensors.
+        calls: the number of narrow-phase calls over all ticks.
+        masses: the masses of links, kg, by the id of the entity, as last read.
+        geometries: the ids in the table of geometries, by the keys of the geometries.
+        run: the number of the run that the ticks belong to; a what-if world has its own.
     """
 
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
@@ -61,18 +85,18 @@ class Snapshot:
         self.time = 0.0
         self.load_order: list[EntityInfo] = []
         self.unavailable: Mapping[str, str] = {}
-        # Whether all ticks to be taken are one: poses that were given, or recorded.
+        # Whether every take is of the same tick: with given poses, or of a record.
         self._is_final = False
         self._is_past = False
         self._layout = TableLayout((), is_external=False)
-        # What cannot move is read once; None if that has to be done (again).
-        self._still: LinkPoses | None = None
-        # What the tables tell of: the frames of what cannot move, and of the rest.
-        self._frames: tuple[LinkPoses, ...] = ()
+        # The poses of bodies that cannot move are read once; None if they are to be read (again).
+        self._static: LinkPoses | None = None
+        # The link poses in the tables: of the bodies that cannot move, and of the others.
+        self._link_poses: tuple[LinkPoses, ...] = ()
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
         self._requested: dict[str, int] = {}
-        # Tables that are read with every tick, asked for or not.
+        # The tables that are read with every tick, requested or not.
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
         self.geometries: dict[str, int] = {} if geometries is None else geometries
@@ -80,12 +104,11 @@ class Snapshot:
         self.calls = CallCounter()
         self._shapes: ShapeQueries | None = None
         self._solids: tuple[TableLayout, Any] | None = None
-        # When each sensor was asked for by itself, and which are as they are at this tick.
+        # The tick of each sensor's last own request, and the sensors read at this tick.
         self._requested_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
-        # The ticks at which masses and margins were read last, and the masses of the links then, by
-        # entity.
+        # The ticks at which masses and margins were last read.
         self._masses_tick = 0
         self._margins_tick = 0
         self.masses: dict[int, list[float]] = {}
@@ -97,51 +120,51 @@ class Snapshot:
 
     @property
     def rows(self) -> dict[int, int]:
-        """The row of each entity's id."""
+        """The row in the table of entities, by the entity's id."""
         return self._layout.rows
 
     @property
     def layout(self) -> TableLayout:
-        """Where the entities go in the tables; the same object as long as they are the same."""
+        """The rows of the entities; the same object while the entities are the same."""
         return self._layout
 
     @property
     def is_complete(self) -> bool:
-        """Whether all numbers of all entities are known."""
+        """Whether every number in the tables is known."""
         return all(table.is_complete for table in self.tables.values())
 
     @property
     def body_groups(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
-        """The bodies that are read together, and where their frames are at this tick."""
+        """The groups of bodies that are read together, each with its link poses at this tick."""
         return zip(
-            (self._layout.static_bodies, self._layout.moving_bodies), self._frames, strict=True
+            (self._layout.static_bodies, self._layout.moving_bodies), self._link_poses, strict=True
         )
 
     def joints(self) -> dict[Body, Array]:
-        """Of each body's joints, position, velocity and effort at this tick, (joints, 3).
+        """Returns position, velocity and effort of each body's joints at this tick, (joints, 3).
 
-        The table of joints has to have been asked for.
+        The table of joints must have been requested.
         """
-        told = self.tables["joints"].doubles("position", "effort").T.copy()
+        states = self.tables["joints"].doubles("position", "effort").T.copy()
         first = 0
-        found = {}
+        by_body = {}
         for _, body in self._layout.bodies:
             if body.joints:
-                found[body] = told[first : first + len(body.joints)]
+                by_body[body] = states[first : first + len(body.joints)]
                 first += len(body.joints)
-        return found
+        return by_body
 
     def clone(self, unavailable: Mapping[str, str]) -> Snapshot:
-        """The same tick, to be taken anew of the same entities in other poses, and for good.
+        """Returns a copy to be taken of the same tick with the entities in other poses.
 
-        It shares what does not depend on poses. What cannot move and has not been moved is not
-        read again: see `invalidate_static_poses`.
+        The copy shares what does not depend on poses. It does not read the poses of bodies that
+        cannot move again; see `invalidate_static_poses`.
 
         Args:
-            unavailable: tables whose rows nobody knows, and why.
+            unavailable: the tables whose rows are unknown there, with the reason.
         """
         clone = copy.copy(self)
-        # What is made anew, here or there, leaves the other's as it is.
+        # The two snapshots must not write to each other's buffers.
         shared = ("geometries", *unavailable)
         clone.tables = {
             name: copy.copy(table) if name in shared else table.clone()
@@ -161,12 +184,12 @@ class Snapshot:
         return clone
 
     def _set_run(self, run: int) -> None:
-        """Let its ticks be of a run."""
+        """Sets the run that the ticks belong to."""
         self.run = run
         self.tables["entities"]["run"].fill(run)
 
     def past(self, number: int, unavailable: Mapping[str, str]) -> Snapshot:
-        """A clone, to be taken of a tick that was before."""
+        """Returns a clone to be taken of the past tick of a number; see `clone`."""
         clone = self.clone(unavailable)
         clone._is_past = True  # noqa: SLF001  # one class
         clone._set_run(self.run)  # noqa: SLF001
@@ -174,26 +197,26 @@ class Snapshot:
         return clone
 
     def go_to(self, number: int) -> None:
-        """Let the tick that is taken next be that of a number, whatever was before."""
+        """Sets the number of the tick that is taken next."""
         self.number = number
         self.invalidate_static_poses()
 
-    # -- what is in the world -------------------------------------------------------------
+    # -- the entities --------------------------------------------------------------------
 
     def _lay_out(self, layout: TableLayout) -> None:
-        """Make the tables anew for these entities."""
+        """Resets the tables for the entities of a layout."""
         self._layout = layout
-        listed = layout.entities
+        entities = layout.entities
         self.tables["entities"].fill(
-            len(listed),
+            len(entities),
             {
-                "id": [member.id for member in listed],
-                "name": [member.name for member in listed],
-                "kind": [member.kind for member in listed],
-                "parent": [member.parent for member in listed],
-                "mass": [member.mass for member in listed],
+                "id": [info.id for info in entities],
+                "name": [info.name for info in entities],
+                "kind": [info.kind for info in entities],
+                "parent": [info.parent for info in entities],
+                "mass": [info.mass for info in entities],
                 **self._flag_columns(),
-                "run": np.full(len(listed), self.run),
+                "run": np.full(len(entities), self.run),
             },
         )
         self._fill_links(layout.bodies)
@@ -204,8 +227,8 @@ class Snapshot:
         self.tables["ticks"].fill(1, {})
 
     def _flag_columns(self) -> dict[str, list[bool]]:
-        """Whether each entity takes part in collisions, and is drawn; a sensor does neither."""
-        bodies = [member.body for member in self.entities]
+        """Returns the columns `enabled` and `visible` of the entities; False for sensors."""
+        bodies = [info.body for info in self.entities]
         return {
             name: [body is not None and body not in absent for body in bodies]
             for name, absent in (("enabled", self.disabled), ("visible", self.hidden))
@@ -261,78 +284,81 @@ class Snapshot:
         )
 
     def geometry_id(self, geometry: Geometry) -> int:
-        """The number of a geometry in the table of geometries: equal ones have one."""
+        """Returns the id of a geometry in the table of geometries, the same for equal ones."""
         return self.geometries.setdefault(geometry.key, len(self.geometries) + 1)
 
     def shapes(self) -> ShapeQueries:
-        """The shapes of this tick, to be compared; the table of shapes has to be asked for."""
+        """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
-            solids, of, starts, numbers, sorts = self._sorted
+            solids, solid_indices, starts, numbers, shape_table = self._comparable
             table = self.tables["shapes"]
             narrow = NarrowPhase(
                 solids,
-                of,
+                solid_indices,
                 table.doubles("x", "z").T.copy(),
                 table.doubles("qw", "qz").T.copy(),
                 table.doubles("xmin", "zmax").T.copy(),
                 starts,
                 self.calls,
-                sorts.margins,
+                shape_table.margins,
             )
             entities = self.tables["entities"]
             boxes = entities.doubles("xmin", "zmax").copy()
-            self._shapes = ShapeQueries(narrow, numbers, sorts, boxes, entities["id"].copy())
+            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, entities["id"].copy())
         return self._shapes
 
     @property
-    def _sorted(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], ShapeTable]:
-        """The solids, which one each shape is, where those of each entity begin, its number."""
+    def _comparable(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], ShapeTable]:
+        """The solids; each shape's index among them; each entity's first shape; entity numbers."""
         if self._solids is None or self._solids[0] is not self._layout:
             bodies = self._layout.bodies
             shapes = [shape for _, body in bodies for shape in body.shapes]
-            different = {shape.geometry.key: shape.geometry for shape in shapes}
-            place = {key: number for number, key in enumerate(different)}
-            of = np.array([place[shape.geometry.key] for shape in shapes], dtype=np.intp)
+            distinct = {shape.geometry.key: shape.geometry for shape in shapes}
+            indices = {key: index for index, key in enumerate(distinct)}
+            solid_indices = np.array(
+                [indices[shape.geometry.key] for shape in shapes], dtype=np.intp
+            )
             margins = self.tables["shapes"]["margin"].copy()
-            solids = list(map(solid_of, different.values()))
+            solids = list(map(solid_of, distinct.values()))
             counts = [len(body.shapes) for _, body in bodies]
             starts = list(accumulate(counts, initial=0))
             numbers = {id: number for number, (id, _) in enumerate(bodies)}
-            # What has no body, a sensor, has the empty run behind all others.
-            without = [member.id for member in self.entities if member.body is None]
-            numbers |= dict.fromkeys(without, len(bodies))
+            # Sensors have no shapes: they share an empty range after those of all bodies.
+            sensor_ids = [info.id for info in self.entities if info.body is None]
+            numbers |= dict.fromkeys(sensor_ids, len(bodies))
             owners = np.repeat(np.arange(len(bodies)), counts)
-            found = (
-                solids,
-                of,
-                [*starts, starts[-1]],
-                numbers,
-                ShapeTable(solids, of, owners, margins),
+            shape_table = ShapeTable(solids, solid_indices, owners, margins)
+            self._solids = (
+                self._layout,
+                (solids, solid_indices, [*starts, starts[-1]], numbers, shape_table),
             )
-            self._solids = self._layout, found
         return self._solids[1]
 
     def value(self, row: int, column: str) -> Any:
-        """One value of the table of entities; None for an unknown one."""
+        """Returns a value of the table of entities; None if it is unknown."""
         return self.tables["entities"].arrow[column][row].as_py()
 
     # -- a tick ---------------------------------------------------------------------------
 
     def request_tables(self, tables: Iterable[str]) -> bool:
-        """Note that these tables are asked for; tells whether this tick lacks any of them."""
-        wanted = ON_DEMAND.intersection(tables).difference(self.unavailable)
-        self._requested |= dict.fromkeys(wanted, self.number)
-        return not (wanted | self.recorded) <= self._read
+        """Notes a request for tables; returns whether this tick lacks any of them."""
+        requested = ON_DEMAND.intersection(tables).difference(self.unavailable)
+        self._requested |= dict.fromkeys(requested, self.number)
+        return not (requested | self.recorded) <= self._read
 
     def has(self, table: str) -> bool:
-        """Whether this tick has a table that is read when it is asked for."""
+        """Whether this tick includes a table that is read on request."""
         return table in self._read and table not in self.unavailable
 
     def request_sensor(self, sensor: int, *, picture: bool) -> bool:
-        """Note that a sensor is asked for; tells whether this tick lacks it, or its colours.
+        """Notes a request for a sensor's reading; returns whether this tick lacks it.
+
+        Args:
+            sensor: the id of the sensor.
+            picture: whether the colours of a camera are requested, too.
 
         Raises:
-            UnsupportedError: nobody knows what it perceives.
+            UnsupportedError: the readings of sensors are unavailable.
         """
         if "sensings" in self.unavailable:
             raise UnsupportedError(self.unavailable["sensings"])
@@ -341,19 +367,19 @@ class Snapshot:
         return lacks_picture or sensor not in self._read_sensors
 
     def switch(self, sensor: int, *, on: bool) -> None:
-        """Switch a sensor on or off: the table of sensings is to be read once more."""
+        """Switches a sensor on or off; the table of sensings is read again when it is requested."""
         self.sensing.switch(sensor, on=on)
         self._read -= {"sensings"}
         self._read_sensors -= {sensor}
 
     def invalidate_static_poses(self) -> None:
-        """Read what cannot move once more with the next tick: it was moved by hand."""
-        self._still = None
+        """Makes the next tick read the bodies that cannot move again: someone has moved them."""
+        self._static = None
 
     def read_masses(self, simulator: Simulator) -> bool:
-        """Read the masses at this tick, unless that is done: whoever has a client may change them.
+        """Reads the masses, which users of the client may change, unless this tick has them.
 
-        With each tick they would take a third of what the poses do.
+        Reading them with every tick would cost a third of what reading the poses costs.
 
         Returns:
             Whether they were read.
@@ -363,161 +389,190 @@ class Snapshot:
         self._masses_tick = self.number
         bodies = self._layout.bodies
         masses = simulator.read_masses([body for _, body in bodies])
-        self.tables["links"]["mass"][:] = [mass for own in masses for mass in own]
+        self.tables["links"]["mass"][:] = list(chain(*masses))
         entities = self.tables["entities"]["mass"]
-        for (id, _), own in zip(bodies, masses, strict=True):
-            entities[self.rows[id]] = sum(own)
-            self.masses[id] = own
+        for (id, _), link_masses in zip(bodies, masses, strict=True):
+            entities[self.rows[id]] = sum(link_masses)
+            self.masses[id] = link_masses
         return True
 
     def read_margins(self, simulator: Simulator) -> None:
-        """Read the collision margins at this tick, unless that is done; as masses are read."""
+        """Reads the collision margins, unless this tick has them; see `read_masses`."""
         if self._margins_tick == self.number:
             return
         self._margins_tick = self.number
         margins = simulator.read_margins([body for _, body in self._layout.bodies])
-        now, told = np.array(list(chain(*margins)), np.float64), self.tables["shapes"]["margin"]
-        if not np.array_equal(now, told):
-            told[:] = now
+        current = np.array(list(chain(*margins)), np.float64)
+        column = self.tables["shapes"]["margin"]
+        if not np.array_equal(current, column):
+            column[:] = current
             self._shapes = self._solids = None
 
     @property
     def margins(self) -> float:
-        """How far apart two shapes may be that touch by their margins, metres."""
+        """The largest distance of two shapes whose margins touch, m."""
         return 2.0 * float(self.tables["shapes"]["margin"].max(initial=0.0))
 
     @property
     def names_with_changed_margins(self) -> list[str]:
-        """The entities whose margins are not those that they came with, and records keep."""
+        """The entities whose margins differ from the initial ones, which records store."""
         shapes = [(id, shape) for id, body in self._layout.bodies for shape in body.shapes]
-        told = self.tables["shapes"]["margin"].tolist()
-        found = {id for (id, shape), now in zip(shapes, told, strict=True) if shape.margin != now}
-        return [member.name for member in self.entities if member.id in found]
+        current = self.tables["shapes"]["margin"].tolist()
+        pairs = zip(shapes, current, strict=True)
+        changed = {id for (id, shape), margin in pairs if shape.margin != margin}
+        return [info.name for info in self.entities if info.id in changed]
 
-    # A simulation that explodes has infinite numbers; it is told of in `_finish`.
+    # A diverging simulation has infinite numbers; `_finish` warns of them.
     @np.errstate(invalid="ignore")
-    def take(self, simulator: Simulator, members: list[EntityInfo]) -> None:
-        """Read a tick: the entities, and the tables that were asked for.
+    def take(self, simulator: Simulator, load_order: list[EntityInfo]) -> None:
+        """Reads a tick: the entities and the requested tables.
 
         Args:
-            simulator: what knows where the members are.
-            members: the entities in load order; the same object as long as they are the same.
+            simulator: the simulator of the entities.
+            load_order: the entities in load order; the same object while they are the same.
         """
-        same = members is self.load_order
-        layout = self._layout if same else TableLayout(members, simulator.is_external)
-        coming = self.number + (not self._is_final)
-        wanted = {name for name, at in self._requested.items() if coming - at <= FORGOTTEN_AFTER}
-        wanted |= self.recorded
-        still = self._still if same else None
-        if still is None:
-            still = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
-        with_velocities = "links" in wanted or layout.moving_bodies.sensors_on_links
-        moving = simulator.read_link_poses(
-            layout.moving_bodies.bodies, with_velocities=with_velocities
-        )
-        joints = None
-        if "joints" in wanted:
-            jointed = [body for _, body in layout.bodies if body.joints]
-            joints = simulator.read_joints(jointed)
-        scan = TickContext(coming, simulator.time, layout, anew=still is not self._still)
-        perceiving = self._perceiving(layout, coming, together="sensings" in wanted)
-        due = self.sensing.due(scan, perceiving, is_external=simulator.is_external)
-        sensors = posed(layout, still, moving, due)
-        contacts: list[Contact] = []
-        if "contacts" in wanted or not all(has_rays(sensor.member) for sensor in sensors):
-            contacts = list(simulator.read_contacts())
-        readings = self.sensing.read(simulator, scan, sensors, contacts)
-        # All of this tick is read before anything of the last one is overwritten.
-        self._note_flags(simulator, same=same)
+        same = load_order is self.load_order
+        layout = self._layout if same else TableLayout(load_order, simulator.is_external)
+        number = self.number + (not self._is_final)
+        tables = {name for name, at in self._requested.items() if number - at <= FORGOTTEN_AFTER}
+        tables |= self.recorded
+        # The whole tick is read before anything of the last one is overwritten.
+        state = self._read_state(simulator, layout, number, tables, same=same)
+        self._update_flags(simulator, same=same)
         if not same:
             self._lay_out(layout)
-            self.load_order = members
-        self._read = frozenset(wanted)
+            self.load_order = load_order
+        self._read = frozenset(tables)
         self._shapes = None
-        self.number, self.time = coming, simulator.time
-        self._write_frames(still, moving, anew=still is not self._still)
-        self._still = still
-        self._frames = still, moving
-        if joints is not None:
-            self.tables["joints"].doubles("position", "effort")[:] = joints.T
-        if "contacts" in wanted:
-            self._write_contacts(contacts)
-        self.sensing.readings = readings
-        self._read_sensors = frozenset(member.id for member in perceiving)
-        if "sensings" in wanted:
-            self._write_sensings(readings)
+        self.number, self.time = number, simulator.time
+        self._write_poses(state.static, state.moving, with_static=state.static is not self._static)
+        self._static = state.static
+        self._link_poses = state.static, state.moving
+        if state.joints is not None:
+            self.tables["joints"].doubles("position", "effort")[:] = state.joints.T
+        if "contacts" in tables:
+            self._write_contacts(state.contacts)
+        self.sensing.readings = state.readings
+        self._read_sensors = state.sensors
+        if "sensings" in tables:
+            self._write_sensings(state.readings)
         self._finish()
 
-    def _note_flags(self, simulator: Simulator, *, same: bool) -> None:
-        """Take note of bodies that came to take part in collisions, or to be drawn, or ceased."""
+    def _read_state(
+        self,
+        simulator: Simulator,
+        layout: TableLayout,
+        number: int,
+        tables: Container[str],
+        *,
+        same: bool,
+    ) -> _TickState:
+        """Reads the state of a simulator for the tick of a number.
+
+        Args:
+            simulator: the simulator.
+            layout: the entities.
+            number: the number of the tick.
+            tables: the tables that the tick includes.
+            same: whether the entities are those of the last tick.
+        """
+        static = self._static if same else None
+        if static is None:
+            static = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
+        group = layout.moving_bodies
+        with_velocities = "links" in tables or group.sensors_on_links
+        moving = simulator.read_link_poses(group.bodies, with_velocities=with_velocities)
+        joints = None
+        if "joints" in tables:
+            joints = simulator.read_joints([body for _, body in layout.bodies if body.joints])
+        is_discontinuous = static is not self._static
+        context = TickContext(number, simulator.time, layout, is_discontinuous)
+        sensors = self._sensors_to_read(layout, number, all_sensors="sensings" in tables)
+        due = self.sensing.due(context, sensors, is_external=simulator.is_external)
+        poses = sensor_poses(layout, static, moving, due)
+        contacts = ContactPoints.none()
+        if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
+            contacts = simulator.read_contacts()
+        readings = self.sensing.read(simulator, context, poses, contacts)
+        ids = frozenset(info.id for info in sensors)
+        return _TickState(static, moving, joints, contacts, readings, ids)
+
+    def _update_flags(self, simulator: Simulator, *, same: bool) -> None:
+        """Updates which bodies take part in collisions, and which are drawn."""
         disabled, hidden = simulator.disabled, simulator.hidden
         if disabled is self.disabled and hidden is self.hidden:
             return
         self.disabled, self.hidden = disabled, hidden
-        if same:  # else all columns are made anew
-            self.tables["entities"].put(self._flag_columns())
+        if same:  # otherwise `_lay_out` resets all columns
+            self.tables["entities"].set_columns(self._flag_columns())
 
-    def _perceiving(self, layout: TableLayout, coming: int, *, together: bool) -> list[EntityInfo]:
-        """The sensors that are asked for: all of them together, or some."""
-        asked = {
-            id: at for id, at in self._requested_sensors.items() if coming - at <= FORGOTTEN_AFTER
+    def _sensors_to_read(
+        self, layout: TableLayout, number: int, *, all_sensors: bool
+    ) -> list[EntityInfo]:
+        """Returns all sensors, or those that were requested by themselves not long ago."""
+        requested = {
+            id: at for id, at in self._requested_sensors.items() if number - at <= FORGOTTEN_AFTER
         }
-        self._requested_sensors = asked
-        if not (together or asked):
+        self._requested_sensors = requested
+        if not (all_sensors or requested):
             return []
-        sensors = [member for member in layout.entities if member.sensor is not None]
-        return sensors if together else [member for member in sensors if member.id in asked]
+        sensors = [info for info in layout.entities if info.sensor is not None]
+        return sensors if all_sensors else [info for info in sensors if info.id in requested]
 
-    def _write_frames(self, still: LinkPoses, moving: LinkPoses, *, anew: bool) -> None:
-        """Write poses, velocities and boxes; `anew`: those of what cannot move as well."""
+    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> None:
+        """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move."""
         layout = self._layout
         entities = self.tables["entities"].doubles("x", "zmax")
-        if anew:
-            layout.static_bodies.write_entities(still, entities)
+        if with_static:
+            layout.static_bodies.write_entities(static, entities)
         layout.moving_bodies.write_entities(moving, entities)
-        parts = (layout.static_bodies, still), (layout.moving_bodies, moving)
+        groups = (layout.static_bodies, static), (layout.moving_bodies, moving)
         if "links" in self._read:
-            for part, frames in parts:
-                part.write_links(frames, self.tables["links"].doubles("x", "zmax"))
+            for group, poses in groups:
+                group.write_links(poses, self.tables["links"].doubles("x", "zmax"))
         if "shapes" in self._read:
-            for part, frames in parts:
-                part.write_shapes(frames, self.tables["shapes"].doubles("x", "zmax"))
+            for group, poses in groups:
+                group.write_shapes(poses, self.tables["shapes"].doubles("x", "zmax"))
 
     def _finish(self) -> None:
-        """Date the tables that were written, and let their readers see it."""
+        """Writes tick and time into the tables that were read, and publishes them."""
         if not self._is_past:
             self.tables["ticks"]["wall_time"].fill(time.time())
         for name in ("entities", "ticks", *self._read):
             table = self.tables[name]
             table["tick"].fill(self.number)
             table["time"].fill(self.time)
-            if name != "ticks":  # whose numbers are known
+            if name != "ticks":  # its numbers are always known
                 table.publish_unknown()
-        # Of what was a tick before, it was said then.
+        # The warning for a past tick was given when it was taken.
         if not self.tables["entities"].is_complete and not self._is_past:
             self._warn_of_unknown(self.tables["entities"].doubles("x", "zmax"))
 
     def _warn_of_unknown(self, numbers: Array) -> None:
-        """Say once of each entity that the simulator has lost where it is."""
+        """Warns, once for each entity, of poses and velocities that are not numbers."""
         for row in np.flatnonzero(np.isnan(numbers).any(axis=0)).tolist():
-            member = self.entities[row]
-            if member.id not in self._warned:
-                self._warned.add(member.id)
+            info = self.entities[row]
+            if info.id not in self._warned:
+                self._warned.add(info.id)
                 warn(
-                    f"{member.name}: the simulator gives a pose or a velocity that is no number; "
-                    "what follows from it is NULL",
+                    f"{info.name}: the simulator gives a pose or a velocity that is no number; "
+                    "what depends on it is NULL",
                 )
 
-    def _write_contacts(self, contacts: Sequence[Contact]) -> None:
+    def _write_contacts(self, contacts: ContactPoints) -> None:
+        """Writes the contacts, sorted by a, its link, b, its link, and the points."""
         table = self.tables["contacts"]
-        ids = {body.handle: id for id, body in self._layout.bodies}
-        rows = sorted(_contact_row(contact, ids) for contact in contacts)
-        if len(rows) != table.count:
-            table.fill(len(rows), {})
-        numbers = np.array(rows, dtype=np.float64).reshape(-1, 18)
+        if len(contacts) != table.count:
+            table.fill(len(contacts), {})
+        if not len(contacts):
+            return
+        ids = np.zeros(1 + max(body.handle for _, body in self._layout.bodies), dtype=np.int64)
+        for id, body in self._layout.bodies:
+            ids[body.handle] = id
+        sides, numbers = contact_rows(contacts, ids[contacts.bodies])
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
-            table[name][:] = numbers[:, column]
-        table.doubles("ax", "fz")[:] = numbers[:, 4:].T
+            table[name][:] = sides[:, column]
+        table.doubles("ax", "fz")[:] = numbers.T
 
     def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
         table = self.tables["sensings"]
@@ -525,24 +580,10 @@ class Snapshot:
             (sensor, entity, hits, reading.rays, reading.time)
             for sensor, reading in sorted(readings.items())
             for entity, hits in reading.hits.items()
-            if entity in self.rows  # it may have gone since
+            if entity in self.rows  # it may have been removed since
         ]
         if len(rows) != table.count:
             table.fill(len(rows), {})
         numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
         for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
             table[name][:] = numbers[:, column]
-
-
-def _contact_row(contact: Contact, ids: dict[int, int]) -> tuple[float, ...]:
-    """A contact with a < b; its normal points from b to a, its force is that on a."""
-    a = (ids[contact.body_a], contact.link_a)
-    b = (ids[contact.body_b], contact.link_b)
-    points, way = (*contact.point_a, *contact.point_b), 1.0
-    if a > b:
-        a, b = b, a
-        points, way = (*contact.point_b, *contact.point_a), -1.0
-    normal = [way * part for part in contact.normal]
-    sides = zip(normal, contact.friction, strict=True)
-    force = [contact.force * along + way * across for along, across in sides]
-    return (*a, *b, *points, *normal, contact.depth, contact.force, *force)

@@ -1,4 +1,4 @@
-"""A simulation that is looked at one tick at a time: taking ticks, holding them, keeping them."""
+"""Steps a simulation and takes its ticks: `SteppedSimulation`."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ from ssduck.world.observers import Observable
 from ssduck.world.snapshot import Snapshot
 
 _serials = count()
-# Seconds that a step waits while another thread wants to ask.
-_TURN = 1e-4
-# Whoever watches a run is told each so many steps.
-_WATCHED = 24
+# The time that a step yields to a thread that waits for the lock, s.
+_YIELD_SECONDS = 1e-4
+# The number of steps between two progress reports.
+_STEPS_PER_REPORT = 24
 
 
 class TickSink(Protocol):
-    """Keeps ticks of a world as they are taken."""
+    """A recorder of the ticks of a world."""
 
     @property
     def tables(self) -> Collection[str]:
-        """The tables that each tick is to have."""
+        """The tables that each tick must include."""
 
-    def note(self, snapshot: Snapshot) -> None:
-        """Keep a tick, if it is one to be kept; the caller holds its world."""
+    def record(self, snapshot: Snapshot) -> None:
+        """Records a tick if it is due; the caller holds the lock of the world."""
 
-    def note_masses(self, snapshot: Snapshot) -> None:
-        """Take note of masses that were read anew."""
+    def check_masses(self, snapshot: Snapshot) -> None:
+        """Compares masses that were read anew with the recorded ones."""
 
 
 class SteppedSimulation(Observable):
-    """A simulator and the last tick that was taken of it.
+    """A simulator with its last tick.
 
     Attributes:
-        name: what it is called.
-        lock: who holds it is alone with the simulator and the tick.
-        serial: the order in which they were made, and in which several are held.
+        name: the name of the world.
+        lock: guards the simulator and the tick.
+        serial: the number of the object in order of creation; several are locked in this order.
         snapshot: the last tick.
     """
 
-    def _begin_ticking(self, simulator: Simulator, snapshot: Snapshot, name: str) -> None:
+    def _init_ticking(self, simulator: Simulator, snapshot: Snapshot, name: str) -> None:
         self.name = name
         self.lock = threading.RLock()
-        self._begin_following()
+        self._init_observers()
         self.serial = next(_serials)
         self.snapshot = snapshot
         self._queries = 0
@@ -65,34 +65,37 @@ class SteppedSimulation(Observable):
 
     @property
     def time(self) -> float:
-        """Simulated seconds at the last tick."""
+        """The simulated time of the last tick, s."""
         return self.snapshot.time
 
     @property
     def timestep(self) -> float:
-        """Simulated seconds that the next step takes; 0 for a what-if world, which has none."""
+        """The simulated time of the next step, s; 0 for a what-if world, which has no steps."""
         with self.lock:
             return self._simulator.timestep
 
     # -- a tick ---------------------------------------------------------------------------
 
     def tick(self, *, steps: int | None = None, time: float | None = None) -> Self:
-        """Take a tick: the tables are replaced by the simulator's state as it is now.
+        """Takes a tick: replaces the tables by the current state of the simulator.
 
-        In an attached world, whose client you step, simulated time goes on with each such tick:
-        by one of the client's time steps, as it is set now, unless an argument tells otherwise.
-        In all other worlds only steps take time, and neither argument is accepted.
+        In an attached world, whose client you step, each such tick advances simulated time: by
+        the client's current time step, unless an argument sets it. In all other worlds only steps
+        advance time, and neither argument is accepted.
 
         Args:
-            steps: how many steps you have run since the last tick, 0 or more. 0 takes another
-                tick of the same time: bodies were put elsewhere, say.
-            time: the simulated time that it is now, s, in place of a number of steps; not
-                before that of the last tick.
+            steps: the number of steps that you have run since the last tick, 0 or more. 0 takes
+                another tick at the same time, for example after bodies were moved.
+            time: the current simulated time, s, instead of a number of steps; not before that
+                of the last tick.
+
+        Returns:
+            The world itself.
 
         Raises:
-            SimulatorError: the simulator does not answer; the last tick and its time stay.
+            SimulatorError: the simulator does not answer; the last tick and its time remain.
             NumberError: an argument is no such number, or the time is before the last tick's.
-            ArgumentError: both are given, or the world is not attached.
+            ArgumentError: both arguments are given, or the world is not attached.
         """
         with self.lock:
             self._check_not_pinned()
@@ -114,7 +117,7 @@ class SteppedSimulation(Observable):
         return self
 
     def _clock_of_tick(self, steps: int | None, time: float | None) -> Clock:
-        """The clock of an attached world at the tick that is to be taken."""
+        """Returns the clock of an attached world at the next tick."""
         clock, timestep = self._simulator.clock, self._simulator.timestep
         if steps is not None and time is not None:
             raise ArgumentError("tick: steps and time exclude each other")
@@ -123,58 +126,64 @@ class SteppedSimulation(Observable):
                 1 if steps is None else validation.step_count(steps, "tick: steps", "tick(time=…)")
             )
             return clock.after(count, timestep)
-        given = validation.finite_number(time, "tick: time", "seconds")
-        if given < clock.time - self.slack:
+        seconds = validation.finite_number(time, "tick: time", "seconds")
+        if seconds < clock.time - self.slack:
             raise NumberError(
-                f"tick: time: {given:g} s is before the last tick, {clock.time:g} s; time does "
+                f"tick: time: {seconds:g} s is before the last tick, {clock.time:g} s; time does "
                 "not go back: after a reset, attach the client anew, which begins a new episode"
             )
-        if timestep and given + timestep == given:
-            raise NumberError(f"tick: time: {given:g} s is so late that a step does not count")
+        if timestep and seconds + timestep == seconds:
+            raise NumberError(
+                f"tick: time: {seconds:g} s is so large that adding a step does not change it"
+            )
         # Within rounding it is the time of the last tick.
-        return clock if abs(given - clock.time) <= self.slack else clock.at(given, timestep)
+        return clock if abs(seconds - clock.time) <= self.slack else clock.at(seconds, timestep)
 
     def step(self, count: int = 1) -> Self:
-        """Run that many steps of the simulator, then take a tick.
+        """Runs steps of the simulator, then takes a tick.
 
-        Where a follower wants a tick on the way (a trigger is due, say), one is taken there, too.
-        Ctrl-C ends it at a tick.
+        Further ticks are taken on the way when observers request them, for example triggers that
+        are due. Ctrl-C ends the run with a tick.
 
         Args:
-            count: how many steps, 0 or more; a number of seconds is for `run`.
+            count: the number of steps, 0 or more; for a number of seconds, see `run`.
+
+        Returns:
+            The world itself.
 
         Raises:
-            NumberError: it is no such number.
-            SimulatorError: the simulator does not answer; the last tick stays.
+            NumberError: the count is no such number.
+            SimulatorError: the simulator does not answer; the last tick remains.
             UnsupportedError: it is a what-if world.
         """
-        left = validation.step_count(count, "step", "run({})")
+        remaining = validation.step_count(count, "step", "run({})")
         while True:
-            run = int(min(left, self.steps_to_due()))
-            self.advance(run)
+            steps = int(min(remaining, self.steps_to_due()))
+            self.advance(steps)
             self.notify_observers()
-            left -= run
-            if left <= 0:
+            remaining -= steps
+            if remaining <= 0:
                 return self
 
-    def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
-        """Run steps and take a tick, telling no follower: a part of `step`.
+    def advance(self, count: int, on_progress: Callable[[int], object] | None = None) -> None:
+        """Runs steps and takes a tick without notifying observers: a part of `step`.
 
         Args:
-            count: how many steps.
-            watch: is told now and then how many more were run; the world is locked meanwhile.
+            count: the number of steps.
+            on_progress: called at intervals with the number of steps since the last call; the
+                world is locked meanwhile.
         """
         if self._waiting:
-            time.sleep(_TURN)  # locks are not fair: a thread that only steps would keep it
+            time.sleep(_YIELD_SECONDS)  # locks are not fair: this thread might always win
         with self.lock:
             self._check_not_pinned()
             try:
-                for done in _parts(count, count if watch is None else _WATCHED):
-                    self._simulator.step(done)
-                    if watch is not None:
-                        watch(done)
+                for steps in _portions(count, count if on_progress is None else _STEPS_PER_REPORT):
+                    self._simulator.step(steps)
+                    if on_progress is not None:
+                        on_progress(steps)
             except KeyboardInterrupt:
-                self._take_tick()  # the tables are not to lag behind the simulator
+                self._take_tick()  # the tables must match the simulator
                 raise
             self._take_tick()
 
@@ -185,21 +194,21 @@ class SteppedSimulation(Observable):
     def _take(self) -> None:
         self._registry.update(self._simulator)
         self.snapshot.take(self._simulator, self._registry.entities)
-        failed = None
+        failure = None
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
                 try:
-                    recorder.note(self.snapshot)
-                except SelectScriptError as error:  # a full disk is no trouble of the others
-                    failed = failed or error
-        if failed is not None:
-            raise failed
+                    recorder.record(self.snapshot)
+                except SelectScriptError as error:  # the other recorders still get the tick
+                    failure = failure or error
+        if failure is not None:
+            raise failure
 
-    # -- what is asked of it ----------------------------------------------------------------
+    # -- tables and queries -----------------------------------------------------------------
 
     def request_tables(self, tables: Iterable[str]) -> None:
-        """See to it that the current tick has these tables; takes a fresh one if it has not."""
+        """Ensures that the current tick includes tables; takes a fresh tick if it does not."""
         with self.lock:
             if self.snapshot.request_tables(tables):
                 self._take_requested()
@@ -209,23 +218,23 @@ class SteppedSimulation(Observable):
                 self.snapshot.read_margins(self._simulator)
 
     def _read_masses(self) -> None:
-        """Read the masses at this tick, and tell who keeps ticks of them."""
+        """Reads the masses at this tick, and passes them to the recorders."""
         if self.is_final or not self.snapshot.read_masses(self._simulator):
             return
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
-                recorder.note_masses(self.snapshot)
+                recorder.check_masses(self.snapshot)
 
     def _take_requested(self) -> None:
         if self._simulator.is_external:
             self._check_not_pinned()
-        # Under a query nothing has moved in a world that ssduck alone steps.
+        # During a query nothing moves in a world that only ssduck steps.
         self._take()
 
     @contextmanager
     def pinned(self, tables: Iterable[str] = ()) -> Iterator[None]:
-        """Hold the world at its tick, with these tables read, while a query runs."""
+        """Keeps the world at its tick, with tables included, while a query runs."""
         self._waiting += 1
         self.lock.acquire()
         self._waiting -= 1
@@ -245,41 +254,41 @@ class SteppedSimulation(Observable):
                 f"a query on {self.name!r} is running: its tick cannot be replaced before it ends"
             )
 
-    # -- who keeps ticks --------------------------------------------------------------------
+    # -- recorders --------------------------------------------------------------------------
 
     def add_recorder(self, recorder: TickSink) -> None:
-        """Let a recorder keep this tick and those to come, as long as anyone else holds it."""
+        """Records this tick and the following ones; the world has a weak reference only."""
         with self.lock:
             self._check_not_pinned()
-            with suppress(SimulatorError):  # which may be gone: its last tick is kept
+            with suppress(SimulatorError):  # of a closed simulator, the last tick is recorded
                 self._read_masses()
             self._recorders.append(weakref.ref(recorder))
             self._read_recorded()
             if self.snapshot.request_tables(()):
                 self._take()
             else:
-                recorder.note(self.snapshot)
+                recorder.record(self.snapshot)
 
     def remove_recorder(self, recorder: TickSink) -> None:
-        """Let a recorder keep no more ticks."""
+        """Removes a recorder, which gets no more ticks."""
         with self.lock:
             self._recorders = [r for r in self._recorders if r() not in (None, recorder)]
             self._read_recorded()
 
     def _read_recorded(self) -> None:
-        """See to it that each tick has the tables that are recorded."""
+        """Makes each tick include the tables of the recorders."""
         recorders = [recorder for reference in self._recorders if (recorder := reference())]
         tables = frozenset(table for r in recorders for table in r.tables)
         self.snapshot.recorded = tables - {"entities"}
 
     @property
     def is_final(self) -> bool:
-        """Whether no other tick of it will come: it is a what-if world, or a past one."""
+        """Whether no further tick can be taken: it is a what-if world or a past one."""
         return isinstance(self._simulator, StaticSimulator)
 
 
-def _parts(count: int, most: int) -> Iterator[int]:
-    """A number in parts of at most `most`; 0 is one part."""
-    yield min(count, most)
-    for begun in range(most, count, most or 1):
-        yield min(most, count - begun)
+def _portions(count: int, maximum: int) -> Iterator[int]:
+    """Yields positive numbers of at most `maximum` whose sum is `count`; 0 for 0."""
+    yield min(count, maximum)
+    for done in range(maximum, count, maximum or 1):
+        yield min(maximum, count - done)

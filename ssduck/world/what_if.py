@@ -1,4 +1,4 @@
-"""A tick of a world with some bodies elsewhere, made of what the tick knows."""
+"""Computes a tick of a world with some bodies or joints elsewhere, without the simulator."""
 
 from __future__ import annotations
 
@@ -14,70 +14,75 @@ from ssduck.world.layout import BodyGroup
 from ssduck.world.snapshot import Snapshot
 
 UNAVAILABLE = {
-    "contacts": "a what-if world has no contacts: they are what a solver finds in a step, and it "
-    "was never simulated; compare boxes, or move the bodies themselves",
-    "sensings": "sensors perceive nothing in a what-if world: its rays would have to be cast in "
-    "the simulation; move the bodies themselves",
+    "contacts": "a what-if world has no contacts: the solver finds contacts in a step, and a "
+    "what-if world is never stepped; compare boxes, or move the bodies themselves",
+    "sensings": "sensors perceive nothing in a what-if world: rays can only be cast in the "
+    "simulation; move the bodies themselves",
 }
 
 
-# Where a simulation that explodes has a body is no number, and stays none.
+# Poses of a diverging simulation may be NaN; they stay NaN.
 @np.errstate(invalid="ignore")
 def what_if_tick(
-    snapshot: Snapshot, places: Mapping[Body, Pose], joints: Mapping[Body, Mapping[int, float]]
+    snapshot: Snapshot, poses: Mapping[Body, Pose], joints: Mapping[Body, Mapping[int, float]]
 ) -> tuple[StaticSimulator, Snapshot]:
-    """What stands for a simulator, and the snapshot to be taken of it.
+    """Returns a static simulator of the what-if state, and a snapshot to take from it.
 
     Args:
-        snapshot: of the tick; the tables of links and joints have to have been asked for if a
-            body has several links.
-        places: where bodies are put: of the base link's frame in the world.
-        joints: positions of joints, rad or m, by body and number of the joint's link.
+        snapshot: the tick; if a body has several links, the tables of links and joints must have
+            been requested.
+        poses: the new poses of the bodies' base link frames in the world frame.
+        joints: the new positions of joints, rad or m, by body and number of the joint's link.
     """
-    told = snapshot.joints()
-    further = {
-        body: {link: position - told[body][link - 1, 0] for link, position in positions.items()}
+    states = snapshot.joints()
+    offsets = {
+        body: {link: position - states[body][link - 1, 0] for link, position in positions.items()}
         for body, positions in joints.items()
     }
     clone = snapshot.clone(UNAVAILABLE)
-    frames = {}
-    for part, known in snapshot.body_groups:
-        changed = [body for body in part.runs if body in places or body in further]
-        frames[part.bodies] = _changed(part, known, changed, places, further)
-        if changed:
+    link_poses = {}
+    for group, current in snapshot.body_groups:
+        moved = [body for body in group.runs if body in poses or body in offsets]
+        link_poses[group.bodies] = _moved(group, current, moved, poses, offsets)
+        if moved:
             clone.invalidate_static_poses()
-    posed = StaticSimulator(
+    simulator = StaticSimulator(
         time=snapshot.time,
-        link_poses=frames,
-        joints={body: _joints(states, joints.get(body, {})) for body, states in told.items()},
+        link_poses=link_poses,
+        joints={body: _at_rest(values, joints.get(body, {})) for body, values in states.items()},
         disabled=snapshot.disabled,
         hidden=snapshot.hidden,
     )
-    return posed, clone
+    return simulator, clone
 
 
-def _changed(
-    part: BodyGroup,
-    frames: LinkPoses,
+def _moved(
+    group: BodyGroup,
+    link_poses: LinkPoses,
     bodies: list[Body],
-    places: Mapping[Body, Pose],
-    further: Mapping[Body, Mapping[int, float]],
+    poses: Mapping[Body, Pose],
+    offsets: Mapping[Body, Mapping[int, float]],
 ) -> LinkPoses:
-    """The frames with these bodies elsewhere."""
+    """Returns the link poses of a group after some of its bodies or their joints moved."""
     if not bodies:
-        return frames
-    positions, matrices = frames.positions.copy(), frames.matrices.copy()
-    states = frames.states.copy()
+        return link_poses
+    positions, matrices = link_poses.positions.copy(), link_poses.matrices.copy()
+    states = link_poses.states.copy()
     for body in bodies:
-        run = part.runs[body]
-        own = LinkPoses(positions[run], matrices[run], states[run])
-        new = moved_link_poses(body, own, places.get(body), further.get(body, {}))
+        run = group.runs[body]
+        current = LinkPoses(positions[run], matrices[run], states[run])
+        new = moved_link_poses(body, current, poses.get(body), offsets.get(body, {}))
         positions[run], matrices[run], states[run] = new.positions, new.matrices, new.states
     return LinkPoses(positions, matrices, states)
 
 
-def _joints(states: Array, positions: Mapping[int, float]) -> Array:
-    """Positions, velocities and efforts of a body's joints; what a motor would do is unknown."""
+def _at_rest(states: Array, positions: Mapping[int, float]) -> Array:
+    """Sets the joints at positions to rest there, and all efforts to unknown.
+
+    Args:
+        states: position, velocity and effort of each joint, (joints, 3); changed in place.
+        positions: the new positions, rad or m, by the number of the joint's link.
+    """
     states[:, 2] = np.nan
     for link, position in positions.items():
         states[link - 1, :2] = position, 0.0

@@ -73,15 +73,15 @@ class World(ManipulableSimulation, OpenRaveWorld):
     ) -> None:
         self._begin(simulator, Snapshot(), name, camera or Camera())
         self._registry.begin(simulator, sensors)
-        for member in self._registry.entities:
-            if member.sensor is not None and not member.sensor.powered:
-                self.snapshot.switch(member.id, on=False)
+        for info in self._registry.entities:
+            if info.sensor is not None and not info.sensor.powered:
+                self.snapshot.switch(info.id, on=False)
         with self.lock:
             self._take_tick()
 
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
         self.camera = camera
-        self._begin_ticking(simulator, snapshot, name)
+        self._init_ticking(simulator, snapshot, name)
         self._origin: World | None = None
 
     @classmethod
@@ -226,9 +226,9 @@ class World(ManipulableSimulation, OpenRaveWorld):
         with self.lock:
             seen = self._simulator.segment(camera or self.camera, width, height)
             ids = np.zeros(int(seen.max(initial=-1)) + 2, dtype=np.intp)
-            for member in self._registry.entities:
-                if member.body is not None and member.body.handle < len(ids) - 1:
-                    ids[member.body.handle] = member.id
+            for info in self._registry.entities:
+                if info.body is not None and info.body.handle < len(ids) - 1:
+                    ids[info.body.handle] = info.id
         return ids[seen]  # nothing is -1: the last one
 
     # -- what if --------------------------------------------------------------------------
@@ -381,7 +381,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
     def __iter__(self) -> Iterator[Entity]:
         """The entities: sensors first, then bodies, each in load order."""
-        return map(self.entity, [member.id for member in self.snapshot.entities])
+        return map(self.entity, [info.id for info in self.snapshot.entities])
 
     def __len__(self) -> int:
         return len(self.snapshot.entities)
@@ -390,7 +390,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         """Whether it has an entity of that name, or that entity."""
         if isinstance(thing, Entity):
             return thing.world is self and thing.id in self.snapshot.rows
-        return any(member.name == thing for member in self.snapshot.entities)
+        return any(info.name == thing for info in self.snapshot.entities)
 
     def __getitem__(self, name: str) -> Entity:
         """The entity of that name.
@@ -398,10 +398,10 @@ class World(ManipulableSimulation, OpenRaveWorld):
         Raises:
             UnknownNameError: there is none, with the nearest names.
         """
-        for member in self.snapshot.entities:
-            if member.name == name:
-                return self.entity(member.id)
-        known = [member.name for member in self.snapshot.entities]
+        for info in self.snapshot.entities:
+            if info.name == name:
+                return self.entity(info.id)
+        known = [info.name for info in self.snapshot.entities]
         raise UnknownNameError(
             f"world {self.name!r} has no entity {name!r}", suggestions=nearest(name, known)
         )
@@ -415,8 +415,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
         row = self.snapshot.rows.get(id) if validation.is_integer(id) else None
         if row is None:
             raise UnknownNameError(f"world {self.name!r} has no entity of the id {short_repr(id)}")
-        member = self.snapshot.entities[row]
-        return HANDLES[member.kind](self, id, member.name, member.kind)
+        info = self.snapshot.entities[row]
+        return HANDLES[info.kind](self, id, info.name, info.kind)
 
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
@@ -463,11 +463,11 @@ class World(ManipulableSimulation, OpenRaveWorld):
                 **({} if link is None else {"link": link}),
                 **{key: _plain(value) for key, value in settings.items()},
             }
-            member = self._registry.add_sensor(type, host, name, values)
-            assert member.sensor is not None
-            self.snapshot.switch(member.id, on=member.sensor.powered)
+            info = self._registry.add_sensor(type, host, name, values)
+            assert info.sensor is not None
+            self.snapshot.switch(info.id, on=info.sensor.powered)
             self._take_tick()
-            sensor = self.entity(member.id)
+            sensor = self.entity(info.id)
         assert isinstance(sensor, Sensor)
         return sensor
 

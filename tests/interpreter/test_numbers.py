@@ -296,7 +296,7 @@ def test_a_number_of_the_wrong_kind(things, name):
     assert things.state() == before
 
 
-@pytest.mark.filterwarnings("ignore:arm. what motors do")
+@pytest.mark.filterwarnings("ignore:arm. the motors are")
 @pytest.mark.parametrize("name", CALLS)
 def test_a_number_of_the_right_kind(things, name):
     """numpy's numbers are as good as Python's, and None is where it stands for something."""

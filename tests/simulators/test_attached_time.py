@@ -154,7 +154,7 @@ def test_another_tick_of_the_same_time(client, bouncing, again):
         ({"time": math.nan}, NumberError, "nan is no finite number of seconds"),
         ({"time": math.inf}, NumberError, "inf is no finite number of seconds"),
         ({"time": 10**400}, NumberError, "is no finite number of seconds"),
-        ({"time": 1e300}, NumberError, "so late that a step does not count"),
+        ({"time": 1e300}, NumberError, "so large that adding a step does not change it"),
         ({"time": "2"}, NumberError, "'2' is no finite number of seconds"),
         ({"time": True}, NumberError, "True is no finite number of seconds"),
         ({"steps": -1}, NumberError, "cannot run -1 steps"),

@@ -12,7 +12,7 @@ from ssduck.geometry.poses import IDENTITY
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.backends import BACKENDS
 from ssduck.simulators.clock import Clock
-from ssduck.simulators.interface import Body, Link, LinkPoses
+from ssduck.simulators.interface import Body, ContactPoints, Link, LinkPoses
 from ssduck.simulators.scenes import Scene
 
 
@@ -64,7 +64,7 @@ class TwoBoxes:
         return [body.margins for body in bodies]
 
     def read_contacts(self):
-        return ()
+        return ContactPoints.none()
 
     def step(self, count):
         for _ in range(count):

@@ -243,11 +243,11 @@ def test_motors_hold_where_they_do(kitchen):
     """Not where joints happen to be: the arm sags under its weight."""
     kitchen.step(240)
     copy = kitchen.excerpt(["barrett_4918"])
-    held = {kitchen.simulator.loaded.held[handle].__repr__() for handle in (2,)}
-    assert held == {repr(told) for told in copy.simulator.loaded.held.values()}
+    held = {kitchen.simulator.loaded.motor_positions[handle].__repr__() for handle in (2,)}
+    assert held == {repr(told) for told in copy.simulator.loaded.motor_positions.values()}
     copy["barrett_4918"].move(joints={"j1": 0.1})
     again = copy.excerpt(copy)
-    (held,) = again.simulator.loaded.held.values()
+    (held,) = again.simulator.loaded.motor_positions.values()
     assert 0.1 in held.values()
 
 
@@ -357,7 +357,7 @@ def constraints(world):
     return [pybullet.getConstraintInfo(number, client)[4:] for number in numbers]
 
 
-MOTORS = "arm: what motors do is not told"
+MOTORS = "arm: the motors are not known"
 
 
 @pytest.mark.parametrize("steps", [0, 100, 300])
@@ -419,7 +419,7 @@ def test_models_of_others(kitchen):
     bodies = [member for member in kitchen.snapshot.load_order if member.body is not None]
     names = {member.body.handle: member.name for member in bodies}
     world = ssduck.World.attach(kitchen.simulator.client, names=names)
-    with pytest.warns(UserWarning, match="barrett_4918, roomba_625x: what motors do"):
+    with pytest.warns(UserWarning, match="barrett_4918, roomba_625x: the motors are not known"):
         copy = world.excerpt(world)
     assert farthest(world, copy) < 1e-12
     assert dynamics(copy) == dynamics(world)
@@ -730,7 +730,7 @@ def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     specs = [[e.spec for e in world if e.kind == "sensor"] for world in (kitchen, loaded)]
     assert [s.name for s in specs[0]] == [s.name for s in specs[1]]
     assert not loaded["fridge_webcam"].powered
-    ours, theirs = loaded.simulator.loaded.held, kitchen.simulator.loaded.held
+    ours, theirs = loaded.simulator.loaded.motor_positions, kitchen.simulator.loaded.motor_positions
     assert list(ours.values()) == list(theirs.values())
     again = ssduck.load(loaded.save(tmp_path / "again")).worlds[0]
     assert farthest(loaded, again) < 1e-12
@@ -768,7 +768,7 @@ def test_saved_names_are_made_fit(client, write, tmp_path):
     names = {number: 'odd "name" \\ \t/..'}
     world = ssduck.World.attach(client, names=names, name='the "world"; 2')
     world.add_sensor("range_finder", 'odd "name" \\ \t/..', "eye", "b", max_range=2.0)
-    with pytest.warns(UserWarning, match="what motors do"):
+    with pytest.warns(UserWarning, match="the motors are not known"):
         world.save(tmp_path / "saved")
     loaded = ssduck.load(tmp_path / "saved").worlds[0]
     assert loaded.name == "the__world___2"  # a variable
@@ -786,7 +786,7 @@ def test_a_joint_beyond_its_limit_is_saved_where_it_is(client, write, tmp_path):
     number = pybullet.loadURDF(str(write("r.urdf", text)), physicsClientId=client)
     pybullet.resetJointState(number, 0, 1.0009, physicsClientId=client)
     world = ssduck.World.attach(client)
-    with pytest.warns(UserWarning, match="what motors do"):
+    with pytest.warns(UserWarning, match="the motors are not known"):
         world.save(tmp_path / "saved")
     assert ssduck.load(tmp_path / "saved").worlds[0]["model"].joints[0].position == 1.0009
 

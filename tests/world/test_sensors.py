@@ -1002,7 +1002,7 @@ def arm(write):
 def test_a_sensor_on_a_link_looks_where_the_link_points(arm):
     client = arm._simulator.client
     (handle,) = (
-        b.handle for b in (d.body for d in arm._simulator._known.values()) if b.name == "arm"
+        b.handle for b in (d.body for d in arm._simulator._descriptions.values()) if b.name == "arm"
     )
     eye = arm["eye"]
     assert eye.ranges == pytest.approx([3 - 0.1 - 0.25], abs=EXACT)

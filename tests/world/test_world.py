@@ -374,7 +374,7 @@ def carrier(write):
 def test_a_sensor_is_a_point_that_moves_with_its_link(carrier):
     """Its pose by composition, its velocity by the change of its position."""
     client = carrier._simulator.client
-    (handle,) = carrier._simulator._known
+    (handle,) = carrier._simulator._descriptions
     pybullet.resetBaseVelocity(handle, [1, 2, 3], [3, -2, 1], client)
     pybullet.setJointMotorControl2(
         handle, 0, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client

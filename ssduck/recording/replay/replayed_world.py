@@ -80,7 +80,7 @@ class ReplayedWorld(PastWorld):
             self._take_tick()
         return self
 
-    def advance(self, count: int, watch: Callable[[int], object] | None = None) -> None:
+    def advance(self, count: int, on_progress: Callable[[int], object] | None = None) -> None:
         """Go on by so many recorded times, telling no follower.
 
         Raises:
@@ -95,8 +95,8 @@ class ReplayedWorld(PastWorld):
                 )
             if count:
                 self._tick = int(self._firsts[place])
-            if watch is not None:
-                watch(count)
+            if on_progress is not None:
+                on_progress(count)
             self._take_tick()
 
     def _take(self) -> None:

@@ -13,9 +13,9 @@ from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Kind, Simulator
 from ssduck.simulators.pybullet.clients import handles_of, new_client
 from ssduck.simulators.pybullet.console import pybullet
-from ssduck.simulators.pybullet.given_shapes import given_shapes
 from ssduck.simulators.pybullet.scene_loader import load_models
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
+from ssduck.simulators.pybullet.user_shapes import user_shapes
 from ssduck.simulators.scenes import Scene
 
 __all__ = ["attach", "excerpt", "load", "scene_of"]
@@ -52,16 +52,16 @@ def attach(
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
     number = int(number)
     handles = handles_of(number)
-    for own, what in ((names, "names"), (kinds, "kinds")):
-        if not isinstance(own, Mapping | None):
+    for values, parameter in ((names, "names"), (kinds, "kinds")):
+        if not isinstance(values, Mapping | None):
             raise ArgumentError(
-                f"attach: {what}: {short_repr(own)} is no dict by the bodies' numbers"
+                f"attach: {parameter}: {short_repr(values)} is no dict by the bodies' numbers"
             )
     for handle in (*(names or {}), *(kinds or {})):
         if not validation.is_integer(handle) or handle not in handles:
-            known = ", ".join(map(str, handles)) or "none"
+            listed = ", ".join(map(str, handles)) or "none"
             raise SelectScriptError(
-                f"PyBullet has no body {short_repr(handle)}; its bodies: {known}"
+                f"PyBullet has no body {short_repr(handle)}; its bodies: {listed}"
             )
     for handle, kind in (kinds or {}).items():
         if kind not in ("robot", "kinbody"):
@@ -69,11 +69,11 @@ def attach(
     for handle, name in (names or {}).items():
         if not isinstance(name, str):
             raise ArgumentError(f"attach: names: body {handle}: {short_repr(name)} is no text")
-    given = given_shapes(number, handles, shapes)
-    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=given)
+    by_body = user_shapes(number, handles, shapes)
+    return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=by_body)
 
 
-# What copies and saved scenes need is imported with the first of them: few sessions make any.
+# Modules for copies and saved scenes are imported on first use: few sessions need them.
 
 
 def excerpt(

@@ -1,7 +1,7 @@
 """Describes PyBullet bodies: their links, their joints, and their shapes in the link frames.
 
 PyBullet returns the pose of a shape relative to the link's centre of mass. The pose of that in the
-link frame is `com`. PyBullet does not return all shapes; see `_Reader.shapes`.
+link frame is `com`. PyBullet does not return all shapes; see `_BodyReader._read_shapes`.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Joint, Kind, Link
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import (
-    KnownMargins,
-    known_margins,
+    LinkMargin,
+    link_margin,
     margin_of,
     with_margins,
 )
 from ssduck.simulators.pybullet.console import pybullet
 
 Pose: TypeAlias = tuple[Array, Array]
-# Shapes of a link; None for what PyBullet does not tell.
+# The shapes of a link; None if PyBullet does not return them.
 Shapes: TypeAlias = list[PlacedGeometry] | None
-# Shapes that a caller knows, in link frames, by link (the base is 0) and number; None for all.
-GivenShapes: TypeAlias = Mapping[tuple[int, int | None], Sequence[Geometry]]
+# The user's own shapes in link frames, by link (the base is 0) and number; None for all.
+UserShapes: TypeAlias = Mapping[tuple[int, int | None], Sequence[Geometry]]
 
 # The joint types by PyBullet's numbers; a point-to-point joint cannot come from a model file.
 _JOINT_TYPES = {
@@ -43,32 +43,32 @@ _JOINT_TYPES = {
     pybullet.JOINT_PLANAR: "planar",
     pybullet.JOINT_FIXED: "fixed",
 }
-# What getDynamicsInfo says of a body of links, which is what model files make.
+# The body types of getDynamicsInfo; model files make multi-bodies.
 _MULTI_BODY = 2
 _SOFT_BODY = 3
-# So far apart are numbers that are the same in single floats.
-_SINGLE = 1e-6
-# PyBullet's box of a link without shapes is smaller; it has a diagonal of 2 mm times sqrt(3).
-_BARE = 3.5e-3
-# Directions in which no corner of a mesh shares its extreme with others.
-_ASKEW = np.array([[0.62, 0.53, 0.58], [-0.71, 0.44, -0.55], [0.37, -0.82, 0.43]])
+# Numbers that differ by less are equal as single floats.
+_FLOAT32_TOLERANCE = 1e-6
+# PyBullet's box of a link without shapes is smaller: its diagonal is 2 mm times sqrt(3).
+_MAX_EMPTY_BOX = 3.5e-3
+# Directions in which, in general, a single corner of a mesh is the farthest.
+_GENERIC_DIRECTIONS = np.array([[0.62, 0.53, 0.58], [-0.71, 0.44, -0.55], [0.37, -0.82, 0.43]])
 
 
 @dataclass(frozen=True, eq=False)
 class BodyDescription:
-    """A body as it was read.
+    """A body of a client, as described once.
 
     Attributes:
         body: its links, joints and shapes.
         com: poses of the links' centres of mass in the link frames, (links, 3) and (links, 4).
-        exact: whether all its shapes are those that PyBullet uses; else boxes stand in for some.
-        link_margins: the margin of each link; empty if PyBullet was not asked.
+        exact: whether all shapes are those that PyBullet uses; else boxes stand in for some.
+        link_margins: the margin of each link; empty for a body that was not read.
     """
 
     body: Body
     com: Pose
     exact: bool
-    link_margins: tuple[KnownMargins, ...] = ()
+    link_margins: tuple[LinkMargin, ...] = ()
 
 
 def describe(
@@ -77,7 +77,7 @@ def describe(
     name: str | None,
     kind: Kind | None,
     saved: SavedShapes | None = None,
-    given: GivenShapes | None = None,
+    user_shapes: UserShapes | None = None,
 ) -> BodyDescription:
     """Reads a body.
 
@@ -86,14 +86,14 @@ def describe(
         handle: its number.
         name: replaces its own name.
         kind: replaces the kind that follows from its joints.
-        saved: the shapes that PyBullet only saves, of this body and others.
-        given: the shapes that the caller knows.
+        saved: the shapes of this body and others in a file that PyBullet saves.
+        user_shapes: the user's own shapes.
 
     Raises:
-        ArgumentError: a shape is given that the body does not have.
+        ArgumentError: the user gives a shape that the body does not have.
     """
     saved = saved or SavedShapes(client, [handle])
-    return _Reader(client, handle, saved, given or {}).described(name, kind)
+    return _BodyReader(client, handle, saved, user_shapes or {}).read(name, kind)
 
 
 def joint_of(info: tuple[Any, ...]) -> Joint:
@@ -125,28 +125,28 @@ def xyzw(orientations: Array) -> Array:
     return orientations[:, [1, 2, 3, 0]]
 
 
-def com_of(client: int, handle: int) -> Pose:
+def com_poses_of(client: int, handle: int) -> Pose:
     """Returns the centres of mass as poses in the link frames, (links, 3) and (links, 4)."""
     links = range(-1, pybullet.getNumJoints(handle, client))
-    return _com([pybullet.getDynamicsInfo(handle, link, client) for link in links])
+    return _com_poses([pybullet.getDynamicsInfo(handle, link, client) for link in links])
 
 
 def masses_of(client: int, body: Body) -> list[float]:
     """Returns the present masses of a body's links; of a soft body, the described ones."""
     links = range(-1, len(body.links) - 1)
     dynamics = [pybullet.getDynamicsInfo(body.handle, link, client) for link in links]
-    # What PyBullet says of a soft body is no number of kilograms.
+    # PyBullet's mass of a soft body is no number of kilograms.
     return (
         body.masses
         if dynamics[0][10] == _SOFT_BODY
-        else [float(link_margins[0]) for link_margins in dynamics]
+        else [float(dynamic[0]) for dynamic in dynamics]
     )
 
 
-def _com(dynamics: Sequence[Any]) -> Pose:
+def _com_poses(dynamics: Sequence[Any]) -> Pose:
     if dynamics[0][10] != _MULTI_BODY:
-        # PyBullet answers with what happened to be in memory. The frame of the centre of
-        # mass is the only one that it knows of these.
+        # PyBullet returns uninitialized memory. The frame of the centre of mass is the only one
+        # that these bodies have.
         return np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
     return (
         np.array([dynamic[3] for dynamic in dynamics], dtype=np.float64),
@@ -154,32 +154,34 @@ def _com(dynamics: Sequence[Any]) -> Pose:
     )
 
 
-class _Reader:
-    """One body of a client, while it is read."""
+class _BodyReader:
+    """Reads one body of a client."""
 
-    def __init__(self, client: int, handle: int, saved: SavedShapes, given: GivenShapes) -> None:
+    def __init__(
+        self, client: int, handle: int, saved: SavedShapes, user_shapes: UserShapes
+    ) -> None:
         self.client = client
         self.handle = handle
-        self.saved = saved
-        self.given = given
+        self._saved_file = saved
+        self._user_shapes = user_shapes
         self.link_name, self.name = (
             text.decode(errors="replace") for text in pybullet.getBodyInfo(handle, client)
         )
         count = pybullet.getNumJoints(handle, client)
-        self.infos = [pybullet.getJointInfo(handle, index, client) for index in range(count)]
-        self.dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, count)]
-        self.type = self.dynamics[0][10]
-        self.com = _com(self.dynamics)
+        self._joint_infos = [pybullet.getJointInfo(handle, index, client) for index in range(count)]
+        self._dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, count)]
+        self.type = self._dynamics[0][10]
+        self.com = _com_poses(self._dynamics)
 
-    def described(self, name: str | None, kind: Kind | None) -> BodyDescription:
-        joints = tuple(map(self._joint, self.infos))
+    def read(self, name: str | None, kind: Kind | None) -> BodyDescription:
+        joints = tuple(map(self._joint, self._joint_infos))
         jointed = any(joint.type != "fixed" for joint in joints)
-        parents = [-1] + [info[16] + 1 for info in self.infos]
-        names = [self.link_name] + [info[12].decode(errors="replace") for info in self.infos]
-        masses = [float(dynamic[0]) for dynamic in self.dynamics]
+        parents = [-1] + [info[16] + 1 for info in self._joint_infos]
+        names = [self.link_name] + [info[12].decode(errors="replace") for info in self._joint_infos]
+        masses = [float(dynamic[0]) for dynamic in self._dynamics]
         if self.type == _SOFT_BODY:
-            masses = [0.0]  # what PyBullet says is no number of kilograms
-        link_margins = tuple(map(self._told, range(len(names))))
+            masses = [0.0]  # PyBullet's mass is no number of kilograms
+        link_margins = tuple(map(self._read_margin, range(len(names))))
         body = Body(
             handle=self.handle,
             name=name or self.name or f"body_{self.handle}",
@@ -189,8 +191,8 @@ class _Reader:
             joints=joints,
             shapes=tuple(
                 shape
-                for link, of in enumerate(link_margins)
-                for shape in with_margins(self.own[link], of)
+                for link, margin in enumerate(link_margins)
+                for shape in with_margins(self._shapes[link], margin)
             ),
         )
         return BodyDescription(body, self.com, not body.has_stand_ins, link_margins)
@@ -199,58 +201,58 @@ class _Reader:
         """Returns a joint, its axis in the frame of its link."""
         joint = joint_of(info)
         axis = rotation_matrices(self.com[1][[joint.link]])[0] @ joint.axis
-        # PyBullet turns by as many radians however long the axis is, but does not shift so.
+        # The length of the axis scales the motion of a prismatic joint, not of a revolute one.
         length = float(np.linalg.norm(axis)) if joint.type == "revolute" else 1.0
         x, y, z = (axis / (length or 1.0)).tolist()
         return replace(joint, axis=(x, y, z))
 
     # -- shapes ---------------------------------------------------------------------------
 
-    def _told(self, link: int) -> KnownMargins:
-        """Returns what PyBullet tells of the margins of a link."""
+    def _read_margin(self, link: int) -> LinkMargin:
+        """Returns the margin of a link as far as PyBullet knows it."""
         if all(
-            margin_of(shape.geometry.type, KnownMargins(None)) == 0.0 for shape in self.own[link]
+            margin_of(shape.geometry.type, LinkMargin(None)) == 0.0 for shape in self._shapes[link]
         ):
-            return KnownMargins(None)
+            return LinkMargin(None)
         entries = None
-        # Of links that have capsules PyBullet may not be asked; of soft bodies, and of those in
-        # maximal coordinates, it tells nothing.
-        if link not in self._drawn_capsules and self.type == _MULTI_BODY:
+        # PyBullet crashes on some links with capsules; it has no shapes of soft bodies, nor of
+        # bodies in maximal coordinates.
+        if link not in self._capsule_links and self.type == _MULTI_BODY:
             entries = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
-        return known_margins(self.dynamics[link], entries)
+        return link_margin(self._dynamics[link], entries)
 
     @cached_property
-    def own(self) -> list[list[PlacedGeometry]]:
+    def _shapes(self) -> list[list[PlacedGeometry]]:
         """The collision shapes of each link."""
-        return [list(self.shapes(link)) for link in range(len(self.dynamics))]
+        return [list(self._read_shapes(link)) for link in range(len(self._dynamics))]
 
-    def shapes(self, link: int) -> Iterator[PlacedGeometry]:
+    def _read_shapes(self, link: int) -> Iterator[PlacedGeometry]:
         """Yields the collision shapes of a link in its link frame (link 0 is the base).
 
-        Shapes that the caller gave come first, then those that PyBullet returns, then those that it
-        saves. If one shape is still unknown, the box of the link stands in for all of its shapes.
+        The user's own shapes take precedence over those that PyBullet returns, and these over those
+        that it saves. If a shape is still unknown, the box of the link stands in for all shapes.
 
         Raises:
-            ArgumentError: a shape is given that the link does not have.
+            ArgumentError: the user gives a shape that the link does not have.
         """
-        if (link, None) in self.given:
-            shapes: Shapes = self._placed(link, self.given[link, None])
+        if (link, None) in self._user_shapes:
+            shapes: Shapes = self._placed(link, self._user_shapes[link, None])
         else:
-            shapes = self._known(link)
+            shapes = self._known_shapes(link)
         if shapes is None:
             yield self._stand_in(link)
         else:
             yield from shapes
 
-    def _known(self, link: int) -> Shapes:
-        """Returns the shapes of a link, given ones included; None if one is unknown."""
+    def _known_shapes(self, link: int) -> Shapes:
+        """Returns the shapes of a link, with the user's own; None if one is unknown."""
         entries = self._entries(link)
-        numbers = {number for at, number in self.given if at == link and number is not None}
+        numbers = {number for i, number in self._user_shapes if i == link and number is not None}
         if numbers:
             count = 0 if entries is None else len(entries)
             self._check_numbers(link, numbers, count)
             entries = [
-                self._placed(link, self.given[link, number]) if number in numbers else entry
+                self._placed(link, self._user_shapes[link, number]) if number in numbers else entry
                 for number, entry in enumerate(entries or ())
             ]
         if entries is None or None in entries:
@@ -260,54 +262,54 @@ class _Reader:
     def _check_numbers(self, link: int, numbers: set[int], count: int) -> None:
         for number in numbers:
             if not 0 <= number < count:
-                has = f"{count} shapes, from 0" if count else "none that are told apart"
+                has = f"{count} shapes, from 0" if count else "none that can be told apart"
                 raise ArgumentError(
                     f"shapes: body {self.handle}, link {link - 1} has no shape {number}: it has "
                     f"{has}; ({self.handle}, {link - 1}) stands for all shapes of the link"
                 )
 
     def _placed(self, link: int, geometries: Iterable[Geometry]) -> list[PlacedGeometry]:
-        """Geometries in the frame of a link."""
-        return [PlacedGeometry(link, own, np.zeros(3), IDENTITY) for own in geometries]
+        """Places geometries at the frame of a link."""
+        return [PlacedGeometry(link, geometry, np.zeros(3), IDENTITY) for geometry in geometries]
 
     def _entries(self, link: int) -> list[Shapes] | None:
-        """Returns the shapes of a link one by one, as far as they are known; None if nothing is.
+        """Returns the known shapes of a link one by one; None if none is known.
 
-        PyBullet gives back no triangles; of rigid and soft bodies no shapes at all; and asked
-        for a capsule between two points of an MJCF file it crashes. A link that may have one is
-        drawn as a capsule, too: of that and of what PyBullet does not tell, it is read what it
-        saves. What is drawn has more digits, and is taken where both are the same.
+        PyBullet returns no triangles, and no shapes of rigid and soft bodies. It crashes on a
+        capsule between two points of an MJCF file. The shapes of links that are drawn with a
+        capsule, and those that PyBullet does not return, are read from a file that it saves.
+        Visual shapes have more digits; they are used if they equal the saved shapes.
         """
         entries: list[Shapes] | None = None
-        if self.type == _MULTI_BODY and link not in self._drawn_capsules:
-            link_margins = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
-            entries = [self._shape(link, index, entry) for index, entry in enumerate(link_margins)]
+        if self.type == _MULTI_BODY and link not in self._capsule_links:
+            data = pybullet.getCollisionShapeData(self.handle, link - 1, self.client)
+            entries = [self._entry_shapes(link, index, entry) for index, entry in enumerate(data)]
             if None not in entries and (entries or self._is_bare(link)):
                 return entries
-        saved = self._saved(link)
+        saved = self._saved_shapes(link)
         if saved is not None:
-            drawn = self._drawn(link)
-            return [[own] for own in (drawn if _are_alike(drawn, saved) else saved)]
+            visuals = self._visual_shapes(link)
+            return [[shape] for shape in (visuals if _are_equal(visuals, saved) else saved)]
         if entries is None:
-            drawn = self._drawn(link)
-            return [[own] for own in drawn] if self._agree(drawn, link) else None
+            visuals = self._visual_shapes(link)
+            return [[shape] for shape in visuals] if self._match_box(visuals, link) else None
         return entries or None
 
-    def _saved(self, link: int) -> Shapes:
+    def _saved_shapes(self, link: int) -> Shapes:
         """Returns the shapes of a link as PyBullet saves them; None if it does not."""
-        saved = None if self.type == _SOFT_BODY else self.saved.of(self.handle, link)
+        saved = None if self.type == _SOFT_BODY else self._saved_file.shapes_of(self.handle, link)
         if saved is None:
             return None
-        com = self._com_of(link)
-        found = []
-        for geometry, position, orientation in saved:
-            place, turn = compose(*com, position[None], orientation[None])
-            found.append(PlacedGeometry(link, geometry, place[0], turn[0]))
-        return found
+        com = self._com_in_link(link)
+        shapes = []
+        for geometry, *pose_in_com in saved:
+            position, orientation = compose(*com, *(part[None] for part in pose_in_com))
+            shapes.append(PlacedGeometry(link, geometry, position[0], orientation[0]))
+        return shapes
 
-    def _shape(self, link: int, index: int, entry: tuple[Any, ...]) -> Shapes:
+    def _entry_shapes(self, link: int, index: int, entry: tuple[Any, ...]) -> Shapes:
         """Returns the shapes of an entry, in general one; None if PyBullet lacks them."""
-        com = self._com_of(link)
+        com = self._com_in_link(link)
         local = np.array([entry[5]]), wxyz(np.array([entry[6]]))
         position, orientation = compose(*com, *local)
         primitive = primitive_of(entry[2], entry[3])
@@ -317,7 +319,7 @@ class _Reader:
             return None
         file = Path(entry[4].decode(errors="replace"))
         if file.is_file():
-            pieces = self._from_file(link, file, tuple(map(float, entry[3])), local)
+            pieces = self._read_mesh(link, file, tuple(map(float, entry[3])), local)
             if pieces is not None:
                 return [
                     PlacedGeometry(link, piece, position[0], orientation[0]) for piece in pieces
@@ -327,44 +329,44 @@ class _Reader:
             return None
         return [PlacedGeometry(link, Geometry.hull(vertices), com[0][0], com[1][0])]
 
-    def _from_file(
+    def _read_mesh(
         self, link: int, file: Path, scale: tuple[float, ...], local: Pose
     ) -> Sequence[Geometry] | None:
         """Returns a mesh as its file has it: hulls, or the surface of a concave one.
 
-        PyBullet makes one hull of each object in the file, and gives back the first only, and
-        that rounded to about a 10,000th of its size. Of a concave mesh it gives nothing; so a
-        mesh none of whose corners is among the link's is concave.
+        PyBullet makes one hull of each object in the file. It returns only the first hull, rounded
+        to about a 10,000th of its size, and nothing of a concave mesh. So a mesh is concave if none
+        of its corners is among those of the link.
         """
         try:
             mesh = load_mesh(file, scale)
             hulls = load_hulls(file, scale)
         except ValueError:
             return None
-        corners = mesh.vertices[np.argmax(mesh.vertices @ _ASKEW.T, axis=0)]
+        corners = mesh.vertices[np.argmax(mesh.vertices @ _GENERIC_DIRECTIONS.T, axis=0)]
         corners = corners @ rotation_matrices(local[1])[0].T + local[0]
-        known = self._hull_vertices(link)
-        if len(known):
-            gaps = np.linalg.norm(corners[:, None] - known[None], axis=2).min(axis=1)
+        vertices = self._hull_vertices(link)
+        if len(vertices):
+            gaps = np.linalg.norm(corners[:, None] - vertices[None], axis=2).min(axis=1)
             if gaps.max() < 2e-3 * float(np.ptp(mesh.vertices, axis=0).max()):
                 return hulls
         return [mesh]
 
     def _hull_vertices(self, link: int, index: int = -1) -> Array:
-        """Corners of a link's hulls in the frame of its centre of mass, all or of one shape.
+        """Returns the corners of a link's hulls, or of one shape, relative to the centre of mass.
 
-        PyBullet applies the index again to the objects in that shape's file, so that it is good
-        for meshes of one object, and for the first shape.
+        PyBullet applies the index again to the objects in that shape's file. So it is right for
+        meshes of one object, and for the first shape.
         """
         _, vertices = pybullet.getMeshData(
             self.handle, link - 1, collisionShapeIndex=index, physicsClientId=self.client
         )
         return np.array(vertices, dtype=np.float64).reshape(-1, 3)
 
-    def _com_of(self, link: int) -> Pose:
+    def _com_in_link(self, link: int) -> Pose:
         return self.com[0][[link]], self.com[1][[link]]
 
-    # -- what PyBullet does not tell ---------------------------------------------------------
+    # -- shapes that PyBullet does not return ------------------------------------------------
 
     @cached_property
     def _visuals(self) -> Sequence[tuple[Any, ...]]:
@@ -374,31 +376,31 @@ class _Reader:
         return data
 
     @cached_property
-    def _drawn_capsules(self) -> set[int]:
+    def _capsule_links(self) -> set[int]:
         return {entry[1] + 1 for entry in self._visuals if entry[2] == pybullet.GEOM_CAPSULE}
 
-    def _drawn(self, link: int) -> list[PlacedGeometry]:
+    def _visual_shapes(self, link: int) -> list[PlacedGeometry]:
         """Returns the visual shapes of a link; none if one is a mesh."""
         entries = [entry for entry in self._visuals if entry[1] == link - 1]
-        found = [(entry, primitive_of(entry[2], entry[3])) for entry in entries]
+        primitives = [primitive_of(entry[2], entry[3]) for entry in entries]
         shapes = [
-            PlacedGeometry(link, shape, np.array(entry[5]), wxyz(np.array([entry[6]]))[0])
-            for entry, shape in found
-            if shape is not None
+            PlacedGeometry(link, primitive, np.array(entry[5]), wxyz(np.array([entry[6]]))[0])
+            for entry, primitive in zip(entries, primitives, strict=True)
+            if primitive is not None
         ]
         return shapes if len(shapes) == len(entries) else []
 
-    def _agree(self, shapes: Sequence[PlacedGeometry], link: int) -> bool:
-        """Checks whether PyBullet's box of a link is that of these shapes.
+    def _match_box(self, shapes: Sequence[PlacedGeometry], link: int) -> bool:
+        """Checks whether PyBullet's bounding box of a link is that of these shapes.
 
-        Its box of several is that of their boxes in the frame of the centre of mass, widened
-        there by at most 4 cm on each side and then turned.
+        Its box of several shapes bounds their boxes in the frame of the centre of mass. PyBullet
+        widens it there by at most 4 cm on each side, and then rotates it.
         """
         if not shapes:
             return self._is_bare(link)
         if any(shape.geometry.type == "plane" for shape in shapes):
-            return False  # drawn planes have no normal
-        inverse = invert(*self._com_of(link))
+            return False  # visual planes have no normal
+        inverse = invert(*self._com_in_link(link))
         lows, highs = [], []
         for shape in shapes:
             centre, turn = compose(*inverse, shape.position[None], shape.orientation[None])
@@ -406,11 +408,11 @@ class _Reader:
             lows.append(centre[0] - half)
             highs.append(centre[0] + half)
         low, high = np.min(lows, axis=0), np.max(highs, axis=0)
-        position, orientation = self._com_pose(link)
+        position, orientation = self._com_in_world(link)
         matrix = rotation_matrices(orientation)[0]
-        own_low, own_high = self._own_box(link)
-        shift = (own_low + own_high) / 2 - (position[0] + matrix @ ((low + high) / 2))
-        widened = (own_high - own_low) / 2 - np.abs(matrix) @ ((high - low) / 2)
+        aabb_low, aabb_high = self._aabb(link)
+        shift = (aabb_low + aabb_high) / 2 - (position[0] + matrix @ ((low + high) / 2))
+        widened = (aabb_high - aabb_low) / 2 - np.abs(matrix) @ ((high - low) / 2)
         widened = widened / np.abs(matrix).sum(axis=1)
         return bool(
             np.abs(shift).max() < 1e-3
@@ -420,27 +422,27 @@ class _Reader:
         )
 
     def _stand_in(self, link: int) -> PlacedGeometry:
-        """Returns a link's box as PyBullet has it now, for shapes that it does not give back."""
-        low, high = self._own_box(link)
-        position, orientation = self._com_pose(link)
+        """Returns the present bounding box of a link, for shapes that PyBullet does not return."""
+        low, high = self._aabb(link)
+        position, orientation = self._com_in_world(link)
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         world = low + corners * (high - low)
-        # Row vectors times R are those turned by the inverse of R.
+        # Row vectors times R are rotated by the inverse of R.
         local = (world - position) @ rotation_matrices(orientation)[0]
-        com = self._com_of(link)
+        com = self._com_in_link(link)
         return PlacedGeometry(link, Geometry.hull(local), com[0][0], com[1][0], exact=False)
 
     def _is_bare(self, link: int) -> bool:
-        """Checks whether a link has no shapes: its box is but a margin of 1 mm around its mass."""
-        low, high = self._own_box(link)
-        shift = (low + high) / 2 - self._com_pose(link)[0][0]
-        return bool((high - low).max() < _BARE and np.abs(shift).max() < 1e-6)
+        """Checks whether a link has no shapes: its box is a margin around a point."""
+        low, high = self._aabb(link)
+        shift = (low + high) / 2 - self._com_in_world(link)[0][0]
+        return bool((high - low).max() < _MAX_EMPTY_BOX and np.abs(shift).max() < 1e-6)
 
-    def _own_box(self, link: int) -> tuple[Array, Array]:
+    def _aabb(self, link: int) -> tuple[Array, Array]:
         low, high = pybullet.getAABB(self.handle, link - 1, self.client)
         return np.array(low), np.array(high)
 
-    def _com_pose(self, link: int) -> Pose:
+    def _com_in_world(self, link: int) -> Pose:
         if link == 0:
             pose = pybullet.getBasePositionAndOrientation(self.handle, self.client)
         else:
@@ -448,19 +450,21 @@ class _Reader:
         return np.array([pose[0]]), wxyz(np.array([pose[1]]))
 
 
-def _are_alike(some: Sequence[PlacedGeometry], others: Sequence[PlacedGeometry]) -> bool:
-    """Checks whether primitives are the same shapes in the same places, but for single floats."""
+def _are_equal(some: Sequence[PlacedGeometry], others: Sequence[PlacedGeometry]) -> bool:
+    """Checks whether primitives are equal, up to the rounding errors of single floats."""
     if len(some) != len(others):
         return False
     for one, other in zip(some, others, strict=True):
         sizes = np.array([one.geometry.size, other.geometry.size])
         turns = rotation_matrices(np.array([one.orientation, other.orientation]))
-        # Of what is round only the axis counts, either way; of a sphere nothing.
+        # Of a round shape only the axis matters, in either direction; of a sphere nothing.
         axes = {"sphere": 0, "cylinder": 1, "capsule": 1}.get(one.geometry.type, 3)
         along = np.abs(np.einsum("ij,ij->j", *turns)[3 - axes :]).min(initial=1.0)
-        off = np.sqrt(max(2.0 - 2.0 * along, 0.0))  # as an angle
-        apart = max(np.abs(sizes[0] - sizes[1]).max(), np.abs(one.position - other.position).max())
-        if one.geometry.type != other.geometry.type or max(apart, off) > _SINGLE:
+        angle = np.sqrt(max(2.0 - 2.0 * along, 0.0))
+        deviation = max(
+            np.abs(sizes[0] - sizes[1]).max(), np.abs(one.position - other.position).max()
+        )
+        if one.geometry.type != other.geometry.type or max(deviation, angle) > _FLOAT32_TOLERANCE:
             return False
     return True
 

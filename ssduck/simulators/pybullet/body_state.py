@@ -10,8 +10,8 @@ from ssduck.simulators.interface import SCALAR_JOINTS, Body
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.simulator import visual_colours
 
-# Where getDynamicsInfo tells what changeDynamics calls so. Margins are those of the shapes; of
-# whatever link one is set, PyBullet sets the base's.
+# The indices of changeDynamics' parameters in the result of getDynamicsInfo. Margins are not among
+# them: they belong to the shapes, and PyBullet sets that of the base, whatever the link.
 _DYNAMICS = {
     "mass": 0,
     "lateralFriction": 1,
@@ -21,7 +21,7 @@ _DYNAMICS = {
     "spinningFriction": 7,
 }
 _CONTACT = {"contactDamping": 8, "contactStiffness": 9}
-# The same of getJointInfo.
+# Their indices in the result of getJointInfo.
 _JOINT = {"jointDamping": 6, "maxJointVelocity": 11}
 _LIMITS = {"jointLowerLimit": 8, "jointUpperLimit": 9}
 
@@ -62,58 +62,58 @@ def set_state(client: int, handle: int, body: Body, state: BodyState) -> None:
     if state_of(client, handle).twist != state.twist:
         pybullet.resetBaseVelocity(handle, *state.twist, client)
     now = state_of(client, handle)
-    for joint, here, there in zip(body.joints, now.joints, state.joints, strict=True):
-        if there is None or here == there:
+    for joint, old, new in zip(body.joints, now.joints, state.joints, strict=True):
+        if new is None or old == new:
             continue
         if joint.type in SCALAR_JOINTS:
-            (position,), (velocity,) = there
+            (position,), (velocity,) = new
             pybullet.resetJointState(handle, joint.link - 1, position, velocity, client)
         elif joint.type == "spherical":
-            pybullet.resetJointStateMultiDof(handle, joint.link - 1, *there, client)
+            pybullet.resetJointStateMultiDof(handle, joint.link - 1, *new, client)
 
 
 def contacts_of(client: int, handles: Mapping[int, int]) -> list[tuple[Any, ...]]:
     """Returns the contacts with mapped body numbers and points rounded to 1e-9 m, sorted."""
-    found = [
+    contacts = [
         (handles[a], link_a, handles[b], link_b, *(round(x, 9) for x in (*at_a, *at_b)))
         for _, a, b, link_a, link_b, at_a, at_b, *_ in pybullet.getContactPoints(
             physicsClientId=client
         )
     ]
-    return sorted(found)
+    return sorted(contacts)
 
 
 def copy_dynamics(source: int, original: int, client: int, handle: int) -> None:
-    """Copies masses, inertias, friction and the like as far as they differ."""
+    """Copies the masses, inertias, frictions and so on that differ."""
     count = pybullet.getNumJoints(handle, client)
     for link in range(-1, count):
-        own = pybullet.getDynamicsInfo(handle, link, client)
-        wanted = pybullet.getDynamicsInfo(original, link, source)
-        if wanted[10] != own[10]:
-            continue  # of a rigid body PyBullet tells what happened to be in memory
-        changes = {k: wanted[at] for k, at in _DYNAMICS.items() if wanted[at] != own[at]}
-        if any(wanted[at] != own[at] for at in _CONTACT.values()):
-            changes |= {key: wanted[at] for key, at in _CONTACT.items()}
+        present = pybullet.getDynamicsInfo(handle, link, client)
+        expected = pybullet.getDynamicsInfo(original, link, source)
+        if expected[10] != present[10]:
+            continue  # PyBullet returns uninitialized memory for a rigid body
+        changes = {k: expected[at] for k, at in _DYNAMICS.items() if expected[at] != present[at]}
+        if any(expected[at] != present[at] for at in _CONTACT.values()):
+            changes |= {key: expected[at] for key, at in _CONTACT.items()}
         if link >= 0:
-            own = pybullet.getJointInfo(handle, link, client)
-            wanted = pybullet.getJointInfo(original, link, source)
-            changes |= {k: wanted[at] for k, at in _JOINT.items() if wanted[at] != own[at]}
-            limits = {key: wanted[at] for key, at in _LIMITS.items()}
+            present = pybullet.getJointInfo(handle, link, client)
+            expected = pybullet.getJointInfo(original, link, source)
+            changes |= {k: expected[at] for k, at in _JOINT.items() if expected[at] != present[at]}
+            limits = {key: expected[at] for key, at in _LIMITS.items()}
             is_limited = limits["jointLowerLimit"] <= limits["jointUpperLimit"]
-            if is_limited and any(wanted[at] != own[at] for at in _LIMITS.values()):
+            if is_limited and any(expected[at] != present[at] for at in _LIMITS.values()):
                 changes |= limits
         if changes:
             pybullet.changeDynamics(handle, link, physicsClientId=client, **changes)
 
 
 def copy_colours(
-    wanted: Sequence[tuple[int, int, Sequence[float]]], client: int, handle: int
+    new_colours: Sequence[tuple[int, int, Sequence[float]]], client: int, handle: int
 ) -> None:
     """Colours a body; each colour comes with the link and the index of the shape."""
-    own_colours = {(link, shape): colour for link, shape, colour in visual_colours(client, handle)}
-    for link, shape, colour in wanted:
-        own = own_colours.get((link, shape))
-        if own is not None and tuple(own) != tuple(colour):
+    colours = {(link, shape): colour for link, shape, colour in visual_colours(client, handle)}
+    for link, shape, colour in new_colours:
+        present = colours.get((link, shape))
+        if present is not None and tuple(present) != tuple(colour):
             pybullet.changeVisualShape(
                 handle, link, shape, rgbaColor=colour, physicsClientId=client
             )

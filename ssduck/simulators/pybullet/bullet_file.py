@@ -28,9 +28,9 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.pybullet.console import pybullet
 
 # A geometry with its position (3,) and orientation (4,) in a frame.
-Placed: TypeAlias = tuple[Geometry, Array, Array]
+PosedGeometry: TypeAlias = tuple[Geometry, Array, Array]
 
-# The file's own names of numbers.
+# Numpy's types of the file's types.
 _NUMBERS = {
     "char": "u1",
     "uchar": "u1",
@@ -44,12 +44,12 @@ _NUMBERS = {
     "void": "u1",
 }
 _POINTER = np.dtype("<u8")
-# In front of each block: its code, length, address in memory, structure, how many of these.
-_BLOCK = struct.Struct("<4siQii")
-_HEAD = 12
-# The first of the frictions by which links are told from each other: none has such a one.
+# The header of a block: code, length, address in memory, structure, number of structures.
+_BLOCK_HEADER = struct.Struct("<4siQii")
+_FILE_HEADER_SIZE = 12
+# The first of the frictions that identify links: no link has such a friction.
 _FIRST_TAG = 2**50
-# What getDynamicsInfo tells of a link: where its friction is.
+# The index of the friction in the result of getDynamicsInfo.
 _FRICTION = 1
 
 
@@ -70,45 +70,45 @@ class _Kind(IntEnum):
 
 
 class SavedShapes:
-    """The shapes of a client's bodies, saved when they are first asked for.
+    """The shapes of a client's bodies, read from a file that PyBullet saves on first use.
 
     Args:
         client: the client.
-        handles: the bodies that may be asked for.
+        handles: the bodies whose shapes may be requested.
     """
 
     def __init__(self, client: int, handles: Sequence[int]) -> None:
         self._client = client
         self._handles = handles
 
-    def of(self, handle: int, link: int) -> list[Placed] | None:
+    def shapes_of(self, handle: int, link: int) -> list[PosedGeometry] | None:
         """Returns the shapes of a link in the frame of its centre of mass; the base is link 0.
 
         Returns:
-            None for what is not known: height fields, or if PyBullet cannot save.
+            None if the shapes are unknown: they are height fields, or PyBullet cannot save.
         """
         if self._file is None:
             return None
-        root = self._roots.get((handle, link))
-        return [] if root is None else self._file.shapes(root)
+        address = self._addresses.get((handle, link))
+        return [] if address is None else self._file.shapes(address)
 
     @cached_property
-    def _file(self) -> _File | None:
-        return self._saved[0] if self._saved is not None else None
+    def _file(self) -> _BulletFile | None:
+        return self._file_and_tags[0] if self._file_and_tags is not None else None
 
     @cached_property
-    def _roots(self) -> Mapping[tuple[int, int], int]:
-        """The addresses of the shapes of links that have some."""
-        assert self._saved is not None
-        file, tags = self._saved
-        found = {tags.get(friction): shape for friction, shape in file.colliders()}
-        return {link: shape for link, shape in found.items() if link is not None}
+    def _addresses(self) -> Mapping[tuple[int, int], int]:
+        """The addresses of the shapes, by body and link, of the links that have shapes."""
+        assert self._file_and_tags is not None
+        file, tags = self._file_and_tags
+        addresses = {tags.get(friction): address for friction, address in file.colliders()}
+        return {link: address for link, address in addresses.items() if link is not None}
 
     @cached_property
-    def _saved(self) -> tuple[_File, Mapping[float, tuple[int, int]]] | None:
-        """What was saved, and the friction by which links are told from each other there.
+    def _file_and_tags(self) -> tuple[_BulletFile, Mapping[float, tuple[int, int]]] | None:
+        """The saved file, and the links by the friction that identifies them there.
 
-        The file has no numbers of bodies. Nothing moves while they have another friction.
+        The file has no numbers of bodies. The simulation does not run while frictions differ.
         """
         links = [
             (handle, link)
@@ -132,7 +132,7 @@ class SavedShapes:
         tags = {
             float(tag): (handle, link + 1) for tag, (handle, link) in enumerate(links, _FIRST_TAG)
         }
-        return _File(data), tags
+        return _BulletFile(data), tags
 
 
 def _save(client: int) -> bytes | None:
@@ -144,62 +144,62 @@ def _save(client: int) -> bytes | None:
             data = path.read_bytes()
         except (pybullet.error, OSError):
             return None
-    # Addresses of 8 bytes, the lowest byte of a number first.
-    is_known = data[:6] == b"BULLET" and data[7:9] == b"-v"
-    return data if is_known else None
+    # "-": addresses of 8 bytes; "v": little-endian.
+    is_supported = data[:6] == b"BULLET" and data[7:9] == b"-v"
+    return data if is_supported else None
 
 
 @dataclass(frozen=True, eq=False)
 class _Structure:
-    """A structure of the file, and its fields: type and name, as in C."""
+    """A C structure of the file: its name, and the types and names of its fields."""
 
     name: str
     fields: Sequence[tuple[str, str]]
 
 
-class _File:
-    """A file that PyBullet saved."""
+class _BulletFile:
+    """A file that PyBullet saved, parsed."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
-        self._blocks: dict[int, tuple[int, int, int]] = {}  # by address: structure, count, place
+        self._blocks: dict[int, tuple[int, int, int]] = {}  # by address: structure, count, offset
         self._colliders: list[int] = []
-        place = _HEAD
+        offset = _FILE_HEADER_SIZE
         while True:
-            code, length, address, structure, count = _BLOCK.unpack_from(data, place)
-            place += _BLOCK.size
+            code, length, address, structure, count = _BLOCK_HEADER.unpack_from(data, offset)
+            offset += _BLOCK_HEADER.size
             if code == b"DNA1":
                 break
-            self._blocks[address] = structure, count, place
+            self._blocks[address] = structure, count, offset
             if code in (b"MBLC", b"RBDY", b"COBJ"):
                 self._colliders.append(address)
-            place += length
-        self._structures = _structures(data[place : place + length])
+            offset += length
+        self._structures = _parse_structures(data[offset : offset + length])
         self._by_name = {structure.name: structure for structure in self._structures}
         self._types: dict[str, npt.DTypeLike] = {}
 
     def colliders(self) -> Iterator[tuple[float, int]]:
         """Yields the friction and the address of the shape of each collider."""
         for address in self._colliders:
-            own = self._at(address)[0]
-            while "m_friction" not in own.dtype.names:
-                own = own[own.dtype.names[0]]
-            yield float(own["m_friction"]), int(own["m_collisionShape"])
+            collider = self._block(address)[0]
+            while "m_friction" not in collider.dtype.names:
+                collider = collider[collider.dtype.names[0]]
+            yield float(collider["m_friction"]), int(collider["m_collisionShape"])
 
-    def shapes(self, address: int) -> list[Placed] | None:
+    def shapes(self, address: int) -> list[PosedGeometry] | None:
         """Returns a shape, or those that it is made of; None if one is not supported."""
-        shape = self._at(address)[0]
-        head = shape
-        while "m_shapeType" not in head.dtype.names:
-            head = head[head.dtype.names[0]]
-        kind = int(head["m_shapeType"])
+        shape = self._block(address)[0]
+        base = shape
+        while "m_shapeType" not in base.dtype.names:
+            base = base[base.dtype.names[0]]
+        kind = int(base["m_shapeType"])
         match kind:
             case _Kind.COMPOUND:
                 return self._compound(shape)
             case _Kind.SPHERES:
                 return self._spheres(shape)
             case _Kind.HULL:
-                return [_placed(Geometry.hull(self._hull(shape)))]
+                return [_at_origin(Geometry.hull(self._hull(shape)))]
             case _Kind.MESH:
                 return self._mesh(shape, np.ones(3))
             case _Kind.SCALED_MESH:
@@ -211,28 +211,28 @@ class _File:
         primitive = _primitive(kind, shape)
         return None if primitive is None else [primitive]
 
-    def _compound(self, shape: Any) -> list[Placed] | None:
+    def _compound(self, shape: Any) -> list[PosedGeometry] | None:
         if not shape["m_numChildShapes"]:
             return []
-        found: list[Placed] = []
-        for child in self._at(int(shape["m_childShapePtr"])):
-            own = self.shapes(int(child["m_childShape"]))
-            if own is None:
+        shapes: list[PosedGeometry] = []
+        for child in self._block(int(shape["m_childShapePtr"])):
+            parts = self.shapes(int(child["m_childShape"]))
+            if parts is None:
                 return None
             frame = child["m_transform"]
-            rows = frame["m_basis"]["m_el"]["m_floats"][:, :3].astype(np.float64)
-            place, turn = _vector(frame["m_origin"])[None], quaternion_from_matrix(rows)[None]
-            for geometry, position, orientation in own:
-                at, as_ = compose(place, turn, position[None], orientation[None])
-                found.append((geometry, at[0], as_[0]))
-        return found
+            matrix = frame["m_basis"]["m_el"]["m_floats"][:, :3].astype(np.float64)
+            child_pose = _vector(frame["m_origin"])[None], quaternion_from_matrix(matrix)[None]
+            for geometry, *pose in parts:
+                position, orientation = compose(*child_pose, *(part[None] for part in pose))
+                shapes.append((geometry, position[0], orientation[0]))
+        return shapes
 
-    def _spheres(self, shape: Any) -> list[Placed] | None:
-        """Returns the hull of spheres: one of them, or two of a size, which are a capsule."""
-        spheres = self._at(int(shape["m_localPositionArrayPtr"]))
+    def _spheres(self, shape: Any) -> list[PosedGeometry] | None:
+        """Returns a sphere, or the capsule around two spheres of a radius; None for others."""
+        spheres = self._block(int(shape["m_localPositionArrayPtr"]))
         scale = _vector(shape["m_convexInternalShapeData"]["m_localScaling"])
         centres = np.array([_vector(sphere["m_pos"]) for sphere in spheres]) * scale
-        radii = [_decimal(sphere["m_radius"]) * float(scale[0]) for sphere in spheres]
+        radii = [_shortest_decimal(sphere["m_radius"]) * float(scale[0]) for sphere in spheres]
         if len(set(radii)) != 1 or len(centres) > 2:
             return None
         axis = centres[-1] - centres[0]
@@ -241,36 +241,36 @@ class _File:
             sphere = Geometry.primitive("sphere", (radii[0], 0.0, 0.0))
             return [(sphere, centres[0], IDENTITY.copy())]
         capsule = Geometry.primitive("capsule", (radii[0], length, 0.0))
-        return [(capsule, centres.mean(axis=0), _turned_to(axis / length))]
+        return [(capsule, centres.mean(axis=0), _rotation_to(axis / length))]
 
     def _hull(self, shape: Any) -> Array:
         address = int(shape["m_unscaledPointsDoublePtr"]) or int(shape["m_unscaledPointsFloatPtr"])
-        points = self._at(address)["m_floats"][:, :3].astype(np.float64)
+        points = self._block(address)["m_floats"][:, :3].astype(np.float64)
         scaled: Array = points * _vector(shape["m_convexInternalShapeData"]["m_localScaling"])
         return scaled
 
-    def _mesh(self, shape: Any, scale: Array) -> list[Placed] | None:
+    def _mesh(self, shape: Any, scale: Array) -> list[PosedGeometry] | None:
         vertices: list[Array] = []
         faces: list[npt.NDArray[np.int32]] = []
         mesh = shape["m_meshInterface"]
-        parts = self._at(int(mesh["m_meshPartsPtr"])) if mesh["m_numMeshParts"] else ()
+        parts = self._block(int(mesh["m_meshPartsPtr"])) if mesh["m_numMeshParts"] else ()
         for part in parts:
             address = int(part["m_vertices3d"]) or int(part["m_vertices3f"])
-            corners = self._corners(part)
-            if not address or corners is None:
+            triangles = self._triangles(part)
+            if not address or triangles is None:
                 return None
-            faces.append(corners + sum(map(len, vertices)))
-            vertices.append(self._at(address)["m_floats"][:, :3].astype(np.float64))
+            faces.append(triangles + sum(map(len, vertices)))
+            vertices.append(self._block(address)["m_floats"][:, :3].astype(np.float64))
         if not vertices:
             return []
-        # Each triangle may have corners of its own: a closed mesh shares them.
-        points, place = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
-        triangles = place.reshape(-1)[np.concatenate(faces)].astype(np.int32)
+        # Triangles may have vertices of their own in the file; in a closed mesh they share them.
+        points, inverse = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
+        merged = inverse.reshape(-1)[np.concatenate(faces)].astype(np.int32)
         scaled = points * _vector(mesh["m_scaling"]) * scale
-        return [_placed(Geometry("mesh", (0.0, 0.0, 0.0), scaled, triangles))]
+        return [_at_origin(Geometry("mesh", (0.0, 0.0, 0.0), scaled, merged))]
 
-    def _corners(self, part: Any) -> npt.NDArray[np.int32] | None:
-        """Returns the corners of a part's triangles, (n, 3)."""
+    def _triangles(self, part: Any) -> npt.NDArray[np.int32] | None:
+        """Returns the vertex numbers of a part's triangles, (n, 3)."""
         for name, field in (
             ("m_indices32", "m_value"),
             ("m_3indices16", "m_values"),
@@ -279,65 +279,66 @@ class _File:
         ):
             address = int(part[name])
             if address in self._blocks and address:
-                values = self._at(address)[field].astype(np.int32)
+                values = self._block(address)[field].astype(np.int32)
                 return values[..., :3] if values.ndim == 2 else values.reshape(-1, 3)
         return None
 
     # -- structures -------------------------------------------------------------------------
 
-    def _at(self, address: int) -> npt.NDArray[Any]:
+    def _block(self, address: int) -> npt.NDArray[Any]:
         """Returns the block at an address, as an array of its structures."""
-        structure, count, place = self._blocks[address]
-        return np.frombuffer(self._data, self._type(self._structures[structure].name), count, place)
+        structure, count, offset = self._blocks[address]
+        dtype = self._dtype(self._structures[structure].name)
+        return np.frombuffer(self._data, dtype, count, offset)
 
-    def _type(self, name: str) -> Any:
+    def _dtype(self, name: str) -> Any:
         """Returns numpy's type of a structure or a number."""
         if name in _NUMBERS:
             return np.dtype(_NUMBERS[name])
         if name not in self._types:
             fields = []
             for kind, field in self._by_name[name].fields:
-                own = _POINTER if field.startswith("*") else self._type(kind)
+                dtype = _POINTER if field.startswith("*") else self._dtype(kind)
                 counts = tuple(map(int, re.findall(r"\[(\d+)\]", field)))
-                fields.append((field.lstrip("*").partition("[")[0], own, counts))
+                fields.append((field.lstrip("*").partition("[")[0], dtype, counts))
             self._types[name] = np.dtype(fields)
         return self._types[name]
 
 
-def _structures(data: bytes) -> list[_Structure]:
+def _parse_structures(data: bytes) -> list[_Structure]:
     """Parses the description of the structures at the end of a file."""
-    place = 4  # behind "SDNA"
+    offset = 4  # behind "SDNA"
 
-    def words() -> list[str]:
-        nonlocal place
-        (count,) = struct.unpack_from("<i", data, place + 4)
-        place += 8
-        found = []
+    def read_names() -> list[str]:
+        nonlocal offset
+        (count,) = struct.unpack_from("<i", data, offset + 4)
+        offset += 8
+        names = []
         for _ in range(count):
-            end = data.index(b"\0", place)
-            found.append(data[place:end].decode())
-            place = end + 1
-        place = -(-place // 4) * 4
-        return found
+            end = data.index(b"\0", offset)
+            names.append(data[offset:end].decode())
+            offset = end + 1
+        offset = -(-offset // 4) * 4
+        return names
 
-    names, types = words(), words()
-    place += 4 + 2 * len(types)  # their lengths, which follow from their fields
-    place = -(-place // 4) * 4
-    (count,) = struct.unpack_from("<i", data, place + 4)
-    place += 8
-    found = []
+    field_names, types = read_names(), read_names()
+    offset += 4 + 2 * len(types)  # their lengths, which follow from their fields
+    offset = -(-offset // 4) * 4
+    (count,) = struct.unpack_from("<i", data, offset + 4)
+    offset += 8
+    structures = []
     for _ in range(count):
-        kind, fields = struct.unpack_from("<hh", data, place)
-        pairs = struct.iter_unpack("<hh", data[place + 4 : place + 4 + 4 * fields])
-        found.append(_Structure(types[kind], [(types[t], names[n]) for t, n in pairs]))
-        place += 4 + 4 * fields
-    return found
+        kind, fields = struct.unpack_from("<hh", data, offset)
+        pairs = struct.iter_unpack("<hh", data[offset + 4 : offset + 4 + 4 * fields])
+        structures.append(_Structure(types[kind], [(types[t], field_names[n]) for t, n in pairs]))
+        offset += 4 + 4 * fields
+    return structures
 
 
 # -- numbers and primitives -------------------------------------------------------------------
 
 
-def _decimal(number: Any) -> float:
+def _shortest_decimal(number: Any) -> float:
     """Returns the shortest decimal that is a single float."""
     return float(str(np.float32(number)))
 
@@ -346,54 +347,54 @@ def _vector(fields: Any) -> Array:
     """Returns a vector of the file, (3,)."""
     numbers = fields["m_floats"][:3]
     if numbers.dtype == np.float32:
-        return np.array([_decimal(number) for number in numbers])
+        return np.array([_shortest_decimal(number) for number in numbers])
     vector: Array = numbers.astype(np.float64)
     return vector
 
 
-def _placed(geometry: Geometry) -> Placed:
+def _at_origin(geometry: Geometry) -> PosedGeometry:
     return geometry, np.zeros(3), IDENTITY.copy()
 
 
-def _plane(shape: Any) -> list[Placed]:
+def _plane(shape: Any) -> list[PosedGeometry]:
     normal = _vector(shape["m_planeNormal"])
     normal /= np.linalg.norm(normal)
-    offset = _decimal(shape["m_planeConstant"])
+    offset = _shortest_decimal(shape["m_planeConstant"])
     plane = Geometry.primitive("plane", normal.tolist())
     return [(plane, normal * offset, IDENTITY.copy())]
 
 
-def _primitive(kind: int, shape: Any) -> Placed | None:
-    """Returns a box, a sphere, a capsule or a cylinder; None for what is none of these."""
-    own, axis = shape, 2
+def _primitive(kind: int, shape: Any) -> PosedGeometry | None:
+    """Returns a box, a sphere, a capsule or a cylinder; None for other types."""
+    convex, axis = shape, 2
     if "m_upAxis" in shape.dtype.names:
-        own, axis = shape["m_convexInternalShapeData"], int(shape["m_upAxis"])
-    if "m_implicitShapeDimensions" not in own.dtype.names:
+        convex, axis = shape["m_convexInternalShapeData"], int(shape["m_upAxis"])
+    if "m_implicitShapeDimensions" not in convex.dtype.names:
         return None
-    # Bullet takes the margin off the sizes of boxes and cylinders, in single floats.
-    sizes = own["m_implicitShapeDimensions"]["m_floats"][:3]
-    margin = own["m_collisionMargin"]
-    whole = [_decimal(np.float32(size) + np.float32(margin)) for size in sizes]
+    # Bullet subtracts the margin from the sizes of boxes and cylinders, in single floats.
+    sizes = convex["m_implicitShapeDimensions"]["m_floats"][:3]
+    margin = convex["m_collisionMargin"]
+    halves = [_shortest_decimal(np.float32(size) + np.float32(margin)) for size in sizes]
     across = (axis + 1) % 3
-    turn = _turned_to(np.eye(3)[axis])
+    orientation = _rotation_to(np.eye(3)[axis])
     if kind == _Kind.BOX:
-        return _placed(Geometry.primitive("box", [2.0 * half for half in whole]))
+        return _at_origin(Geometry.primitive("box", [2.0 * half for half in halves]))
     if kind == _Kind.SPHERE:
-        return _placed(Geometry.primitive("sphere", (_decimal(sizes[0]), 0.0, 0.0)))
+        return _at_origin(Geometry.primitive("sphere", (_shortest_decimal(sizes[0]), 0.0, 0.0)))
     if kind == _Kind.CAPSULE:
-        size = _decimal(sizes[across]), 2.0 * _decimal(sizes[axis]), 0.0
-        return Geometry.primitive("capsule", size), np.zeros(3), turn
+        size = _shortest_decimal(sizes[across]), 2.0 * _shortest_decimal(sizes[axis]), 0.0
+        return Geometry.primitive("capsule", size), np.zeros(3), orientation
     if kind == _Kind.CYLINDER:
-        size = whole[across], 2.0 * whole[axis], 0.0
-        return Geometry.primitive("cylinder", size), np.zeros(3), turn
+        size = halves[across], 2.0 * halves[axis], 0.0
+        return Geometry.primitive("cylinder", size), np.zeros(3), orientation
     return None
 
 
-def _turned_to(axis: Array) -> Array:
-    """Returns a quaternion w, x, y, z that turns z to an axis of length 1."""
+def _rotation_to(axis: Array) -> Array:
+    """Returns the rotation w, x, y, z from the z axis to a unit vector."""
     x, y, z = axis
     if z < -1.0 + 1e-12:
         return np.array([0.0, 1.0, 0.0, 0.0])
-    turn = np.array([1.0 + z, -y, x, 0.0])
-    unit: Array = turn / np.linalg.norm(turn)
+    quaternion = np.array([1.0 + z, -y, x, 0.0])
+    unit: Array = quaternion / np.linalg.norm(quaternion)
     return unit

@@ -20,7 +20,7 @@ def new_client() -> Iterator[int]:
     """
     client = _connected()
     if client < 0:
-        # Worlds that are no longer referenced hold their clients until they are collected.
+        # Worlds that are no longer referenced keep their clients until they are collected.
         gc.collect()
         client = _connected()
     if client < 0:

@@ -27,7 +27,7 @@ _POSE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class KnownMargins:
+class LinkMargin:
     """The margin of a link as PyBullet returns it.
 
     Attributes:
@@ -41,9 +41,7 @@ class KnownMargins:
     is_of_file: bool = False
 
 
-def known_margins(
-    dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None
-) -> KnownMargins:
+def link_margin(dynamics: Sequence[Any], entries: Sequence[tuple[Any, ...]] | None) -> LinkMargin:
     """Returns the margin of a link as PyBullet returns it.
 
     Args:
@@ -51,57 +49,58 @@ def known_margins(
         entries: the result of `getCollisionShapeData`; None if that must not be called.
     """
     if entries is None:
-        return KnownMargins(None)
-    off = [np.abs((*entry[5], *entry[6][:3])).max() > _POSE_TOLERANCE for entry in entries]
+        return LinkMargin(None)
+    is_offset = [np.abs((*entry[5], *entry[6][:3])).max() > _POSE_TOLERANCE for entry in entries]
     is_of_file = any(
         entry[2] == pybullet.GEOM_MESH and entry[4] not in (b"", b"unknown_file")
         for entry in entries
     )
-    return KnownMargins(float(dynamics[11]), len(entries) > 1 or any(off), is_of_file)
+    return LinkMargin(float(dynamics[11]), len(entries) > 1 or any(is_offset), is_of_file)
 
 
-def margin_of(type: str, known: KnownMargins) -> float:
+def margin_of(type: str, link_margin: LinkMargin) -> float:
     """Returns the margin of a shape, metres.
 
-    `changeDynamics` does not reach the hulls of a mesh file in a compound. A margin of 0 of a
-    compound of hulls may be set or not; it counts as not set.
+    `changeDynamics` does not reach the hulls of a mesh file in a compound. A margin of 0 of
+    a compound may have been set or not; it counts as not set.
 
     Args:
-        type: of its geometry.
-        known: the margin of its link.
+        type: the type of its geometry.
+        link_margin: the margin of its link.
     """
     if type not in _PADDED:
         return 0.0
-    default = 0.0 if type == "mesh" and known.is_of_file else DEFAULT
-    if known.margin is None:
+    default = 0.0 if type == "mesh" and link_margin.is_of_file else DEFAULT
+    if link_margin.margin is None:
         return default
-    if not known.is_compound:
-        return known.margin
-    if known.margin in (0.0, DEFAULT) or (type == "hull" and known.is_of_file):
+    if not link_margin.is_compound:
+        return link_margin.margin
+    if link_margin.margin in (0.0, DEFAULT) or (type == "hull" and link_margin.is_of_file):
         return default
-    return known.margin
+    return link_margin.margin
 
 
-def with_margins(shapes: Sequence[PlacedGeometry], known: KnownMargins) -> list[PlacedGeometry]:
+def with_margins(shapes: Sequence[PlacedGeometry], link_margin: LinkMargin) -> list[PlacedGeometry]:
     """Returns the shapes of a link with their margins."""
-    return [replace(shape, margin=margin_of(shape.geometry.type, known)) for shape in shapes]
+    return [replace(shape, margin=margin_of(shape.geometry.type, link_margin)) for shape in shapes]
 
 
-def margins_of(client: int, body: Body, known: Sequence[KnownMargins]) -> list[float]:
+def margins_of(client: int, body: Body, link_margins: Sequence[LinkMargin]) -> list[float]:
     """Returns the margins of a body's shapes as they are now, metres.
 
     Args:
         client: the client that has the body.
         body: the body.
-        known: the margins of its links when it came; empty if its margins do not change.
+        link_margins: the margins when the body was described; empty if they do not change.
     """
-    links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if known else set()
+    links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if link_margins else set()
     now = {
         link: replace(
-            known[link], margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11])
+            link_margins[link],
+            margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11]),
         )
         for link in links
-        if known[link].margin is not None
+        if link_margins[link].margin is not None
     }
     return [
         margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin

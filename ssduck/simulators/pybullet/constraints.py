@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ssduck.simulators.pybullet.console import pybullet
-from ssduck.simulators.pybullet.scene_loader import make_constraint
+from ssduck.simulators.pybullet.scene_loader import create_constraint
 from ssduck.simulators.scenes import ConstraintSpec
 
 
@@ -15,19 +15,19 @@ def add_fixed_constraint(client: int, on: tuple[int, int], to: int) -> None:
         on: the number of a body, and PyBullet's index of its link; -1 is the base.
         to: the number of the other body.
     """
-    # Constraints are between frames of centres of mass.
+    # A constraint connects the frames of two centres of mass.
     handle, link = on
-    place, turn = (
+    com_pose = (
         pybullet.getBasePositionAndOrientation(handle, client)
         if link < 0
         else pybullet.getLinkState(handle, link, 0, 1, client)[:2]
     )
     other = pybullet.getBasePositionAndOrientation(to, client)
     position, (x, y, z, w) = pybullet.multiplyTransforms(
-        *pybullet.invertTransform(place, turn), *other
+        *pybullet.invertTransform(*com_pose), *other
     )
     spec = ConstraintSpec("fixed", on="", position=position, orientation=(w, x, y, z))
-    make_constraint(spec, on, (to, -1), client)
+    create_constraint(spec, on, (to, -1), client)
 
 
 def fixed_constraints(client: int, on: int, to: int) -> list[int]:

@@ -1,19 +1,17 @@
 """Copies bodies into a new PyBullet client, for `World.excerpt`.
 
 A body that ssduck loaded from a file is loaded from it again, with the same flags and in the same
-order. Any other body gets a model that is written from what PyBullet, or a record, knows of it.
-Then the copy gets what differs: dynamics, colours, poses and velocities, joints, motors,
-constraints.
+order. For any other body, a model is written from the data of PyBullet or of a recording. Then the
+remaining state is copied: dynamics, colours, poses and velocities, joints, motors, constraints.
 
 Measured with PyBullet 3.2.7:
 
-- A copy of a body as loaded is equal to the last bit, and stays so; equal values are not set.
-- `saveBullet` and `restoreState` of a file transfer contacts between clients if links have one
-shape
-  each. The importer restores one contact manifold for each pair of bodies, with the last one that
-  the file has of the pair; bodies of several shapes have many. Copies of such bodies find their
-  contacts anew, which shifts the kitchen by less than 0.1 mm in 2 s, as does a velocity that is off
-  by 1e-15 m/s.
+- The copy of an unchanged body is equal to the last bit, and stays so; equal values are not set.
+- `saveBullet` and `restoreState` of a file transfer contacts between clients if each link has one
+  shape. The importer restores one contact manifold for each pair of bodies, the last one that the
+  file has of the pair; bodies of several shapes have many. Copies of such bodies find their
+  contacts again, which shifts the kitchen by less than 0.1 mm in 2 s, as does a velocity error of
+  1e-15 m/s.
 - PyBullet does not return the targets of motors (ssduck remembers its own), the damping of bodies,
   collision filters, or textures.
 """
@@ -35,7 +33,7 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Simulator
-from ssduck.simulators.pybullet.bodies import BodyDescription, com_of, xyzw
+from ssduck.simulators.pybullet.bodies import BodyDescription, com_poses_of, xyzw
 from ssduck.simulators.pybullet.body_state import (
     BodyState,
     contacts_of,
@@ -48,17 +46,17 @@ from ssduck.simulators.pybullet.clients import new_client
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.introspection import (
     constraints_of,
-    guessed_model,
+    estimated_model,
     model_of,
     positions_by_link,
 )
 from ssduck.simulators.pybullet.link_frames import link_poses_of
 from ssduck.simulators.pybullet.scene_loader import (
     LoadedBodies,
+    create_constraint,
     hold_joint,
     load_body,
     load_model,
-    make_constraint,
     make_elastic,
     set_elastic,
     set_solver_settings,
@@ -81,16 +79,16 @@ def excerpt(
         tick: the time of the tick and its flags.
 
     Raises:
-        SimulatorError: the source does not answer, or there is no room for another client.
+        SimulatorError: the source is gone, or there is no room for another client.
         UnsupportedError: a body is soft.
         SceneError: a model file can no longer be loaded.
     """
     live = source if isinstance(source, PyBulletSimulator) else None
     if live is not None and _may_carry_contacts(live, originals, tick):
         with suppress(_NotCarriedError), new_client() as client:
-            return _Copier(live, client, tick).copied(originals, carry=True)
+            return _Copier(live, client, tick).copy(originals, carry=True)
     with new_client() as client:
-        return _Copier(live, client, tick).copied(originals)
+        return _Copier(live, client, tick).copy(originals)
 
 
 class _NotCarriedError(Exception):
@@ -115,9 +113,9 @@ class _Copier:
         source: the simulator that runs the originals now, if any.
         client: the new client.
         tick: the time of the tick and its flags.
-        loaded: knowledge about the copies.
+        loaded: the copies as loaded bodies.
         handles: the numbers of the copies.
-        guessed: the names of bodies that differ from the originals, by the difference.
+        differences: the names of bodies that differ from the originals, by difference.
     """
 
     source: PyBulletSimulator | None
@@ -125,33 +123,33 @@ class _Copier:
     tick: TickToCopy
     loaded: LoadedBodies = field(default_factory=LoadedBodies)
     handles: dict[Body, int] = field(default_factory=dict)
-    guessed: dict[str, list[str]] = field(default_factory=dict)
+    differences: dict[str, list[str]] = field(default_factory=dict)
 
-    def copied(self, originals: Sequence[BodyToCopy], *, carry: bool = False) -> PyBulletSimulator:
+    def copy(self, originals: Sequence[BodyToCopy], *, carry: bool = False) -> PyBulletSimulator:
         """Copies bodies; on request with the contacts of the solver, if these are all bodies.
 
         Raises:
             _NotCarriedError: the restored contacts are not those of the source.
         """
         self.loaded.time = self.tick.time
-        self._set_up()
+        self._copy_settings()
         with tempfile.TemporaryDirectory(prefix="ssduck") as folder:
             self._load(originals, Path(folder))
-            as_now = [self._finish(original) for original in originals]
-            self._tie()
+            unchanged = [self._copy_state(original) for original in originals]
+            self._copy_constraints()
             pybullet.performCollisionDetection(self.client)
-            if carry and all(as_now):
+            if carry and all(unchanged):
                 self._carry_contacts(Path(folder) / "state.bullet")
-        self._warn()
+        self._warn_of_differences()
         return PyBulletSimulator(self.client, owned=True, loaded=self.loaded)
 
-    def _set_up(self) -> None:
+    def _copy_settings(self) -> None:
         """Copies gravity, time step and solver settings from the source."""
         timestep, gravity = Scene.timestep, Scene.gravity
         if self.source is not None:
-            told = self.source.parameters()
-            timestep = told["fixedTimeStep"]
-            gravity = tuple(told[f"gravityAcceleration{axis}"] for axis in "XYZ")
+            parameters = self.source.parameters()
+            timestep = parameters["fixedTimeStep"]
+            gravity = tuple(parameters[f"gravityAcceleration{axis}"] for axis in "XYZ")
             set_solver_settings(solver_settings(self.source.client), self.client)
             if self.source.loaded.elastic:
                 self.loaded.elastic = True
@@ -162,11 +160,11 @@ class _Copier:
     # -- bodies ---------------------------------------------------------------------------
 
     def _load(self, originals: Sequence[BodyToCopy], folder: Path) -> None:
-        loaded: dict[int, Sequence[int]] = {}  # by entry of a scene, all bodies of its file
+        loaded: dict[int, Sequence[int]] = {}  # all bodies of a file, by id of its scene entry
         for original in originals:
             spec, number = self._origin_of(original.body)
             if spec is None:
-                handle = self._load_written(original, folder, len(self.handles))
+                handle = self._load_generated(original, folder, len(self.handles))
             else:
                 if id(spec) not in loaded:
                     loaded[id(spec)] = load_body(spec, "", self.loaded, self.client)
@@ -180,30 +178,32 @@ class _Copier:
             self.handles.values()
         ):
             pybullet.removeBody(handle, self.client)
-        # What the scene's file says of them was at the start.
+        # The flags of the scene file are those of the start.
         self.loaded.disabled, self.loaded.hidden = set(), set()
-        kept = self.handles.values()
-        self.loaded.origins = {h: o for h, o in self.loaded.origins.items() if h in kept}
-        self.loaded.held = {h: o for h, o in self.loaded.held.items() if h in kept}
+        copies = self.handles.values()
+        self.loaded.origins = {h: o for h, o in self.loaded.origins.items() if h in copies}
+        self.loaded.motor_positions = {
+            h: o for h, o in self.loaded.motor_positions.items() if h in copies
+        }
 
     def _origin_of(self, body: Body) -> tuple[BodySpec | None, int]:
         """Returns the scene entry that a body was loaded from, if it can be loaded again."""
-        if self.source is None or self._known(body) is None:
+        if self.source is None or self._description_of(body) is None:
             return None, 0
         origin = self.source.loaded.origins.get(body.handle)
         if origin is None or not origin.spec.model.is_file():
             return None, 0
         return origin.spec, origin.number
 
-    def _known(self, body: Body) -> BodyDescription | None:
+    def _description_of(self, body: Body) -> BodyDescription | None:
         return None if self.source is None else self.source.description_of(body)
 
-    def _load_written(self, original: BodyToCopy, folder: Path, number: int) -> int:
-        """Loads a body from a model that is written from the knowledge about it."""
-        known = self._known(original.body)
-        if known is None:
-            model = guessed_model(original.body, original.link_poses, original.joints)
-            self._guess(
+    def _load_generated(self, original: BodyToCopy, folder: Path, number: int) -> int:
+        """Loads a body from a model that is written for it."""
+        description = self._description_of(original.body)
+        if description is None:
+            model = estimated_model(original.body, original.link_poses, original.joints)
+            self._note_difference(
                 "only shapes, links, joints and masses are known; inertia and centre of mass are "
                 "those of the shapes, friction, damping and colours PyBullet's own, and joints "
                 "are held",
@@ -212,11 +212,13 @@ class _Copier:
         else:
             assert self.source is not None
             model = model_of(self.source, original.body)
-            if not known.exact:
-                self._guess("not all shapes are given back; it collides as its box", original)
+            if not description.exact:
+                self._note_difference(
+                    "not all shapes are given back; it collides as its box", original
+                )
         path = write_model(model, folder, f"body_{number}")
-        spec = BodySpec(None, None, path, own_inertia=known is not None)
-        # Meshes of another copy may have been in a file of that name, and would be kept for ever.
+        spec = BodySpec(None, None, path, own_inertia=description is not None)
+        # PyBullet caches meshes by file name, for ever; another copy may have used that name.
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self.client)
         (handle,) = load_model(spec, "", self.client)
         if self.loaded.elastic:
@@ -224,80 +226,93 @@ class _Copier:
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)
         return handle
 
-    def _finish(self, original: BodyToCopy) -> bool:
+    def _copy_state(self, original: BodyToCopy) -> bool:
         """Gives a copy the state of its original; returns whether that is the present state."""
         body, handle = original.body, self.handles[original.body]
-        known = self._known(body)
-        com = com_of(self.client, handle)
-        if known is not None:
+        com = com_poses_of(self.client, handle)
+        if self._description_of(body) is not None:
             assert self.source is not None
             copy_dynamics(self.source.client, body.handle, self.client, handle)
             copy_colours(self.source.visual_colours(body), self.client, handle)
-        as_now = self._is_as_now(original)
-        if as_now:
+        unchanged = self._is_unchanged(original)
+        if unchanged:
             assert self.source is not None
             state = state_of(self.source.client, body.handle)
         else:
-            state = self._told_state(original, com, handle)
+            state = self._state_at_tick(original, com, handle)
         set_state(self.client, handle, body, state)
-        self._hold(original, state, handle)
+        self._set_motors(original, state, handle)
         if body in self.tick.disabled:
             self.loaded.disabled.add(handle)
         if body in self.tick.hidden:
             self.loaded.hidden.add(handle)
-        own = replace(body, handle=handle, name=original.name)
-        self.loaded.described[handle] = BodyDescription(own, com, exact=True)
-        return as_now
+        copy = replace(body, handle=handle, name=original.name)
+        self.loaded.described[handle] = BodyDescription(copy, com, exact=True)
+        return unchanged
 
-    def _is_as_now(self, original: BodyToCopy) -> bool:
+    def _is_unchanged(self, original: BodyToCopy) -> bool:
         """Checks whether a body is now as it was at the tick, to the last bit."""
         body = original.body
-        if self.source is None or self._known(body) is None:
+        if self.source is None or self._description_of(body) is None:
             return False
-        now, then = self.source.read_link_poses((body,), with_velocities=True), original.link_poses
-        base = np.array([0])
-        told = (
-            (now.positions, then.positions),
-            (now.states[:, 3:7], then.states[:, 3:7]),
-            (now.states_at(now.positions[:1], base), then.states_at(then.positions[:1], base)),
+        now, at_tick = (
+            self.source.read_link_poses((body,), with_velocities=True),
+            original.link_poses,
         )
-        if not all(np.array_equal(here, there) for here, there in told):
+        base = np.array([0])
+        compared = (
+            (now.positions, at_tick.positions),
+            (now.states[:, 3:7], at_tick.states[:, 3:7]),
+            (
+                now.states_at(now.positions[:1], base),
+                at_tick.states_at(at_tick.positions[:1], base),
+            ),
+        )
+        if not all(np.array_equal(new, old) for new, old in compared):
             return False
         joints = self.source.read_joints([body] if body.joints else [])[:, :2]
-        # Those that the tick does not tell are as the links are.
+        # Joints that the tick does not have follow from the links.
         return bool((np.isnan(original.joints) | (joints == original.joints)).all())
 
-    def _told_state(self, original: BodyToCopy, com: tuple[Array, Array], handle: int) -> BodyState:
+    def _state_at_tick(
+        self, original: BodyToCopy, com: tuple[Array, Array], handle: int
+    ) -> BodyState:
         """Returns the state of a body at the tick."""
         link_poses = original.link_poses
         base = np.array([0])
         link = link_poses.positions[:1], link_poses.states[:1, 3:7]
-        place, turn = compose(*link, com[0][:1], com[1][:1])
-        (moving,) = link_poses.states_at(place, base)
+        position, orientation = compose(*link, com[0][:1], com[1][:1])
+        (com_state,) = link_poses.states_at(position, base)
         joints = original.joints
         if np.isnan(joints).any():
-            joints = self._joints_by_frames(original, handle)
+            joints = self._joints_from_links(original, handle)
         if any(joint.type in ("spherical", "planar") for joint in original.body.joints):
-            self._guess("spherical and planar joints are where the model has them", original)
-        told = [
-            ((float(position),), (float(velocity),)) if joint.type in SCALAR_JOINTS else None
-            for joint, (position, velocity) in zip(original.body.joints, joints, strict=True)
+            self._note_difference(
+                "spherical and planar joints are where the model has them", original
+            )
+        joint_states = [
+            ((float(value),), (float(velocity),)) if joint.type in SCALAR_JOINTS else None
+            for joint, (value, velocity) in zip(original.body.joints, joints, strict=True)
         ]
         return BodyState(
-            (tuple(place[0].tolist()), tuple(xyzw(turn)[0].tolist())),
-            (tuple(moving[7:10].tolist()), tuple(moving[10:].tolist())),
-            tuple(told),
+            (tuple(position[0].tolist()), tuple(xyzw(orientation)[0].tolist())),
+            (tuple(com_state[7:10].tolist()), tuple(com_state[10:].tolist())),
+            tuple(joint_states),
         )
 
-    def _joints_by_frames(self, original: BodyToCopy, handle: int) -> Array:
+    def _joints_from_links(self, original: BodyToCopy, handle: int) -> Array:
         """Returns the positions of unrecorded joints, computed from the links; at rest."""
         body = original.body
-        what = "velocities" if self._known(body) is not None else "positions and velocities"
-        self._guess(f"{what} of joints are not recorded; they rest where links are", original)
-        here = link_poses_of(self.client, replace(body, handle=handle), com_of(self.client, handle))
+        missing = "velocities" if self._description_of(body) else "positions and velocities"
+        self._note_difference(
+            f"{missing} of joints are not recorded; they rest where links are", original
+        )
+        link_poses = link_poses_of(
+            self.client, replace(body, handle=handle), com_poses_of(self.client, handle)
+        )
         states = state_of(self.client, handle).joints
-        at = np.array([[state[0][0] if state and state[0] else 0.0] for state in states])
-        zero = zero_poses(body, here, positions_by_link(body, at))
+        positions = np.array([[state[0][0] if state and state[0] else 0.0] for state in states])
+        zero = zero_poses(body, link_poses, positions_by_link(body, positions))
         parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
         places, turns = original.link_poses.positions, original.link_poses.states[:, 3:7]
         within = compose(*invert(places[parents], turns[parents]), places[1:], turns[1:])
@@ -311,71 +326,75 @@ class _Copier:
                 joints[number, 0] = shifts[number] @ axis / (axis @ axis)
         return joints
 
-    def _hold(self, original: BodyToCopy, state: BodyState, handle: int) -> None:
+    def _set_motors(self, original: BodyToCopy, state: BodyState, handle: int) -> None:
         """Makes motors hold joints as in the source, or at the positions of an earlier tick."""
         body = original.body
-        held: Mapping[int, float] = {}
+        motors: Mapping[int, float]  # the positions that they hold, by link
         now: BodyState | None = None
-        if self.source is not None and self._known(body) is not None:
+        if self.source is not None and self._description_of(body) is not None:
             if self.source.is_external and any(
                 joint.type in SCALAR_JOINTS for joint in body.joints
             ):
-                self._guess("what motors do is not told; they are as PyBullet begins", original)
-            held = self.source.loaded.held.get(body.handle, {})
-            now = state_of(self.source.client, body.handle) if held else None
-        elif self.source is None or self._known(body) is None:
-            held = {joint.link: 0.0 for joint in body.joints if joint.type in SCALAR_JOINTS}
-        begun = self.loaded.held.get(handle, {})
+                self._note_difference(
+                    "the motors are not known; they are as PyBullet begins", original
+                )
+            motors = self.source.loaded.motor_positions.get(body.handle, {})
+            now = state_of(self.source.client, body.handle) if motors else None
+        else:
+            motors = {joint.link: 0.0 for joint in body.joints if joint.type in SCALAR_JOINTS}
+        initial = self.loaded.motor_positions.get(handle, {})
         targets = {}
-        for link, target in held.items():
-            there = state.joints[link - 1]
-            assert there is not None
-            moved = now is None or now.joints[link - 1] != there
-            targets[link] = there[0][0] if moved else target
-            if begun.get(link) != targets[link]:
+        for link, target in motors.items():
+            joint_state = state.joints[link - 1]
+            assert joint_state is not None
+            is_moved = now is None or now.joints[link - 1] != joint_state
+            targets[link] = joint_state[0][0] if is_moved else target
+            if initial.get(link) != targets[link]:
                 hold_joint(handle, body.joints[link - 1], targets[link], self.client)
-        self.loaded.held[handle] = targets
+        self.loaded.motor_positions[handle] = targets
 
     def _carry_contacts(self, file: Path) -> None:
         """Restores the solver's contacts and the impulses that it begins with.
 
-        They are found by numbers that count the colliders ever made in a client, which are the
-        same here if none was removed there.
+        PyBullet finds the bodies of a contact by numbers that count all colliders ever made in a
+        client. The numbers are the same here if the source never removed a body.
 
         Raises:
-            _NotCarriedError: they are not those of the same bodies.
+            _NotCarriedError: the restored contacts are those of other bodies.
         """
         assert self.source is not None
         source, client = self.source.client, self.client
-        with captured():  # it tells of each that it does not find
+        with captured():  # PyBullet prints each contact that it does not find
             pybullet.saveBullet(str(file), source)
             pybullet.restoreState(fileName=str(file), physicsClientId=client)
         handles = {body.handle: handle for body, handle in self.handles.items()}
-        there = contacts_of(source, handles)
-        if there != contacts_of(client, {handle: handle for handle in handles.values()}):
+        contacts = contacts_of(source, handles)
+        if contacts != contacts_of(client, {handle: handle for handle in handles.values()}):
             raise _NotCarriedError
 
     # -- constraints ----------------------------------------------------------------------
 
-    def _tie(self) -> None:
+    def _copy_constraints(self) -> None:
         """Makes the constraints between the bodies, and to the world."""
         if self.source is None:
             return
-        known = [body for body in self.handles if self._known(body) is not None]
-        handles = {body.handle: self.handles[body] for body in known}
+        described = [body for body in self.handles if self._description_of(body) is not None]
+        handles = {body.handle: self.handles[body] for body in described}
         handles[-1] = -1
         for spec, on, to in constraints_of(self.source.client):
             if on[0] in handles and to[0] in handles:
                 ends = [(handles[body], link) for body, link in (on, to)]
-                make_constraint(spec, ends[0], ends[1], self.client)
+                create_constraint(spec, ends[0], ends[1], self.client)
 
-    # -- what is not as it was ------------------------------------------------------------
+    # -- differences ----------------------------------------------------------------------
 
-    def _guess(self, what: str, original: BodyToCopy) -> None:
-        self.guessed.setdefault(what, []).append(original.name)
+    def _note_difference(self, difference: str, original: BodyToCopy) -> None:
+        self.differences.setdefault(difference, []).append(original.name)
 
-    def _warn(self) -> None:
+    def _warn_of_differences(self) -> None:
         if self.source is None:
-            self.guessed["gravity and time step are not recorded; they are as in a new scene"] = []
-        for what, names in self.guessed.items():
-            warn(f"{joined_names(names)}: {what}" if names else what)
+            self.differences[
+                "gravity and time step are not recorded; they are as in a new scene"
+            ] = []
+        for difference, names in self.differences.items():
+            warn(f"{joined_names(names)}: {difference}" if names else difference)

@@ -1,4 +1,4 @@
-"""Describes bodies and constraints, as PyBullet or a record knows them, as models and scenes."""
+"""Describes bodies and constraints of PyBullet or of a recording as parts of models and scenes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
 from ssduck.simulators.scenes import ConstraintSpec
 
-# A link of a client: the body's number, and PyBullet's of the link; -1, -1 is the world.
-End: TypeAlias = tuple[int, int]
+# The body and the link at an end of a constraint, by PyBullet's numbers; -1, -1 is the world.
+ConstraintEnd: TypeAlias = tuple[int, int]
 
 _SOFT_BODY = 3
-# What a model's file calls them.
-_ELEMENTS = {
+# The elements of a model's contact parameters: their indices in the result of getDynamicsInfo.
+_CONTACT_ELEMENTS = {
     "rolling_friction": 6,
     "spinning_friction": 7,
     "restitution": 5,
@@ -38,45 +38,45 @@ def model_of(simulator: PyBulletSimulator, body: Body) -> BodyModel:
     """Returns the model of a body.
 
     Raises:
-        UnsupportedError: it is soft.
+        UnsupportedError: the body is soft.
     """
     client, handle = simulator.client, body.handle
     dynamics = [pybullet.getDynamicsInfo(handle, i, client) for i in range(-1, len(body.joints))]
     if dynamics[0][10] == _SOFT_BODY:
         raise UnsupportedError(f"{body.name!r} is soft: PyBullet does not tell what it is made of")
-    known = simulator.description_of(body)
-    assert known is not None
+    description = simulator.description_of(body)
+    assert description is not None
     infos = [pybullet.getJointInfo(handle, index, client) for index in range(len(body.joints))]
     link_poses = simulator.read_link_poses((body,), with_velocities=True)
     joints = simulator.read_joints([body] if body.joints else [])
     return BodyModel(
         body,
         zero_poses(body, link_poses, positions_by_link(body, joints)),
-        known.com,
+        description.com,
         np.array([dynamic[2] for dynamic in dynamics]),
         [info[6] for info in infos],
-        [_contact(dynamic) for dynamic in dynamics],
-        list(_drawn(simulator, body)),
+        [_contact_parameters(dynamic) for dynamic in dynamics],
+        list(_visuals(simulator, body)),
     )
 
 
-def _contact(dynamic: Sequence[Any]) -> dict[str, float]:
+def _contact_parameters(dynamic: Sequence[Any]) -> dict[str, float]:
     """Returns the contact parameters of a link, without PyBullet's defaults, 0 and -1."""
-    contact = {element: float(dynamic[at]) for element, at in _ELEMENTS.items()}
-    return {element: value for element, value in contact.items() if value not in (0.0, -1.0)} | {
+    parameters = {name: float(dynamic[index]) for name, index in _CONTACT_ELEMENTS.items()}
+    return {name: value for name, value in parameters.items() if value not in (0.0, -1.0)} | {
         "lateral_friction": float(dynamic[1])
     }
 
 
-def guessed_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel:
-    """Returns the model of a recorded body, with the masses at the centres of its shapes."""
+def estimated_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel:
+    """Returns the model of a recorded body; its centres of mass are those of its shapes."""
     positions = positions_by_link(body, joints)
-    com = np.array([_middle(body, link) for link in range(len(body.links))])
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
+    com = np.array([_centre_of_shapes(body, link) for link in range(len(body.links))])
+    orientations = np.tile([1.0, 0.0, 0.0, 0.0], (len(com), 1))
     return BodyModel(
         body,
         zero_poses(body, link_poses, positions),
-        (com, turns),
+        (com, orientations),
         None,
         [0.0] * len(body.joints),
         [{}] * len(body.links),
@@ -86,15 +86,17 @@ def guessed_model(body: Body, link_poses: LinkPoses, joints: Array) -> BodyModel
 
 def positions_by_link(body: Body, joints: Array) -> dict[int, float]:
     """Returns the positions of joints by link; an unknown one is 0, or the limit nearest to 0."""
-    found = {}
+    positions = {}
     for joint, states in zip(body.joints, joints, strict=True):
         if joint.type in SCALAR_JOINTS:
             position = float(states[0])
-            found[joint.link] = position_nearest_zero(joint) if math.isnan(position) else position
-    return found
+            if math.isnan(position):
+                position = position_nearest_zero(joint)
+            positions[joint.link] = position
+    return positions
 
 
-def _middle(body: Body, link: int) -> Array:
+def _centre_of_shapes(body: Body, link: int) -> Array:
     """Returns the centre of a link's shapes, in its frame, weighted by box volume."""
     shapes = [replace(shape, frame=0) for shape in body.shapes if shape.frame == link]
     if not shapes or any(shape.geometry.type == "plane" for shape in shapes):
@@ -103,11 +105,11 @@ def _middle(body: Body, link: int) -> Array:
     boxes = boxer.boxes(np.zeros((1, 3)), np.eye(3)[None])
     low, high = boxes[:3].T, boxes[3:].T
     volumes = np.prod(high - low, axis=1)
-    middle: Array = np.average((low + high) / 2, axis=0, weights=volumes + 1e-12)
-    return middle
+    centre: Array = np.average((low + high) / 2, axis=0, weights=volumes + 1e-12)
+    return centre
 
 
-def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
+def _visuals(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
     entries = pybullet.getVisualShapeData(body.handle, physicsClientId=simulator.client)
     colours = simulator.visual_colours(body)
     for entry, (link, _, colour) in zip(entries, colours, strict=True):
@@ -123,21 +125,21 @@ def _drawn(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
         )
 
 
-def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, End, End]]:
+def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, ConstraintEnd, ConstraintEnd]]:
     """Yields the constraints of a client with the links that they connect; -1, -1 is the world."""
     names = {number: name for name, number in CONSTRAINTS.items()}
     for index in range(pybullet.getNumConstraints(client)):
         number = pybullet.getConstraintUniqueId(index, physicsClientId=client)
         info = pybullet.getConstraintInfo(number, client)
-        (turn,), (to_turn,) = (wxyz(np.array([info[at]])).tolist() for at in (8, 9))
+        (orientation,), (to_orientation,) = (wxyz(np.array([info[i]])).tolist() for i in (8, 9))
         spec = ConstraintSpec(
             type=names[info[4]],
             on="",
             axis=info[5],
             position=info[6],
-            orientation=tuple(turn),
+            orientation=tuple(orientation),
             to_position=info[7],
-            to_orientation=tuple(to_turn),
+            to_orientation=tuple(to_orientation),
             max_force=info[10],
             gear_ratio=info[11],
             gear_link=info[12],

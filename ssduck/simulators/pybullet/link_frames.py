@@ -36,17 +36,17 @@ class LinkPosesReader:
         self._linked = [body.handle for body in bodies if len(body.links) > 1]
         self._links = [list(range(len(body.links) - 1)) for body in bodies if len(body.links) > 1]
         counts = np.array([len(body.links) for body in bodies], dtype=np.intp)
-        # By whether the links' velocities are read: how many numbers the answers have, and
-        # where each frame's are.
+        # By whether the links' velocities are read: the number of values in PyBullet's results, and
+        # the places of each link's values.
         self._orders = {
             with_velocities: _order(counts, with_velocities) for with_velocities in (False, True)
         }
         positions = np.concatenate([np.zeros((0, 3)), *(pose[0] for pose in com)])
         orientations = np.concatenate([np.zeros((0, 4)), *(pose[1] for pose in com)])
         self._link_from_com = invert(positions, orientations)[1]
-        self._turned = bool(orientations[:, 1:].any())
+        self._has_rotated_com = bool(orientations[:, 1:].any())
         self._origins = -positions  # from the centres of mass, in the link frames' axes
-        self._shifted = bool(positions.any())
+        self._has_shifted_com = bool(positions.any())
 
     def read(self, client: int, with_velocities: bool) -> LinkPoses:
         """Returns the present poses of all links, body after body; with velocities on request."""
@@ -58,33 +58,33 @@ class LinkPosesReader:
             repeat(1),  # with forward kinematics: without, links lag the base by a step
             repeat(client),
         )
-        # Through iterators in C: a loop in Python would cost as much as the calls.
-        answers = chain(
+        # Iterators in C: a loop in Python would cost as much as the calls.
+        results = chain(
             map(pybullet.getBasePositionAndOrientation, self._handles, repeat(client)),
             map(pybullet.getBaseVelocity, self._handles, repeat(client)),
             map(_pose_and_twist if with_velocities else _pose, _flatten(links)),
             _UNKNOWN,
         )
         count, order = self._orders[with_velocities]
-        numbers = np.fromiter(_flatten(_flatten(answers)), np.float64, count)
+        numbers = np.fromiter(_flatten(_flatten(results)), np.float64, count)
         states = numbers.take(order)
-        if self._turned:
+        if self._has_rotated_com:
             states[:, 3:7] = multiply(states[:, 3:7], self._link_from_com)
         matrices = rotation_matrices(states[:, 3:7])
         positions = states[:, :3]
-        if self._shifted:
+        if self._has_shifted_com:
             positions = positions + rotate(matrices, self._origins)
         return LinkPoses(positions, matrices, states)
 
 
-# An answer like the others, of one number.
+# A result like those of PyBullet, of one value, for velocities that are not read.
 _UNKNOWN = (((np.nan,),),)
 
 
 def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
     """Returns the number of values in PyBullet's results and each link's places, (links, 13).
 
-    The answers are the bases' poses, the bases' velocities, the links' states with or without
+    The results are the bases' poses, the bases' velocities, the links' states with or without
     velocities, and an unknown value. A pose is x y z and the quaternion x y z w.
     """
     bases = len(counts)
@@ -92,13 +92,13 @@ def _order(counts: Indices, with_velocities: bool) -> tuple[int, Indices]:
     is_base = np.zeros(total, dtype=bool)
     is_base[np.cumsum(counts) - counts] = True
     width = 13 if with_velocities else 7
-    order = np.full((total, 13), -1, dtype=np.intp)  # from the end: the unknown one
+    order = np.full((total, 13), -1, dtype=np.intp)  # -1: the unknown value at the end
     order[is_base, :7] = 7 * np.arange(bases)[:, None] + np.arange(7)
     order[is_base, 7:] = 7 * bases + 6 * np.arange(bases)[:, None] + np.arange(6)
     links = 13 * bases + width * np.arange(total - bases)[:, None]
     order[~is_base, :width] = links + np.arange(width)
-    answered = 13 * bases + width * (total - bases) + 1
-    return answered, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
+    count = 13 * bases + width * (total - bases) + 1
+    return count, order[:, [0, 1, 2, 6, 3, 4, 5, *range(7, 13)]]
 
 
 def link_poses_of(client: int, body: Body, com: Pose) -> LinkPoses:

@@ -24,14 +24,14 @@ CONSTRAINTS = {
     "prismatic": pybullet.JOINT_PRISMATIC,
     "gear": pybullet.JOINT_GEAR,
 }
-# PyBullet's names of what `Engine` sets.
+# PyBullet's parameters by the attributes of `Engine`.
 _ENGINE = {
     "substeps": "numSubSteps",
     "iterations": "numSolverIterations",
     "joint_iterations": "numNonContactInnerIterations",
 }
-# Stands before each of Bullet's messages, which do not end in a new line.
-_MARK = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
+# The beginning of each of Bullet's messages, which do not end in a new line.
+_MESSAGE_START = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ class LoadedBodies:
         names: the names in the scene.
         kinds: the kinds in the scene.
         origins: the scene entries of bodies that were loaded from a file.
-        held: the positions that motors hold, by link.
-        described: bodies that are described already.
+        motor_positions: the positions that motors hold, by link.
+        described: the descriptions of bodies, if known already.
         disabled: bodies that begin without collisions.
         hidden: bodies that begin hidden.
         time: the initial simulated time, s.
@@ -61,7 +61,7 @@ class LoadedBodies:
     names: dict[int, str] = field(default_factory=dict)
     kinds: dict[int, Kind] = field(default_factory=dict)
     origins: dict[int, SceneOrigin] = field(default_factory=dict)
-    held: dict[int, dict[int, float]] = field(default_factory=dict)
+    motor_positions: dict[int, dict[int, float]] = field(default_factory=dict)
     described: dict[int, BodyDescription] = field(default_factory=dict)
     disabled: set[int] = field(default_factory=set)
     hidden: set[int] = field(default_factory=set)
@@ -85,8 +85,8 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
     for index, spec in enumerate(scene.bodies):
         # A model that is loaded by itself has no entry in a scene's file.
         load_body(spec, f"{scene.path}: body[{index}]." if spec.name else "", loaded, client)
-    _make_constraints(scene, loaded, client)
-    # Contacts and rays of the first tick are of where things are now.
+    _create_constraints(scene, loaded, client)
+    # The contacts and rays of the first tick are those of the present poses.
     pybullet.performCollisionDetection(client)
     return loaded
 
@@ -94,7 +94,7 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
 def set_elastic(client: int) -> None:
     """Makes the collisions of a client elastic."""
     pybullet.setPhysicsEngineParameter(
-        # Slow contacts bounce, too, and none is pushed apart afterwards, which would speed it up.
+        # Slow contacts bounce, too. No penetration is corrected: that would add energy.
         restitutionVelocityThreshold=0.0,
         contactERP=0.0,
         physicsClientId=client,
@@ -113,8 +113,8 @@ def make_elastic(handle: int, client: int) -> None:
             rollingFriction=0.0,
             linearDamping=0.0,
             angularDamping=0.0,
-            # A contact that begins before shapes meet would brake them. The world's own bound,
-            # contactBreakingThreshold, is one for all clients of a process.
+            # A contact that begins before shapes meet would brake them. The world's own threshold,
+            # contactBreakingThreshold, applies to all clients of a process.
             contactProcessingThreshold=0.0,
             physicsClientId=client,
         )
@@ -129,8 +129,8 @@ def set_solver_settings(engine: Mapping[str, int], client: int) -> None:
 
 def solver_settings(client: int) -> dict[str, int]:
     """Returns the settings of the solver, by the names of `Engine`."""
-    told = pybullet.getPhysicsEngineParameters(client)
-    return {name: int(told[called]) for name, called in _ENGINE.items()}
+    parameters = pybullet.getPhysicsEngineParameters(client)
+    return {name: int(parameters[key]) for name, key in _ENGINE.items()}
 
 
 def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> Sequence[int]:
@@ -139,7 +139,7 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
     Args:
         spec: the entry.
         place: its place in errors.
-        loaded: receives the bodies.
+        loaded: the bodies loaded so far; receives these.
         client: the client.
 
     Raises:
@@ -156,9 +156,9 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
             loaded.disabled.add(handle)
         if not spec.visible:
             loaded.hidden.add(handle)
-        held = _set_joints(handle, spec, place, client)
-        if held:
-            loaded.held[handle] = held
+        positions = _set_joints(handle, spec, place, client)
+        if positions:
+            loaded.motor_positions[handle] = positions
         if loaded.elastic:
             make_elastic(handle, client)
     return handles
@@ -176,8 +176,8 @@ def load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
             return cast("Sequence[int]", load(file, physicsClientId=client))
         except (pybullet.error, UnicodeEncodeError) as error:
             failure = error
-    said = [part.strip() for part in _MARK.split(" ".join(lines)) if part.strip()]
-    reason = "; ".join(said) or str(failure)
+    messages = [part.strip() for part in _MESSAGE_START.split(" ".join(lines)) if part.strip()]
+    reason = "; ".join(messages) or str(failure)
     where = f"{place}urdf: " if place else ""
     raise SceneError(f"{where}{file} cannot be loaded: {reason}") from failure
 
@@ -189,8 +189,8 @@ def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
     handle = int(
         pybullet.loadURDF(file, useFixedBase=spec.fixed, flags=flags, physicsClientId=client)
     )
-    # loadURDF's own position is that of the root's centre of mass or of its link frame
-    # according to its flags; placing the link frame here leaves no doubt.
+    # The flags of loadURDF decide whether its position is that of the root's centre of mass or of
+    # its link frame; so the link frame is placed here.
     dynamics = pybullet.getDynamicsInfo(handle, -1, client)
     link = np.array([spec.position]), np.array([spec.orientation])
     com = np.array([dynamics[3]]), wxyz(np.array([dynamics[4]]))
@@ -212,7 +212,7 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
     are wheels and the like; their motors hold velocity 0.
 
     Returns:
-        The positions that are held, by link; empty if PyBullet's own motors are left as they are.
+        The positions that motors hold, by link; empty if PyBullet's own motors stay as they are.
     """
     count = pybullet.getNumJoints(handle, client)
     joints = [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
@@ -221,7 +221,7 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
             _check_joint(name, value, joints, f"{place}{key}.{name}: {spec.model.name}")
     for name in spec.joint_velocities:
         _check_joint(name, None, joints, f"{place}joint_velocities.{name}: {spec.model.name}")
-    held: dict[int, float] = {}
+    motor_positions: dict[int, float] = {}
     for joint in joints:
         if joint.type not in SCALAR_JOINTS:
             continue
@@ -229,9 +229,9 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
         velocity = spec.joint_velocities.get(joint.name, 0.0)
         pybullet.resetJointState(handle, joint.link - 1, value, velocity, client)
         if spec.hold:
-            held[joint.link] = spec.held.get(joint.name, value)
-            hold_joint(handle, joint, held[joint.link], client)
-    return held
+            motor_positions[joint.link] = spec.held.get(joint.name, value)
+            hold_joint(handle, joint, motor_positions[joint.link], client)
+    return motor_positions
 
 
 def hold_joint(handle: int, joint: Joint, value: float, client: int) -> None:
@@ -254,20 +254,20 @@ def set_motor(handle: int, link: int, motor: MotorTarget, client: int) -> None:
 
 
 def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place: str) -> None:
-    """Refuses a joint that does not exist or cannot be at a position."""
-    known = {joint.name: joint for joint in joints}
-    if name not in known:
-        raise SceneError(f"{place} has no such joint", suggestions=nearest(name, known))
-    joint = known[name]
+    """Raises an error for a joint that does not exist or cannot be at a position."""
+    by_name = {joint.name: joint for joint in joints}
+    if name not in by_name:
+        raise SceneError(f"{place} has no such joint", suggestions=nearest(name, by_name))
+    joint = by_name[name]
     if joint.type not in SCALAR_JOINTS:
         raise SceneError(f"{place}: a {joint.type} joint has no position")
-    low, high = _range(joint)
-    # Solvers leave a joint a little beyond its limits, and worlds are saved so.
+    low, high = _limits(joint)
+    # Solvers leave a joint a little beyond its limits, and worlds are saved in that state.
     if value is not None and not low - LIMIT_TOLERANCE < value < high + LIMIT_TOLERANCE:
         raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
 
 
-def _make_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None:
+def _create_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None:
     handles = {name: handle for handle, name in loaded.names.items()}
     for index, spec in enumerate(scene.constraints):
         place = f"{scene.path}: constraint[{index}]."
@@ -284,7 +284,7 @@ def _make_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None:
                     suggestions=nearest(link, names),
                 )
             ends.append((handle, -1 if link is None else names.index(link) - 1))
-        make_constraint(spec, ends[0], ends[1], client)
+        create_constraint(spec, ends[0], ends[1], client)
 
 
 def _link_names(handle: int, client: int) -> list[str]:
@@ -296,10 +296,10 @@ def _link_names(handle: int, client: int) -> list[str]:
     return [name.decode(errors="replace") for name in (base, *infos)]
 
 
-def make_constraint(
+def create_constraint(
     spec: ConstraintSpec, on: tuple[int, int], to: tuple[int, int], client: int
 ) -> None:
-    """Makes a constraint between two links, each a body number and PyBullet's link index."""
+    """Creates a constraint between two links, each a body number and PyBullet's link index."""
     number = pybullet.createConstraint(
         *on,
         *to,
@@ -307,12 +307,12 @@ def make_constraint(
         spec.axis,
         spec.position,
         spec.to_position,
-        _as_pybullet(spec.orientation),
-        _as_pybullet(spec.to_orientation),
+        _to_xyzw(spec.orientation),
+        _to_xyzw(spec.to_orientation),
         physicsClientId=client,
     )
     settings: dict[str, Any] = {}
-    # What PyBullet calls 500 N to begin with is an impulse of 500 N s; set, it would be 500 N.
+    # PyBullet's default of 500 is an impulse of 500 N s; if set, it would be a force of 500 N.
     if spec.max_force != ConstraintSpec.max_force:
         settings["maxForce"] = spec.max_force
     if spec.type == "gear":
@@ -327,12 +327,12 @@ def make_constraint(
         pybullet.changeConstraint(number, physicsClientId=client, **settings)
 
 
-def _as_pybullet(orientation: Sequence[float]) -> list[float]:
+def _to_xyzw(orientation: Sequence[float]) -> list[float]:
     w, *vector = orientation
     return [*vector, w]
 
 
-def _range(joint: Joint) -> tuple[float, float]:
+def _limits(joint: Joint) -> tuple[float, float]:
     if joint.lower is None or joint.upper is None:
         return -math.inf, math.inf
     return joint.lower, joint.upper
@@ -340,5 +340,5 @@ def _range(joint: Joint) -> tuple[float, float]:
 
 def position_nearest_zero(joint: Joint) -> float:
     """Returns 0, or the limit of a joint nearest to 0."""
-    low, high = _range(joint)
+    low, high = _limits(joint)
     return min(max(0.0, low), high)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
 from typing import Any, TypeVar
 
@@ -25,7 +25,7 @@ from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     Body,
     CameraView,
-    Contact,
+    ContactPoints,
     Kind,
     LinkPoses,
     MotorTarget,
@@ -33,7 +33,7 @@ from ssduck.simulators.interface import (
 )
 from ssduck.simulators.pybullet.bodies import (
     BodyDescription,
-    GivenShapes,
+    UserShapes,
     describe,
     masses_of,
     xyzw,
@@ -43,6 +43,7 @@ from ssduck.simulators.pybullet.clients import handles_of
 from ssduck.simulators.pybullet.collision_margins import margins_of
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
+from ssduck.simulators.pybullet.contacts import read_contacts
 from ssduck.simulators.pybullet.link_frames import LinkPosesReader
 from ssduck.simulators.pybullet.rays import cast_rays
 from ssduck.simulators.pybullet.scene_loader import LoadedBodies, hold_joint, set_motor
@@ -51,11 +52,11 @@ from ssduck.simulators.scenes import Camera
 T = TypeVar("T")
 
 # The depth range of sensors' images, metres: about that of PyBullet's own camera.
-NEAREST_DRAWN = 0.01
-FARTHEST_DRAWN = 100.0
+NEAR_PLANE = 0.01
+FAR_PLANE = 100.0
 
 # Bullet's collision groups and masks: fixed bodies collide with all bodies but fixed ones.
-_FREE, _FIXED = (1, -1), (2, -3)
+_FREE_FILTER, _FIXED_FILTER = (1, -1), (2, -3)
 
 
 class PyBulletSimulator:
@@ -65,9 +66,9 @@ class PyBulletSimulator:
         client: the number of a connected client.
         owned: whether ssduck made the client and disconnects it; else the user may change it.
         names: names of the present bodies by PyBullet body number, instead of those of the models.
-        kinds: kinds of these bodies, instead of robot for bodies with movable joints.
-        shapes: the shapes of these bodies that the caller knows.
-        loaded: what ssduck knows of bodies that it loaded.
+        kinds: kinds of these bodies, instead of those that follow from the joints.
+        shapes: the user's own shapes of these bodies.
+        loaded: the bodies that ssduck loaded.
 
     Attributes:
         loaded: the same; updated with the positions that motors hold.
@@ -83,7 +84,7 @@ class PyBulletSimulator:
         owned: bool,
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
-        shapes: Mapping[int, GivenShapes] | None = None,
+        shapes: Mapping[int, UserShapes] | None = None,
         loaded: LoadedBodies | None = None,
     ) -> None:
         self.client = client
@@ -92,61 +93,64 @@ class PyBulletSimulator:
         self.loaded = loaded or LoadedBodies()
         self._names = dict(names or {})
         self._kinds = dict(kinds or {})
-        self._given = dict(shapes or {})
+        self._user_shapes = dict(shapes or {})
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
         # The colours of hidden bodies: link, index among its visual shapes, colour.
         self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
-        self._known: dict[int, BodyDescription] = {}
-        # Two worlds on one client must not take each other's tags for their own.
+        self._descriptions: dict[int, BodyDescription] = {}
+        # The tags of two worlds on one client must differ.
         self._tag = f"ssduck.{id(self)}"
-        self._listed: tuple[list[int], list[int]] = ([], [])
+        # Of the last description: the bodies' numbers and their tags.
+        self._handles_and_tags: tuple[list[int], list[int]] = ([], [])
         self._described = False
         # Bodies that were removed since `describe` was called.
         self._removed: list[Body] = []
-        # The reason why the client must not be used any more. PyBullet reuses the number of a
-        # client that is gone.
-        self._lost: str | None = None
+        # The reason why the client must not be used any more: PyBullet reuses the number of a
+        # disconnected client.
+        self._lost_reason: str | None = None
         self._layout: tuple[tuple[Body, ...], LinkPosesReader] = ((), LinkPosesReader([], []))
-        self.clock = Clock(self._clients_timestep(), self.loaded.time)
+        self.clock = Clock(self._client_timestep(), self.loaded.time)
 
     # -- bodies ---------------------------------------------------------------------------
 
     def describe(self) -> tuple[list[Body], list[Body]] | None:
         """Returns the bodies that came and went since the last call.
 
-        PyBullet reuses the number of a removed body at once. So every known body carries a tag
-        (user data, which is removed with it) that tells the two apart.
+        PyBullet reuses the number of a removed body at once. So every described body carries a tag:
+        user data, which PyBullet removes with the body.
         """
         if self._described and not self.is_external:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
         handles = self._call(lambda: handles_of(self.client))
         tags = self._call(lambda: self._tags_of(handles))
-        if self._listed == (handles, tags):
+        if self._handles_and_tags == (handles, tags):
             return None
-        known = dict(zip(*self._listed, strict=True))
-        kept = {h for h, tag in zip(handles, tags, strict=True) if known.get(h) == tag}
-        unknown = [handle for handle in handles if handle not in kept]
-        saved = SavedShapes(self.client, unknown)
+        old_tags = dict(zip(*self._handles_and_tags, strict=True))
+        present = {h for h, tag in zip(handles, tags, strict=True) if old_tags.get(h) == tag}
+        added = [handle for handle in handles if handle not in present]
+        saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
-            new = self._call(lambda: {handle: self._read(handle, saved) for handle in unknown})
-        _warn_of_guesses([one.body for one in new.values() if not one.exact])
-        gone = [one.body for handle, one in self._known.items() if handle not in kept]
+            new = self._call(lambda: {h: self._describe_body(h, saved) for h in added})
+        _warn_of_stand_ins(
+            [description.body for description in new.values() if not description.exact]
+        )
+        gone = [d.body for handle, d in self._descriptions.items() if handle not in present]
         self._forget(gone)
-        self._known = {handle: self._known[handle] for handle in kept} | new
-        self._listed = handles, self._call(lambda: self._tags_of(handles))
-        # They hold for the bodies of that time, not for later bodies with the same numbers.
-        self._names, self._kinds, self._given, self._described = {}, {}, {}, True
-        self._begin_absent()
-        return [one.body for one in new.values()], gone
+        self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
+        self._handles_and_tags = handles, self._call(lambda: self._tags_of(handles))
+        # These are of the present bodies, not of later bodies with the same numbers.
+        self._names, self._kinds, self._user_shapes, self._described = {}, {}, {}, True
+        self._apply_initial_flags()
+        return [description.body for description in new.values()], gone
 
-    def _begin_absent(self) -> None:
-        """Switches off the bodies that begin without collisions or hidden."""
+    def _apply_initial_flags(self) -> None:
+        """Disables and hides the bodies that begin without collisions or hidden."""
         for handle in self.loaded.disabled:
-            self.enable(self._known[handle].body, on=False)
+            self.enable(self._descriptions[handle].body, on=False)
         for handle in self.loaded.hidden:
-            self.show(self._known[handle].body, on=False)
+            self.show(self._descriptions[handle].body, on=False)
         self.loaded.disabled, self.loaded.hidden = set(), set()
 
     def remove(self, body: Body) -> None:
@@ -155,23 +159,23 @@ class PyBulletSimulator:
         # Bodies that rested on it must fall with the next step.
         self._call(lambda: pybullet.performCollisionDetection(self.client))
         self._forget([body])
-        del self._known[body.handle]
-        for known in (self.loaded.origins, self.loaded.held):
-            known.pop(body.handle, None)
+        del self._descriptions[body.handle]
+        for values in (self.loaded.origins, self.loaded.motor_positions):
+            values.pop(body.handle, None)
         self._removed.append(body)
 
     def description_of(self, body: Body) -> BodyDescription | None:
         """Returns the description of a body, if the client still has the body."""
-        known = self._known.get(body.handle)
-        if known is None or known.body is not body or self._lost is not None:
+        description = self._descriptions.get(body.handle)
+        if description is None or description.body is not body or self._lost_reason is not None:
             return None
         if self.is_external:
-            # Its number may be another's by now.
-            handles, tags = self._listed
+            # Another body may have its number by now.
+            handles, tags = self._handles_and_tags
             tag = dict(zip(handles, tags, strict=True)).get(body.handle)
             if self._call(lambda: self._tags_of([body.handle])) != [tag]:
                 return None
-        return known
+        return description
 
     def count(self) -> int:
         """Returns the number of bodies that the client has now."""
@@ -195,17 +199,17 @@ class PyBulletSimulator:
         none = repeat(-1)
         return list(map(get, handles, repeat(self._tag), none, none, repeat(self.client)))
 
-    def _read(self, handle: int, saved: SavedShapes) -> BodyDescription:
-        read = self.loaded.described.pop(handle, None) or describe(
+    def _describe_body(self, handle: int, saved: SavedShapes) -> BodyDescription:
+        description = self.loaded.described.pop(handle, None) or describe(
             self.client,
             handle,
             self._names.get(handle),
             self._kinds.get(handle),
             saved,
-            self._given.get(handle),
+            self._user_shapes.get(handle),
         )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
-        return read
+        return description
 
     # -- state ----------------------------------------------------------------------------
 
@@ -217,7 +221,7 @@ class PyBulletSimulator:
     @property
     def timestep(self) -> float:
         """The length of the next step, simulated seconds, as the client is set now."""
-        return self._clients_timestep()
+        return self._client_timestep()
 
     def set_clock(self, clock: Clock) -> None:
         """Replaces the clock."""
@@ -228,7 +232,7 @@ class PyBulletSimulator:
         if self._layout[0] is not bodies:
             self._layout = (
                 bodies,
-                LinkPosesReader(bodies, [self._known[b.handle].com for b in bodies]),
+                LinkPosesReader(bodies, [self._descriptions[b.handle].com for b in bodies]),
             )
         return self._call(lambda: self._layout[1].read(self.client, with_velocities))
 
@@ -246,41 +250,29 @@ class PyBulletSimulator:
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the masses of bodies' links; the last known ones if a body is gone."""
-        there = self._are_there(bodies)
+        present = self._present(bodies)
         client = self.client
         return self._call(
-            lambda: [masses_of(client, b) if b in there else b.masses for b in bodies]
+            lambda: [masses_of(client, b) if b in present else b.masses for b in bodies]
         )
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
-        told = {body: self._known[body.handle].link_margins for body in self._are_there(bodies)}
+        present = self._present(bodies)
+        link_margins = {body: self._descriptions[body.handle].link_margins for body in present}
         return self._call(
-            lambda: [margins_of(self.client, body, told.get(body, ())) for body in bodies]
+            lambda: [margins_of(self.client, body, link_margins.get(body, ())) for body in bodies]
         )
 
-    def _are_there(self, bodies: Sequence[Body]) -> set[Body]:
+    def _present(self, bodies: Sequence[Body]) -> set[Body]:
         """Returns the bodies that the client still has."""
-        tags = dict(zip(*self._listed, strict=True))
+        tags = dict(zip(*self._handles_and_tags, strict=True))
         now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
         return {b for b, tag in zip(bodies, now, strict=True) if tag == tags.get(b.handle)}
 
-    def read_contacts(self) -> Iterable[Contact]:
-        """Yields the contacts of the last step, without PyBullet's points of separate shapes."""
-        for entry in self._call(lambda: pybullet.getContactPoints(physicsClientId=self.client)):
-            if entry[8] <= 0.0:
-                yield Contact(
-                    body_a=entry[1],
-                    link_a=entry[3] + 1,
-                    body_b=entry[2],
-                    link_b=entry[4] + 1,
-                    point_a=entry[5],
-                    point_b=entry[6],
-                    normal=entry[7],
-                    depth=-entry[8],
-                    force=entry[9],
-                    friction=_friction(entry),
-                )
+    def read_contacts(self) -> ContactPoints:
+        """Returns the contact points of the last step, without those of separate shapes."""
+        return self._call(lambda: read_contacts(self.client))
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
@@ -288,7 +280,7 @@ class PyBulletSimulator:
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""
-        timestep = self._clients_timestep()
+        timestep = self._client_timestep()
 
         def run() -> None:
             done = 0
@@ -302,25 +294,27 @@ class PyBulletSimulator:
 
         self._call(run)
 
-    def _clients_timestep(self) -> float:
+    def _client_timestep(self) -> float:
         """Returns the client's time step, which the user may change at any time."""
         return float(self.parameters()["fixedTimeStep"])
 
     def parameters(self) -> dict[str, Any]:
         """Returns PyBullet's parameters of gravity, time step and solver."""
-        told: dict[str, Any] = self._call(lambda: pybullet.getPhysicsEngineParameters(self.client))
-        return told
+        parameters: dict[str, Any] = self._call(
+            lambda: pybullet.getPhysicsEngineParameters(self.client)
+        )
+        return parameters
 
     def place(self, body: Body, position: Array, orientation: Array) -> None:
         """Puts the base link frame of a body at a pose, at rest."""
-        com = self._known[body.handle].com
-        place, turn = compose(position[None], orientation[None], com[0][:1], com[1][:1])
+        com = self._descriptions[body.handle].com
+        com_pose = compose(position[None], orientation[None], com[0][:1], com[1][:1])
 
         def put() -> None:
             pybullet.resetBasePositionAndOrientation(
-                body.handle, place[0].tolist(), xyzw(turn)[0].tolist(), self.client
+                body.handle, com_pose[0][0].tolist(), xyzw(com_pose[1])[0].tolist(), self.client
             )
-            # Else its contacts would be those of the place where it was.
+            # Otherwise its contacts would be those at its old place.
             pybullet.performCollisionDetection(self.client)
 
         self._call(put)
@@ -336,7 +330,7 @@ class PyBulletSimulator:
                 pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
                 if not self.is_external:
                     hold_joint(body.handle, body.joints[link - 1], position, self.client)
-                    self.loaded.held.setdefault(body.handle, {})[link] = position
+                    self.loaded.motor_positions.setdefault(body.handle, {})[link] = position
             pybullet.performCollisionDetection(self.client)
 
         self._call(put)
@@ -379,7 +373,7 @@ class PyBulletSimulator:
         def put() -> None:
             for link, part in enumerate(body.links):
                 fixed = link == 0 and part.mass == 0.0
-                group, mask = (_FIXED if fixed else _FREE) if on else (0, 0)
+                group, mask = (_FIXED_FILTER if fixed else _FREE_FILTER) if on else (0, 0)
                 pybullet.setCollisionFilterGroupMask(
                     body.handle, link - 1, group, mask, self.client
                 )
@@ -403,23 +397,23 @@ class PyBulletSimulator:
 
         self._call(put)
         self.hidden = self.hidden - {body} if on else self.hidden | {body}
-        self._colours = {kept: self._colours.get(kept, colours) for kept in self.hidden}
+        self._colours = {hidden: self._colours.get(hidden, colours) for hidden in self.hidden}
 
     def render(
         self, camera: Camera, width: int, height: int, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
         """Returns a camera's colour image by PyBullet's software renderer, (height, width, 3)."""
-        return self._drawn(width, height, *_seen(camera, width, height), shadow=shadow)
+        return self._draw(width, height, *_camera_matrices(camera, width, height), shadow=shadow)
 
     def segment(self, camera: Camera, width: int, height: int) -> Indices:
         """Returns the number of the body in each pixel, (height, width); -1 for none."""
-        view, lens = _seen(camera, width, height)
+        view, projection = _camera_matrices(camera, width, height)
         bodies = self._call(
             lambda: pybullet.getCameraImage(
                 width,
                 height,
                 view,
-                lens,
+                projection,
                 renderer=pybullet.ER_TINY_RENDERER,
                 physicsClientId=self.client,
             )
@@ -429,23 +423,23 @@ class PyBulletSimulator:
     def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
         """Returns the colour image of a camera on a body, by PyBullet's software renderer."""
         target = view.position + view.matrix[:, 0]
-        seen = pybullet.computeViewMatrix(
+        view_matrix = pybullet.computeViewMatrix(
             view.position.tolist(), target.tolist(), view.matrix[:, 2].tolist()
         )
-        lens = pybullet.computeProjectionMatrixFOV(
-            view.fov, view.width / view.height, NEAREST_DRAWN, FARTHEST_DRAWN
+        projection = pybullet.computeProjectionMatrixFOV(
+            view.fov, view.width / view.height, NEAR_PLANE, FAR_PLANE
         )
-        return self._drawn(view.width, view.height, seen, lens, shadow=False)
+        return self._draw(view.width, view.height, view_matrix, projection, shadow=False)
 
-    def _drawn(
-        self, width: int, height: int, view: Any, lens: Any, *, shadow: bool
+    def _draw(
+        self, width: int, height: int, view: Any, projection: Any, *, shadow: bool
     ) -> npt.NDArray[np.uint8]:
         picture = self._call(
             lambda: pybullet.getCameraImage(
                 width,
                 height,
                 view,
-                lens,
+                projection,
                 lightDirection=(4.0, -6.0, 8.0),
                 lightDistance=8.0,
                 lightAmbientCoeff=0.65,
@@ -461,31 +455,33 @@ class PyBulletSimulator:
 
     def close(self) -> None:
         """Removes the tags from the bodies, and disconnects the client if ssduck made it."""
-        if self._lost is not None:
+        if self._lost_reason is not None:
             return
-        self._lost = "the world is closed"
+        self._lost_reason = "the world is closed"
         if not pybullet.isConnected(self.client):
             return
         if self.is_external:
-            for tag in self._listed[1]:
+            for tag in self._handles_and_tags[1]:
                 pybullet.removeUserData(tag, self.client)
         else:
             pybullet.disconnect(self.client)
 
     def _call(self, function: Callable[[], T]) -> T:
         """Calls PyBullet and converts its errors into those of ssduck."""
-        if self._lost is not None:
-            raise SimulatorError(f"{self._lost}; load or attach the world again")
+        if self._lost_reason is not None:
+            raise SimulatorError(f"{self._lost_reason}; load or attach the world again")
         try:
             return function()
         except pybullet.error as error:
             if not pybullet.isConnected(self.client):
-                self._lost = f"PyBullet client {self.client} is disconnected"
-                raise SimulatorError(f"{self._lost}; load or attach the world again") from error
+                self._lost_reason = f"PyBullet client {self.client} is disconnected"
+                raise SimulatorError(
+                    f"{self._lost_reason}; load or attach the world again"
+                ) from error
             raise SimulatorError(f"PyBullet: {error}") from error
 
 
-def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
+def _camera_matrices(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
     """Returns PyBullet's view and projection matrices of a camera."""
     view = pybullet.computeViewMatrix(camera.eye, camera.target, (0.0, 0.0, 1.0))
     # A view much deeper than the scene has too little depth resolution: shadows get rings.
@@ -493,7 +489,7 @@ def _seen(camera: Camera, width: int, height: int) -> tuple[Any, Any]:
     return view, pybullet.computeProjectionMatrixFOV(camera.fov, width / height, 0.05, depth)
 
 
-def _warn_of_guesses(bodies: Sequence[Body]) -> None:
+def _warn_of_stand_ins(bodies: Sequence[Body]) -> None:
     if bodies:
         warn(
             f"{joined_names([body.name for body in bodies])}: PyBullet does not give back "
@@ -511,10 +507,3 @@ def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[fl
         colours.append((entry[1], shapes[entry[1]], entry[7]))
         shapes[entry[1]] += 1
     return colours
-
-
-def _friction(entry: Sequence[Any]) -> tuple[float, float, float]:
-    """Returns the friction force on body A, along two directions normal to the contact normal."""
-    (first, along), (second, beside) = (entry[10], entry[11]), (entry[12], entry[13])
-    x, y, z = (first * a + second * b for a, b in zip(along, beside, strict=True))
-    return x, y, z

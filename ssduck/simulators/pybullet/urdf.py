@@ -1,7 +1,7 @@
 """Writes URDF models of bodies that have no model file, or no longer have one.
 
-Loaded again with `URDF_USE_INERTIA_FROM_FILE`, primitives behave in PyBullet exactly as those of
-`createMultiBody`. Hulls get another margin, and rest up to 1e-5 m off.
+With `URDF_USE_INERTIA_FROM_FILE`, the loaded primitives behave exactly as those of
+`createMultiBody`. Hulls get another margin, and come to rest up to 1e-5 m away.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -24,8 +24,8 @@ from ssduck.simulators.kinematics import moved_link_poses
 
 Numbers = Sequence[float]
 
-# The limit of a joint without a limit of effort or velocity; PyBullet takes 0 for none.
-_NONE = 0.0
+# PyBullet's limit of effort or velocity of a joint without such a limit.
+_UNLIMITED = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,9 @@ class Visual:
 
     Attributes:
         link: its index; the base is 0.
-        geometry: the form; None for a mesh of a file.
-        file: of a mesh.
-        scale: of a mesh, or 1s.
+        geometry: the geometry; None for a mesh of a file.
+        file: the file of a mesh.
+        scale: the scale of a mesh, or 1s.
         position: in the link frame, metres.
         orientation: in the link frame, w, x, y, z.
         colour: red, green, blue, alpha, from 0 to 1.
@@ -57,22 +57,23 @@ class BodyModel:
 
     Attributes:
         body: its links, joints and shapes.
-        zero: for each joint, the pose of its link in the frame of the parent at position 0,
+        zero_poses: for each joint, the pose of its link in the frame of the parent at position 0,
             (joints, 3) and (joints, 4).
         com: poses of the centres of mass in the link frames, (links, 3) and (links, 4).
-        inertias: about the axes of these, (links, 3), kg m²; None to compute them from the shapes.
-        damping: of the joints.
+        inertias: the moments about the axes of `com`, (links, 3), kg m²; None to compute them from
+            the shapes.
+        damping: the damping of the joints.
         contacts: contact parameters of the links, by PyBullet's elements.
-        drawn: the visual shapes; None for the collision shapes.
+        visuals: the visual shapes; None for the collision shapes.
     """
 
     body: Body
-    zero: tuple[Array, Array]
+    zero_poses: tuple[Array, Array]
     com: tuple[Array, Array]
     inertias: Array | None
     damping: Numbers
     contacts: Sequence[Mapping[str, float]]
-    drawn: Sequence[Visual] | None
+    visuals: Sequence[Visual] | None
 
 
 def zero_poses(
@@ -109,7 +110,7 @@ def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
             part = _add_geometry(element, "collision", shape, meshes)
             if shape.geometry.type == "mesh":
                 part.set("concave", "yes")
-        _add_drawn(element, index, shapes, model.drawn, meshes)
+        _add_visuals(element, index, shapes, model.visuals, meshes)
     for number in range(len(model.body.joints)):
         _add_joint(robot, model, number, names)
     path = folder / f"{stem}.urdf"
@@ -123,42 +124,42 @@ def _add_inertial(element: ET.Element, model: BodyModel, index: int) -> None:
     _add_origin(inertial, model.com[0][index], model.com[1][index])
     ET.SubElement(inertial, "mass", value=_text_of(model.body.links[index].mass))
     moments = np.zeros(3) if model.inertias is None else model.inertias[index]
-    told = dict(zip(("ixx", "iyy", "izz"), map(_text_of, moments), strict=True))
-    ET.SubElement(inertial, "inertia", told, ixy="0", ixz="0", iyz="0")
+    diagonal = dict(zip(("ixx", "iyy", "izz"), map(_text_of, moments), strict=True))
+    ET.SubElement(inertial, "inertia", diagonal, ixy="0", ixz="0", iyz="0")
 
 
-def _add_drawn(
+def _add_visuals(
     element: ET.Element,
     index: int,
     shapes: Sequence[PlacedGeometry],
-    drawn: Sequence[Visual] | None,
+    visuals: Sequence[Visual] | None,
     meshes: _Meshes,
 ) -> None:
-    if drawn is None:
+    if visuals is None:
         for shape in shapes:
             _add_geometry(element, "visual", shape, meshes)
         return
-    for number, one in enumerate(one for one in drawn if one.link == index):
+    for number, visual in enumerate(visual for visual in visuals if visual.link == index):
         colour = f"{element.get('name')}_{number}"
-        if one.geometry is not None:
-            placed = PlacedGeometry(index, one.geometry, one.position, one.orientation)
-            visuals = [_add_geometry(element, "visual", placed, meshes)]
-        elif Path(one.file).is_file():
-            visual = ET.SubElement(element, "visual")
-            _add_origin(visual, one.position, one.orientation)
-            scale = " ".join(map(_text_of, one.scale))
+        if visual.geometry is not None:
+            placed = PlacedGeometry(index, visual.geometry, visual.position, visual.orientation)
+            parts = [_add_geometry(element, "visual", placed, meshes)]
+        elif Path(visual.file).is_file():
+            part = ET.SubElement(element, "visual")
+            _add_origin(part, visual.position, visual.orientation)
+            scale = " ".join(map(_text_of, visual.scale))
             ET.SubElement(
-                ET.SubElement(visual, "geometry"),
+                ET.SubElement(part, "geometry"),
                 "mesh",
-                filename=meshes.copied(Path(one.file)),
+                filename=meshes.copy(Path(visual.file)),
                 scale=scale,
             )
-            visuals = [visual]
-        else:  # its corners are not told; the shapes are the nearest
-            visuals = [_add_geometry(element, "visual", shape, meshes) for shape in shapes]
-        for visual in visuals:
-            material = ET.SubElement(visual, "material", name=colour)
-            ET.SubElement(material, "color", rgba=" ".join(map(_text_of, one.colour)))
+            parts = [part]
+        else:  # the mesh is unknown; the collision shapes are the best substitute
+            parts = [_add_geometry(element, "visual", shape, meshes) for shape in shapes]
+        for part in parts:
+            material = ET.SubElement(part, "material", name=colour)
+            ET.SubElement(material, "color", rgba=" ".join(map(_text_of, visual.colour)))
 
 
 def _add_geometry(
@@ -178,22 +179,22 @@ def _add_geometry(
         case "plane":
             ET.SubElement(geometry, "plane", normal=f"{a} {b} {c}")
         case "hull" | "mesh":
-            ET.SubElement(geometry, "mesh", filename=meshes.written(shape.geometry))
+            ET.SubElement(geometry, "mesh", filename=meshes.write(shape.geometry))
     return part
 
 
 def unique_names(names: Iterable[str]) -> list[str]:
-    """Names that a model can have: distinct and not empty.
+    """Makes names of a model distinct and not empty.
 
     >>> unique_names(["leg", "leg", ""])
     ['leg', 'leg_2', '_']
     """
-    found: dict[str, None] = {}
+    unique: dict[str, None] = {}
     for name in names:
-        told = name or "_"
-        others = (f"{told}_{number}" for number in count(2))
-        found[told if told not in found else next(o for o in others if o not in found)] = None
-    return list(found)
+        stem = name or "_"
+        numbered = (f"{stem}_{number}" for number in count(2))
+        unique[next(n for n in chain([stem], numbered) if n not in unique)] = None
+    return list(unique)
 
 
 def _add_joint(robot: ET.Element, model: BodyModel, number: int, names: Sequence[str]) -> None:
@@ -208,19 +209,19 @@ def _add_joint(robot: ET.Element, model: BodyModel, number: int, names: Sequence
     )
     ET.SubElement(element, "parent", link=names[model.body.links[joint.link].parent])
     ET.SubElement(element, "child", link=names[joint.link])
-    _add_origin(element, model.zero[0][number], model.zero[1][number])
+    _add_origin(element, model.zero_poses[0][number], model.zero_poses[1][number])
     if kind in ("revolute", "prismatic"):
         ET.SubElement(element, "axis", xyz=" ".join(map(_text_of, joint.axis)))
     ET.SubElement(element, "dynamics", damping=_text_of(model.damping[number]))
-    # To PyBullet a range of nothing is no limit.
+    # PyBullet takes an empty range for no limit.
     low, high = (joint.lower, joint.upper) if limited else (0.0, -1.0)
     ET.SubElement(
         element,
         "limit",
         lower=_text_of(low or 0.0),
         upper=_text_of(high or 0.0),
-        effort=_text_of(joint.max_effort or _NONE),
-        velocity=_text_of(joint.max_velocity or _NONE),
+        effort=_text_of(joint.max_effort or _UNLIMITED),
+        velocity=_text_of(joint.max_velocity or _UNLIMITED),
     )
 
 
@@ -236,13 +237,13 @@ def _add_origin(element: ET.Element, position: Array, orientation: Array) -> Non
 def roll_pitch_yaw(orientation: Array) -> tuple[float, float, float]:
     """Returns roll, pitch and yaw of a quaternion w, x, y, z: R = Rz(yaw) Ry(pitch) Rx(roll).
 
-    By arctangents only: the arcsine of PyBullet's function loses half of the digits near a pitch of
-    90°.
+    The angles are radians. They are arctangents: the arcsine of PyBullet's function loses half of
+    the digits near a pitch of 90°.
     """
     matrix = rotation_matrices(np.asarray(orientation, dtype=np.float64)[None])[0]
     level = math.hypot(matrix[0, 0], matrix[1, 0])
     pitch = math.atan2(-matrix[2, 0], level)
-    if level < 1e-9:  # straight up or down: only one of the others matters
+    if level < 1e-9:  # straight up or down: only the difference of roll and yaw matters
         return math.atan2(-matrix[1, 2], matrix[1, 1]), pitch, 0.0
     return (
         math.atan2(matrix[2, 1], matrix[2, 2]),
@@ -259,16 +260,16 @@ class _Meshes:
         self._stem = stem
         self._names: dict[str, str] = {}
 
-    def written(self, geometry: Geometry) -> str:
-        """Returns the name of a file that has a hull or a mesh."""
+    def write(self, geometry: Geometry) -> str:
+        """Writes a hull or a mesh; returns the name of the file."""
         if geometry.key not in self._names:
             name = self._next(".obj")
             (self._folder / name).write_text(_obj(geometry), encoding="utf-8")
             self._names[geometry.key] = name
         return self._names[geometry.key]
 
-    def copied(self, file: Path) -> str:
-        """Returns the name of a copy of a mesh file."""
+    def copy(self, file: Path) -> str:
+        """Copies a mesh file; returns the name of the copy."""
         key = str(file.resolve())
         if key not in self._names:
             name = self._next(file.suffix)
@@ -284,7 +285,7 @@ def _obj(geometry: Geometry) -> str:
     corners = geometry.vertices
     faces: Iterable[Iterable[int]] = geometry.faces
     if not len(geometry.faces):
-        # Of a hull PyBullet takes the corners of its faces, whatever they are.
+        # PyBullet makes a hull of the corners of all faces, whatever the faces are.
         faces = [(0, i, i + 1) for i in range(1, len(corners) - 1)]
     lines = ["v " + " ".join(map(_text_of, corner)) for corner in corners]
     lines += ["f " + " ".join(str(int(corner) + 1) for corner in face) for face in faces]

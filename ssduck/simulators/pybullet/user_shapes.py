@@ -1,4 +1,4 @@
-"""Shapes that the caller gives for bodies whose shapes PyBullet does not return.
+"""Reads the shapes that the user gives for bodies whose shapes PyBullet does not return.
 
 A key selects shapes: a body, for all shapes of its base; (body, link), for all of a link; or (body,
 link, index), for one of them. Bodies and links are PyBullet's numbers: the base is link -1. A value
@@ -20,33 +20,36 @@ from ssduck.geometry.arrays import Array, Triangles
 from ssduck.geometry.mesh_files import load_mesh
 from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.backends import ShapesByBody
-from ssduck.simulators.pybullet.bodies import GivenShapes
+from ssduck.simulators.pybullet.bodies import UserShapes
 from ssduck.simulators.pybullet.console import pybullet
 
 _KEYS = "a body, (body, link) or (body, link, number), by PyBullet's numbers"
 _MESHES = "a trimesh.Trimesh, (vertices, faces), the path of a mesh file, or a list of these"
 
 
-def given_shapes(
+def user_shapes(
     client: int, handles: Sequence[int], shapes: ShapesByBody | None
-) -> dict[int, GivenShapes]:
-    """Returns the given shapes, by body.
+) -> dict[int, UserShapes]:
+    """Returns the user's own shapes by body.
 
     Raises:
         ArgumentError: a key is not valid, there is no such body or link, two keys select the same
             shapes, or a value is not a mesh.
     """
-    found: dict[int, dict[tuple[int, int | None], Sequence[Geometry]]] = {}
+    by_body: dict[int, dict[tuple[int, int | None], Sequence[Geometry]]] = {}
     for key, value in (shapes or {}).items():
         body, link, number = _key(client, handles, key)
-        own = found.setdefault(body, {})
-        others = {at for at, _ in own}
-        if (link, number) in own or (((link, None) in own or number is None) and link in others):
+        shapes_of_body = by_body.setdefault(body, {})
+        is_whole = number is None or (link, None) in shapes_of_body
+        if (link, number) in shapes_of_body or (
+            is_whole and any(other == link for other, _ in shapes_of_body)
+        ):
             raise ArgumentError(
-                f"shapes: {key!r} and another key say what link {link - 1} of body {body} is"
+                f"shapes: {key!r} and another key select the same shapes of body {body}, "
+                f"link {link - 1}"
             )
-        own[link, number] = _geometries(key, value)
-    return dict(found)
+        shapes_of_body[link, number] = _geometries(key, value)
+    return dict(by_body)
 
 
 def _key(client: int, handles: Sequence[int], key: Any) -> tuple[int, int, int | None]:
@@ -75,11 +78,11 @@ def _geometries(key: Any, value: Any) -> list[Geometry]:
 
 def _is_pair(value: Any) -> bool:
     """Checks whether a list is [vertices, faces] rather than some meshes."""
-    return len(value) == 2 and all(np.ndim(_ragged(part)) == 2 for part in value)
+    return len(value) == 2 and all(np.ndim(_array(part)) == 2 for part in value)
 
 
-def _ragged(part: Any) -> Any:
-    """Numbers as an array; None for what is none."""
+def _array(part: Any) -> Any:
+    """Converts nested sequences of numbers into an array; None if that is impossible."""
     try:
         return np.asarray(part, dtype=np.float64)
     except (TypeError, ValueError):
@@ -103,9 +106,9 @@ def _geometry(key: Any, value: Any) -> Geometry:
 
 
 def _vertices(key: Any, values: Any) -> Array:
-    vertices = _ragged(values)
+    vertices = _array(values)
     if vertices is None or vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3:
-        raise ArgumentError(f"shapes: {key!r}: vertices are to be numbers (n, 3), at least three")
+        raise ArgumentError(f"shapes: {key!r}: vertices must be numbers (n, 3), at least three")
     if not np.isfinite(vertices).all():
         row = int(np.argmax(~np.isfinite(vertices).all(axis=1)))
         raise ArgumentError(f"shapes: {key!r}: vertex {row} is not finite: {vertices[row]}")
@@ -113,10 +116,10 @@ def _vertices(key: Any, values: Any) -> Array:
 
 
 def _faces(key: Any, values: Any, count: int) -> Triangles:
-    faces = _ragged(values)
+    faces = _array(values)
     if faces is None or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise ArgumentError(
-            f"shapes: {key!r}: faces are to be numbers of vertices (n, 3), at least one triangle"
+            f"shapes: {key!r}: faces must be numbers of vertices (n, 3), at least one triangle"
         )
     wrong = (faces != np.floor(faces)) | ~((faces >= 0) & (faces < count))
     if wrong.any():
