@@ -87,7 +87,7 @@ def suggestion_for_name(name: str) -> str:
 def suggestion_for(word: str) -> str:
     """Returns the suggestion for a word or a sign of SQL; empty if there is none.
 
-    >>> instead_of("coalesce")
+    >>> suggestion_for("coalesce")
     'write IF(x IS NULL; 0; x)'
 
     Args:

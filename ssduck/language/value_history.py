@@ -44,7 +44,7 @@ class ValueHistory:
     Times and ages are simulated seconds; `now` is the current simulated time. Values that are later
     (after the first world was replaced by a younger one) are ignored.
 
-    >>> history = ValueHistory.begun("shut", horizon=5.0, now=0.0).added("open", 5.0, now=2.0)
+    >>> history = ValueHistory.started("shut", horizon=5.0, now=0.0).added("open", 5.0, now=2.0)
     >>> history.at(1.0, now=2.0), history.within(math.inf, now=2.0)
     ('shut', [(0.0, 'shut'), (2.0, 'open')])
 

@@ -132,7 +132,7 @@ MISTAKES = [
         "SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen;",
         ArgumentError,
         "id(b.this)",
-        "two columns are called 'id'",
+        "two columns have the name 'id'",
         [],
     ),
     (

@@ -404,7 +404,7 @@ REFUSED = [
     ("SELECT TOP 5 id FROM kitchen;", "5", "LIMIT"),
     (f"{K} ORDER BY z NULLS LAST;", "NULLS", "IS NOT NULL"),
     (f"{K} LIMIT 3 WHERE z > 1;", "WHERE", "WHERE, START WITH"),
-    (f"{K} GROUP BY type WHERE z > 1;", "WHERE", "in this order"),
+    (f"{K} GROUP BY type WHERE z > 1;", "WHERE", "order of the clauses"),
     (f"{K} QUALIFY z > 1;", "QUALIFY", "ss.sql"),
     (f"{K} WHERE id(this) ILIKE 'c%';", "ILIKE", "LIKE"),
     (f"{K} WHERE id(this) LIKE 'c%' ESCAPE '!';", "ESCAPE", "LIKE"),
