@@ -72,7 +72,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         camera: Camera | None = None,
     ) -> None:
         self._begin(simulator, Snapshot(), name, camera or Camera())
-        self._registry.begin(simulator, sensors)
+        self._registry.add_all(simulator, sensors)
         for info in self._registry.entities:
             if info.sensor is not None and not info.sensor.powered:
                 self.snapshot.switch(info.id, on=False)
