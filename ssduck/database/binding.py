@@ -18,7 +18,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.lookups import TOLD
 from ssduck.recording.replay.record import Record
-from ssduck.recording.spec import not_recorded
+from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
 from ssduck.schema import POSE, RECORDED
 from ssduck.simulators.joints import EntityJoints
@@ -248,7 +248,7 @@ class BoundWorld:
             raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
         record = self.history.record
         if table not in record.tables:
-            raise UnsupportedError(not_recorded(table, self.world.name))
+            raise UnsupportedError(not_recorded_message(table, self.world.name))
         return record.rows(table, tick)
 
     def told(self, what: str, tick: int, a: int, b: int) -> list[float]:

@@ -30,7 +30,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.paths import given_path
+from ssduck.recording.paths import expand_path
 from ssduck.recording.recorder import Recorder
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
@@ -94,7 +94,7 @@ class Connection:
         # A name that no table has is an error, not a variable of the caller's.
         self.run("SET python_enable_replacements = false")
         if self.is_file:
-            self.run("SET wal_autocheckpoint = '1TB'")  # see Writer.settle
+            self.run("SET wal_autocheckpoint = '1TB'")  # see WriterConnection.checkpoint
 
     def confine(self) -> None:
         """Applies the limits of memory and files to all later statements."""
@@ -362,7 +362,7 @@ def _absolute_path(path: str, *, is_written: bool = False) -> str:
         SqlError: the path has a character that DuckDB does not read as such.
     """
     try:
-        place = str(given_path(path).absolute())
+        place = str(expand_path(path).absolute())
         place.encode()
     except (OSError, RuntimeError, ValueError) as error:
         raise SqlError(f"{short_repr(path)} is no path of a file: {error}") from error
@@ -397,7 +397,7 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], pr
     """Stores the waiting ticks and closes; in a forked process, leaves that to the parent."""
     if os.getpid() != process:
         return
-    if any(recorder.is_stored_here for recorder in recorders):  # what collects garbage
+    if any(recorder.is_writer_thread for recorder in recorders):  # what collects garbage
         threading.Thread(target=_finish, args=(connection, recorders, process)).start()
         return
     failed = None

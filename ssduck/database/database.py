@@ -24,7 +24,7 @@ from ssduck.database.worlds import WorldRegistry
 from ssduck.errors import EvaluationError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
-from ssduck.recording.export import exported
+from ssduck.recording.export import export
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names
@@ -141,7 +141,7 @@ class Database:
                 stack.enter_context(world.pinned(tables if asked else ()))
             for _, bound in there:
                 if bound.history is not None and bound.history.recorder is not None:
-                    stack.enter_context(bound.history.recorder.reading)
+                    stack.enter_context(bound.history.recorder.read_lock)
                 self._worlds.show(bound)
             yield
 
@@ -253,7 +253,7 @@ class Database:
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording
-            return exported(record, recording, self.schema_of(world), path, names, between)
+            return export(record, recording, self.schema_of(world), path, names, between)
 
     def flush(self) -> dict[str, int]:
         """Stores waiting ticks; returns the last tick of each world, by its schema."""

@@ -42,7 +42,7 @@ class Recorders:
         else:
             store = DuckDBStore(schema, connection, recording, name)
             if is_file:
-                store.make_views()
+                store.create_views()
         # Of a file, what waits is lost when the process is killed; of memory, all is.
         recorder = Recorder(recording, store, MEMORY_TICKS if in_memory else BUFFERED_TICKS)
         tables = tuple(recorder.buffers)
@@ -52,8 +52,8 @@ class Recorders:
             recorder.members,
             tables,
             recorder.fetch,
-            recorder.near,
-            reweighed=recorder.reweighed,
+            recorder.near_pairs,
+            mass_changes=recorder.mass_changes,
         )
         bound.history = WorldHistory(
             store, record, recorder, (*store.visible_rows, *recorder.visible_rows)
@@ -106,7 +106,7 @@ class Recorders:
     ) -> ParquetRecording:
         """Starts to write the ticks of a world to a folder as well, under a name."""
         folder = ParquetStore(path, name, recording)
-        recorder = Recorder(recording, folder, waits=PART_TICKS)
+        recorder = Recorder(recording, folder, max_ticks=PART_TICKS)
         self.running.append(recorder)
         try:
             world.add_recorder(recorder)

@@ -10,7 +10,7 @@ from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.database.macros import description_statements, drop_statements, formula_statements
 from ssduck.database.referenced_tables import qualified_formulas
-from ssduck.recording.spec import not_recorded
+from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import HISTORIES, MODELS, TABLES, Table
@@ -67,7 +67,7 @@ class Schemas:
                 rows = history.store.select(table.name, waiting)
             if rows is None:
                 refused = exp.select("*").from_(exp.table_(bound.live(table.name), quoted=True))
-                _refuse(refused, not_recorded(table.name, bound.world.name))
+                _refuse(refused, not_recorded_message(table.name, bound.world.name))
                 rows = refused.sql("duckdb")
             self._make_view(name, table.history_view, _with_second_names(table, rows))
         for view, rows in history.store.models().items() if history is not None else ():

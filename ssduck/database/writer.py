@@ -47,8 +47,8 @@ class WriterConnection:
         with self._lock, _storing_errors():
             self._connection.execute(sql).fetchall()
 
-    def settle(self) -> None:
-        """Lets DuckDB move stored rows from its log into its file, if there are many.
+    def checkpoint(self) -> None:
+        """Makes DuckDB move stored rows from its log to its file, if there are many.
 
         DuckDB would do so by itself, but gives up the database if the disk is full then.
 

@@ -14,7 +14,7 @@ from sqlglot import exp
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest
 from ssduck.recording.episode import Episode
-from ssduck.recording.paths import given_path
+from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
@@ -61,7 +61,7 @@ def episodes(path: str | Path) -> list[Episode]:
     """
     database = Database(":memory:", None)
     try:
-        return [run.episode for run in recorded_runs(given_path(path), database)]
+        return [run.episode for run in recorded_runs(expand_path(path), database)]
     finally:
         database.close()
 
@@ -118,7 +118,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     archive: ParquetArchive | DuckDBStore
     if isinstance(run, FolderRun):
         tables = [table for table in run.tables if table in RECORDABLE]
-        recording = _recording({**run.recording, "tables": tables}, run.about)
+        recording = _recording({**run.recording, "tables": tables}, run.about_file)
         archive = ParquetArchive(run, recording, database.connection.writer())
         ticks, models = archive.ticks, archive.model_rows()
     else:
@@ -138,7 +138,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         members_of(models),
         archive.tables,
         archive.fetch,
-        lambda asked: archive.near(asked, None),
+        lambda asked: archive.near_pairs(asked, None),
         geometries_of(models),
         number,
     )

@@ -8,7 +8,7 @@ from typing import Literal
 from ssduck import validation
 from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
-from ssduck.recording.paths import given_path
+from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import find_scene
 from ssduck.world.world import World
@@ -78,7 +78,7 @@ def open_record(
     try:
         found = [
             replayed_world(run, database)
-            for run in select_runs(recorded_runs(given_path(path), database), world, episode)
+            for run in select_runs(recorded_runs(expand_path(path), database), world, episode)
         ]
         for recorded in found:
             interpreter.add_variable(recorded.name, recorded)

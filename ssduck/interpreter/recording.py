@@ -14,7 +14,7 @@ from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import short_repr
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
-from ssduck.recording.paths import given_path
+from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
@@ -109,7 +109,7 @@ class RecordingMethods(ABC):
                 raise ArgumentError("there is no world to be recorded")
             chosen = worlds[0] if world is None else self._world(world)
             # The working directory may change while the recording runs.
-            return self._database.record_to(chosen, recording, given_path(path).absolute())
+            return self._database.record_to(chosen, recording, expand_path(path).absolute())
 
     def export(
         self,
@@ -148,7 +148,7 @@ class RecordingMethods(ABC):
             )
             if not worlds:
                 raise EvaluationError("no world is recorded here")
-            database, place = self._database, given_path(path)
+            database, place = self._database, expand_path(path)
             return {
                 database.schema_of(each): database.export(each, place, names, (start, end))
                 for each in worlds

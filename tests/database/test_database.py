@@ -573,7 +573,7 @@ def test_a_closed_interpreter_says_so(tmp_path):
 class Failing:
     """A recorder whose ticks cannot be stored, for a reason that nobody thought of."""
 
-    is_stored_here = False
+    is_writer_thread = False
 
     def flush(self):
         raise RuntimeError("nobody thought of it")

@@ -609,27 +609,27 @@ DAMAGES = [
         "run is no record of ssduck: it has no ssduck.json",
     ),
     (lambda r: _json(r, "ssduck.json", "{"), {}, "ssduck.json is damaged"),
-    (lambda r: _json(r, "ssduck.json", "[]"), {}, "ssduck.json is damaged: it holds no object"),
+    (lambda r: _json(r, "ssduck.json", "[]"), {}, "ssduck.json is damaged: it has no JSON object"),
     (lambda r: _json(r, "ssduck.json", "{}"), {}, "ssduck.json is of another format"),
     (
         lambda r: _version(r, 2),
         {},
         "of version 2; this ssduck reads those up to 1: install a newer",
     ),
-    (lambda r: _version(r, "1"), {}, "it tells no version"),
+    (lambda r: _version(r, "1"), {}, "it has no version"),
     (lambda r: _json(r, "episodes/lab-0.json", "{"), {}, "lab-0.json is damaged"),
     (
         lambda r: _json(r, "episodes/lab-0.json", "{}"),
         {},
-        "lab-0.json is damaged: it does not tell",
+        "lab-0.json is damaged: it lacks",
     ),
     (
         lambda r: _cut(r, "shapes"),
         {},
-        "shapes/.*part-000001.* is no whole Parquet file; without .*ticks",
+        "shapes/.*part-000001.* is no complete Parquet file; remove .*ticks",
     ),
     (lambda r: _cut(r, "ticks"), {}, "part-000001.parquet is damaged"),
-    (lambda r: _spoil(r, "ticks"), {}, "part-000001.parquet is damaged: it is no whole"),
+    (lambda r: _spoil(r, "ticks"), {}, "part-000001.parquet is damaged: it is no complete"),
     (
         lambda r: (r / "shapes" / PART).unlink(),
         {},
@@ -662,7 +662,7 @@ def test_records_that_cannot_be_opened(record, damage, chosen, told):
 def test_without_its_ticks_a_damaged_part_is_not_counted(record, how):
     how(record, "contacts")
     with pytest.raises(
-        RecordError, match=r"without .*ticks/world=lab/episode=0/part-000001.parquet as well"
+        RecordError, match=r"remove .*ticks/world=lab/episode=0/part-000001.parquet to open"
     ):
         ssduck.open(record)
     (record / "ticks" / PART).unlink()
