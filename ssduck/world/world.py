@@ -172,7 +172,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             seconds: the simulated time, s, rounded to the nearest number of steps.
             realtime: whether to run in real time; or the speed relative to it: 2.0 takes half as
                 long if the simulator is fast enough. A late run catches up. Such a run takes 30
-                ticks per second of wall time unless `every` is given, and waits at ticks only.
+                ticks per second of real time unless `every` is given, and waits at ticks only.
             progress: whether to show a progress bar on standard error if that is a terminal;
                 `"always"`: in any case.
             every: the number of steps between ticks.
