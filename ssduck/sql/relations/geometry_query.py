@@ -85,6 +85,9 @@ class GeometryQuery:
     def formula(self, entities: Sequence[str]) -> str:
         """Returns the formula of a relation of these entities.
 
+        Raises:
+            ValueError: the first two of several entities are not called a and b.
+
         >>> GeometryQuery(ShapeQueries.volume).formula(["object"])
         '"narrow volume"($world, object.tick, object.id)'
         """
@@ -101,6 +104,8 @@ class GeometryQuery:
         call = f'"{udf_name(self.function)}"({", ".join(("$world", *rows, *arguments))})'
         if len(entities) == 1:
             return call
+        if tuple(entities[:2]) != ("a", "b"):
+            raise ValueError(f"two entities of a relation of shapes are called a and b: {call}")
         if self.only_if:
             call = f"CASE WHEN {self.only_if} THEN {call} ELSE FALSE END"
         differ = "a.id <> b.id"

@@ -60,6 +60,9 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
     assert query is not None
     element = "DOUBLE[]" if relation.element == "list" else "DOUBLE"
     types = {"boolean": "BOOLEAN", "double": "DOUBLE", "list": f"{element}[]"}
+    if relation.result not in types:
+        known = ", ".join(types)
+        raise ValueError(f"{relation.name}: the geometry yields {known}, not {relation.result}")
     return GeometryUdf(
         udf_name(query.function),
         query.function,
@@ -82,7 +85,10 @@ def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
         if relation.geometry is not None:
             udf = _geometry_udf(relation)
             if result.setdefault(udf.name, udf) != udf:
-                raise ValueError(f"{relation.name}: {udf.name!r} is described in two ways")
+                raise ValueError(
+                    f"{relation.name}: another relation describes {udf.name!r} differently: "
+                    f"{result[udf.name]}, {udf}"
+                )
     return result
 
 
