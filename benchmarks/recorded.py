@@ -90,7 +90,7 @@ def costs(sizes: Sequence[int], ticks: int, rounds: int) -> Iterator[tuple[str, 
                 ss = stack.enter_context(ssduck.Interpreter(path, recording=recording))
                 ss.add_variable("world", world)
                 _take_ticks(world, 3 * ticks if place == "memory" else 0)
-                storing = _recorder(ss)._storing
+                storing = _recorder(ss)._writer
                 ways = {
                     "plain": Way(partial(_take_ticks, plain, ticks), before=storing.wait),
                     "kept": Way(

@@ -1,8 +1,8 @@
-"""Keeping the ticks of worlds, and going back to them.
+"""Records the ticks of worlds and replays them.
 
-`spec` defines what is kept. A `Recorder` gets each tick, copies its rows into `buffers`, and hands
-them to one of the `stores`, in a thread (`background_writer`). `replay` reads them: as rows, as
-entities, and as whole worlds.
+`spec` defines what is recorded. A `Recorder` gets each tick, copies its rows into `buffers` and
+passes them to one of the `stores` in a thread (`background_writer`). `replay` reads them back: as
+rows, as entities and as whole worlds.
 """
 
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from ssduck.lazy import exports
 
 if TYPE_CHECKING:
     from ssduck.recording.episode import Episode
-    from ssduck.recording.export import exported
+    from ssduck.recording.export import export
     from ssduck.recording.recorder import Recorder
     from ssduck.recording.replay.past import Past
     from ssduck.recording.replay.record import Record
@@ -23,14 +23,14 @@ __all__ = [
     "Record",
     "Recorder",
     "Recording",
-    "exported",
+    "export",
 ]
 
 __getattr__, __dir__ = exports(
     __name__,
     {
         "episode": ("Episode",),
-        "export": ("exported",),
+        "export": ("export",),
         "recorder": ("Recorder",),
         "replay.past": ("Past",),
         "replay.record": ("Record",),

@@ -1,4 +1,4 @@
-"""Rows on their way to a store: full buffers, and the thread that stores them while ticks go on."""
+"""Writes batches of rows to a store in a background thread while the simulation goes on."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import TypeAlias
 
 import pyarrow as pa
 
-# Entered while what was added is made good, by a store that others read.
-Cut: TypeAlias = AbstractContextManager[None]
-WHENEVER: Cut = nullcontext()
+# Held by a store while added rows become readable.
+CommitLock: TypeAlias = AbstractContextManager[None]
+NO_LOCK: CommitLock = nullcontext()
 
 
 class BufferedRows:
-    """The rows of a table, in parts.
+    """The rows of a table in several parts.
 
     Attributes:
-        empty: no rows, with the columns.
-        parts: the oldest first.
-        version: counts up whenever `arrow` becomes another object.
+        empty: a table without rows that has the columns.
+        parts: the parts, oldest first.
+        version: is incremented whenever `arrow` becomes another object.
     """
 
     def __init__(self, columns: pa.Schema) -> None:
@@ -30,32 +30,32 @@ class BufferedRows:
 
     @property
     def arrow(self) -> pa.Table:
-        """All rows."""
+        """The rows of all parts."""
         return pa.concat_tables([self.empty, *self.parts])
 
 
 class BackgroundWriter:
-    """Gives batches of rows to a store, the oldest first; in a thread, if that is wanted.
+    """Writes batches of rows to a store, oldest first, in this thread or in the background.
 
-    A batch can be read here until it can be read in the store: the thread holds `lock` from the
-    one to the other, and so does who reads both.
+    A batch is readable here until it is readable in the store. The writing thread holds `lock`
+    during the transition, and a reader of both holds it while it reads.
 
     Args:
-        add: stores a batch, all or nothing of it, and enters the cut to make it good.
+        add: stores a batch atomically, and holds the given lock while the rows become readable.
         tables: the columns of each table of a batch.
 
     Attributes:
-        lock: is held while both are read.
-        batches: the rows that are not stored, by table.
+        lock: is held while the batches and the store are read together.
+        batches: the rows that are not stored yet, by table.
     """
 
     def __init__(
         self,
-        add: Callable[[Mapping[str, pa.Table], Cut], None],
+        add: Callable[[Mapping[str, pa.Table], CommitLock], None],
         tables: Mapping[str, pa.Schema],
     ) -> None:
         self._add = add
-        # Who waits for the thread lets go of it, even under a query of its own.
+        # A condition: waiting for the thread releases the lock, however often it was acquired.
         self.lock = threading.Condition(threading.RLock())
         self.batches = {table: BufferedRows(columns) for table, columns in tables.items()}
         self._count = 0
@@ -63,39 +63,39 @@ class BackgroundWriter:
         self._failure: BaseException | None = None
 
     def __len__(self) -> int:
-        """How many batches are not stored."""
+        """The number of batches that are not stored yet."""
         return self._count
 
     @property
-    def is_here(self) -> bool:
-        """Whether the thread that asks is the one that stores."""
+    def is_writer_thread(self) -> bool:
+        """Whether the calling thread is the background thread."""
         return self._thread is threading.current_thread()
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is being stored in a thread."""
+        """Whether the background thread is running."""
         return self._thread is not None
 
     def put(self, rows: Mapping[str, pa.Table]) -> None:
-        """Take a batch; nothing is being stored."""
+        """Adds a batch; the background thread must not be running."""
         with self.lock:
-            for table, kept in self.batches.items():
-                kept.parts.append(rows[table])
-                kept.version += 1
+            for table, batch in self.batches.items():
+                batch.parts.append(rows[table])
+                batch.version += 1
             self._count += 1
 
     def start(self) -> None:
-        """Store all batches in a thread; `wait` and `failure` tell how it went."""
+        """Stores all batches in the background; see `wait` and `pop_failure` for the outcome."""
         self._thread = threading.Thread(target=self._run, name="ssduck stores")
         try:
             self._thread.start()
-        except RuntimeError:  # Python is about to end, and lets no thread begin
+        except RuntimeError:  # the interpreter is shutting down and starts no threads
             self._run()
 
     def _run(self) -> None:
         try:
             self.store()
-        except BaseException as error:  # noqa: BLE001  # who ticks or flushes next is told
+        except BaseException as error:  # noqa: BLE001  # raised by the next tick or flush
             self._failure = error
         finally:
             with self.lock:
@@ -103,26 +103,26 @@ class BackgroundWriter:
                 self.lock.notify_all()
 
     def store(self) -> None:
-        """Store all batches, here and now; what fails stays with those after it."""
+        """Stores all batches in this thread; a batch that fails and those after it stay here."""
         while self._count:
-            first = {table: kept.parts[0] for table, kept in self.batches.items()}
-            self._add(first, self._cut())
+            oldest = {table: batch.parts[0] for table, batch in self.batches.items()}
+            self._add(oldest, self._commit())
 
     @contextmanager
-    def _cut(self) -> Iterator[None]:
+    def _commit(self) -> Iterator[None]:
         with self.lock:
             yield
-            for kept in self.batches.values():
-                del kept.parts[0]
-                kept.version += 1
+            for batch in self.batches.values():
+                del batch.parts[0]
+                batch.version += 1
             self._count -= 1
 
     def wait(self) -> None:
-        """Wait until nothing is being stored."""
+        """Waits until the background thread has ended."""
         with self.lock:
             self.lock.wait_for(lambda: self._thread is None)
 
-    def failure(self) -> BaseException | None:
-        """What the thread has met since this was asked for."""
+    def pop_failure(self) -> BaseException | None:
+        """Returns the error of the background thread since the last call; None if there is none."""
         failure, self._failure = self._failure, None
         return failure

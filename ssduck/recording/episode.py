@@ -1,4 +1,4 @@
-"""What is recorded of a run of a world: `Episode`."""
+"""Describes a recorded run of a world: `Episode`."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ class Episode:
     """A run of a world that is recorded in a folder or in a DuckDB file.
 
     Attributes:
-        path: the folder, or the file.
+        path: the folder or the file.
         world: the name of the world.
-        number: of the episode of that world, from 0.
-        started: when, in ISO 8601.
-        tables: those that are recorded, by name.
-        every: which of the world's ticks are recorded: each n-th.
-        entities: the names of those that are; None for all.
-        ticks: how many are stored.
-        first_tick: the number of the first one; None if there is none.
-        last_tick: the number of the last one.
-        start: its simulated time, s: that of the first tick.
-        end: that of the last one, s.
+        number: the number of the episode of that world, from 0.
+        started: the date and time of the start, in ISO 8601.
+        tables: the names of the recorded tables.
+        every: n where every n-th tick of the world is recorded.
+        entities: the names of the recorded entities; None for all.
+        ticks: the number of stored ticks.
+        first_tick: the number of the first stored tick; None if there is none.
+        last_tick: the number of the last stored tick; None if there is none.
+        start: the simulated time of the first stored tick, s; None if there is none.
+        end: the simulated time of the last stored tick, s; None if there is none.
     """
 
     path: Path
@@ -54,10 +54,10 @@ class Episode:
         entities: tuple[str, ...] | None,
         ticks: TickBuffer,
     ) -> Episode:
-        """An episode of these ticks; its tables in order."""
-        told = started, tuple(sorted(tables)), every, entities, len(ticks)
+        """Makes the description of an episode with these ticks; sorts the tables."""
+        common = started, tuple(sorted(tables)), every, entities, len(ticks)
         if not len(ticks):
-            return cls(path, world, number, *told, None, None, None, None)
+            return cls(path, world, number, *common, None, None, None, None)
         first, last = ticks.numbers[[0, -1]].tolist()
         start, end = ticks.times[[0, -1]].tolist()
-        return cls(path, world, number, *told, first, last, start, end)
+        return cls(path, world, number, *common, first, last, start, end)

@@ -13,11 +13,11 @@ from ssduck.recording.spec import Recording, check_names, chosen_members
 from ssduck.recording.stores.parquet import ParquetStore
 from ssduck.schema import RECORDABLE, RECORDED
 
-# So many rows of entities make a part, about: ten megabytes.
+# About so many rows of entities make a part: ten megabytes.
 PART_ROWS = 1 << 18
 
 
-def exported(
+def export(
     record: Record,
     recording: Recording,
     world: str,
@@ -25,19 +25,19 @@ def exported(
     names: tuple[str, ...] | None,
     between: tuple[float | None, float | None],
 ) -> Path:
-    """Write ticks of a world as a new episode; gives the folder of its ticks.
+    """Writes recorded ticks of a world as a new episode, and returns the folder of its ticks.
 
     Args:
-        record: what is kept of the world, which the caller holds.
-        recording: how.
-        world: what the world is called.
+        record: the record of the world; the caller holds the world.
+        recording: what is recorded of the world.
+        world: the name of the world.
         path: the folder of episodes.
-        names: of the entities that are written; None for all.
-        between: simulated times from which and until which, s; None without end.
+        names: the names of the exported entities; None for all.
+        between: the first and the last simulated time, s; None for no limit.
 
     Raises:
         RecordError: the folder has something else in it, or cannot be written.
-        EvaluationError: nothing is kept of that time.
+        EvaluationError: no tick of that time is recorded.
         ArgumentError: no entity has one of the names.
     """
     numbers = _ticks(record, between)
@@ -49,23 +49,23 @@ def exported(
     )
     members = list(record.members.values())
     check_names(Recording(entities=names), members)
-    kept = members if names is None else chosen_members(members, names)
-    ids = None if names is None else pa.array([member.id for member in kept])
-    folder = ParquetStore(path, world, chosen)
+    selected = members if names is None else chosen_members(members, names)
+    ids = None if names is None else pa.array([member.id for member in selected])
+    store = ParquetStore(path, world, chosen)
     try:
-        folder.add_members(kept, record.world.snapshot)
-        for first, last in _parts(numbers, max(len(kept), 1)):
-            fetched = {table: in_order(record.fetch(table, first, last)) for table in folder.tables}
-            folder.add({table: _of(rows, table, ids) for table, rows in fetched.items()})
-        folder.finish()
-    except BaseException:  # half of it would be taken for all
-        folder.discard()
+        store.add_members(selected, record.world.snapshot)
+        for first, last in _parts(numbers, max(len(selected), 1)):
+            fetched = {table: in_order(record.fetch(table, first, last)) for table in store.tables}
+            store.add({table: _rows_of(ids, table, rows) for table, rows in fetched.items()})
+        store.finish()
+    except BaseException:  # a part of an episode would pass for all of it
+        store.discard()
         raise
-    return folder.run.place("ticks")
+    return store.run.place("ticks")
 
 
 def in_order(rows: pa.Table) -> pa.Table:
-    """Rows by tick, those of a tick as they were."""
+    """Returns rows sorted by tick; the rows of a tick keep their order."""
     ticks = rows["tick"].to_numpy()
     if (ticks[1:] >= ticks[:-1]).all():
         return rows
@@ -76,26 +76,26 @@ def _ticks(record: Record, between: tuple[float | None, float | None]) -> list[i
     numbers, times = record.ticks.numbers, record.ticks.times
     low = -np.inf if between[0] is None else between[0]
     high = np.inf if between[1] is None else between[1]
-    found: list[int] = numbers[(times >= low - 1e-9) & (times <= high + 1e-9)].tolist()
-    if not found:
+    selected: list[int] = numbers[(times >= low - 1e-9) & (times <= high + 1e-9)].tolist()
+    if not selected:
         name = record.world.name
-        told = f"from {times[0]:g} s to {times[-1]:g} s" if len(times) else "nothing"
-        raise EvaluationError(f"no tick of {name!r} of that time is recorded, but {told}")
-    return found
+        recorded = f"from {times[0]:g} s to {times[-1]:g} s" if len(times) else "nothing"
+        raise EvaluationError(f"no tick of {name!r} of that time is recorded, but {recorded}")
+    return selected
 
 
 def _parts(numbers: list[int], rows: int) -> list[tuple[int, int]]:
-    """The first and the last tick of each part."""
+    """Returns the first and the last tick of each part."""
     step = max(PART_ROWS // rows, 1)
     parts = [numbers[start : start + step] for start in range(0, len(numbers), step)]
     return [(part[0], part[-1]) for part in parts]
 
 
-def _of(rows: pa.Table, table: str, ids: pa.Array | None) -> pa.Table:
-    """The rows of some entities."""
+def _rows_of(ids: pa.Array | None, table: str, rows: pa.Table) -> pa.Table:
+    """Returns the rows of some entities; all rows if `ids` is None."""
     if ids is None:
         return rows
-    is_chosen = np.ones(rows.num_rows, dtype=bool)
+    is_selected = np.ones(rows.num_rows, dtype=bool)
     for column in RECORDED[table].entity_columns:
-        is_chosen &= np.isin(rows[column].to_numpy(), ids.to_numpy())
-    return rows.filter(pa.array(is_chosen))
+        is_selected &= np.isin(rows[column].to_numpy(), ids.to_numpy())
+    return rows.filter(pa.array(is_selected))

@@ -1,4 +1,4 @@
-"""Masses that change while a world is recorded: records tell those that bodies had at first."""
+"""Warns of masses that change while a world is recorded: a record has the first ones only."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ if TYPE_CHECKING:
 
 
 class MassChanges:
-    """The bodies of a record whose masses are known to have changed since they were recorded."""
+    """The bodies of a record whose masses have changed since they were recorded."""
 
     def __init__(self) -> None:
         self._names: dict[int, str] = {}
-        # How many of them users were warned of.
+        # How many of them a warning has named.
         self._warned = 0
 
-    def note(self, id: int, name: str) -> None:
-        """Take note of one, by its id."""
+    def add(self, id: int, name: str) -> None:
+        """Adds a body by the id and the name of its entity."""
         self._names[id] = name
 
     def warn(self, world: SteppedSimulation) -> None:
-        """Read the masses of a world that is recorded, and warn of those that changed, once."""
-        with suppress(SimulatorError):  # which may be gone
+        """Reads the masses of a recorded world, and warns once of each body whose mass changed."""
+        with suppress(SimulatorError):  # the simulator may be gone
             world.request_tables((MASSES,))
         new = list(self._names.values())[self._warned :]
         self._warned += len(new)
         if new:
             warn(
                 f"{world.name}: {joined_names(new)}: the mass was changed while it is recorded; "
-                "recorded "
-                "ticks tell the mass that a body had when it was first recorded",
+                "recorded ticks have the mass that a body had when it was first recorded",
             )

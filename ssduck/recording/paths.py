@@ -1,15 +1,15 @@
-"""Paths of records as callers give them."""
+"""Expands the paths of records that callers pass."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 
-def given_path(path: str | Path) -> Path:
-    """The path as it is, but that `~` and `~/…` begin at the home folder, as in a shell.
+def expand_path(path: str | Path) -> Path:
+    """Returns a path with `~` and `~/…` replaced by the home folder, as in a shell.
 
     Raises:
-        RuntimeError: the home folder is not known.
+        RuntimeError: the home folder is unknown.
     """
     text = str(path)
     return Path(path).expanduser() if text == "~" or text.startswith("~/") else Path(path)

@@ -1,8 +1,9 @@
-"""Records the ticks of a world as they come.
+"""Records the ticks of a world as they are taken.
 
 A `Recorder` copies the rows of each tick into buffers (`ssduck.recording.buffers`). When one is
-full, all of them go to a store together, so that the stored rows end with a whole tick. A store on
-a disk gets them in a thread (`ssduck.recording.background_writer`), while the buffers fill anew.
+full, the rows of all of them go to a store, so that the stored rows end with a whole tick. A store
+on a disk gets them in a background thread (`ssduck.recording.background_writer`), while the buffers
+fill again.
 """
 
 from __future__ import annotations
@@ -17,230 +18,230 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
-from ssduck.recording.buffers import RowBuffer, TickBuffer, buffer_of
+from ssduck.recording.buffers import RowBuffer, TickBuffer, new_buffer
 from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.row_selection import RecordedRows
-from ssduck.recording.spec import QUARTERS, Recording
-from ssduck.recording.static_tables import ShapeNumbers
+from ssduck.recording.spec import RETENTION_PARTS, Recording
+from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
 from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
 
-# So many ticks wait at most to be stored, in a file or in memory.
+# The largest number of buffered ticks, of a record in a file and in memory.
 BUFFERED_TICKS = 240
 MEMORY_TICKS = 960
 
 
 class Recorder:
-    """Keeps the ticks of a world.
+    """Records the ticks of a world.
 
     Args:
-        recording: what of them.
-        store: where.
-        waits: so many ticks wait at most to be stored.
+        recording: what is recorded of each tick.
+        store: takes the rows.
+        max_ticks: the largest number of buffered ticks.
 
     Attributes:
-        buffers: what waits to be stored, by table.
-        ticks: those that are kept.
-        members: the entities that they tell of, by id; of those that are gone, too.
-        reweighed: the bodies whose masses are known to have changed since.
+        buffers: the buffered rows, by table.
+        ticks: the recorded ticks, stored and buffered.
+        members: the recorded entities by id, removed ones included.
+        mass_changes: the bodies whose masses have changed since they were recorded.
     """
 
-    def __init__(self, recording: Recording, store: TickStore, waits: int = BUFFERED_TICKS) -> None:
+    def __init__(
+        self, recording: Recording, store: TickStore, max_ticks: int = BUFFERED_TICKS
+    ) -> None:
         self.recording = recording
-        self._waits = waits
+        self._max_ticks = max_ticks
         self._store = store
-        self.buffers = {table: buffer_of(table) for table in store.tables}
+        self.buffers = {table: new_buffer(table) for table in store.tables}
         columns = {table: buffer.arrow.schema for table, buffer in self.buffers.items()}
-        self._storing = BackgroundWriter(store.add, columns)
+        self._writer = BackgroundWriter(store.add, columns)
         self._lock = threading.RLock()
         self.ticks = TickBuffer()
         self.members: dict[int, EntityInfo] = {}
-        self.reweighed = MassChanges()
-        self._told = 0
-        self._is_looked_after = True
+        self.mass_changes = MassChanges()
+        self._tick_count = 0
+        self._has_dropped_old = True
         self._rows: RecordedRows | None = None
-        # Entities of which the store has not been told, and what numbers them.
-        self._new: list[EntityInfo] = []
-        self._numbers: ShapeNumbers | None = None
+        # Entities whose models are not stored yet, and what gives their ids.
+        self._new_members: list[EntityInfo] = []
+        self._id_provider: IdProvider | None = None
 
     @property
     def tables(self) -> Collection[str]:
-        """The tables that each tick of the world is to have."""
+        """The tables that each tick of the world needs."""
         return self.recording.tables
 
     @property
     def visible_rows(self) -> tuple[Mapping[str, RowBuffer | BufferedRows], ...]:
-        """What is not stored, by table; to be read with what is, and under `reading`."""
-        return (self.buffers,) if self._store.is_in_place else (self._storing.batches, self.buffers)
+        """The rows that are not stored yet, by table; read them and the store under `read_lock`."""
+        return (self.buffers,) if self._store.is_in_place else (self._writer.batches, self.buffers)
 
     @property
-    def reading(self) -> AbstractContextManager[Any]:
-        """Nothing goes from what is not stored to what is while this lasts.
-
-        Who enters it holds the world.
-        """
-        return self._storing.lock
+    def read_lock(self) -> AbstractContextManager[Any]:
+        """A lock under which no buffered row becomes a stored one; its holder holds the world."""
+        return self._writer.lock
 
     @property
-    def is_stored_here(self) -> bool:
-        """Whether the thread that asks is the one that stores."""
-        return self._storing.is_here
+    def is_writer_thread(self) -> bool:
+        """Whether the calling thread is the one that stores rows in the background."""
+        return self._writer.is_writer_thread
 
-    def note(self, snapshot: Snapshot) -> None:
-        """Keep a tick, if it is one to be kept; the caller holds its world.
+    def record(self, snapshot: Snapshot) -> None:
+        """Records a tick if it is due; the caller holds its world.
 
         Raises:
-            RecordError: what waits cannot be stored in a folder; this tick waits with it.
+            RecordError: buffered rows cannot be stored in a folder; this tick is buffered with
+                them.
             SqlError: the same of a database.
         """
-        self._told += 1
-        if (self._told - 1) % self.recording.every:
+        self._tick_count += 1
+        if (self._tick_count - 1) % self.recording.every:
             return
         with self._lock:
-            self._keep(snapshot, self._rows_of(snapshot))
+            self._record(snapshot, self._recorded_rows(snapshot))
 
-    def note_masses(self, snapshot: Snapshot) -> None:
-        """Take note of masses that are others than those that are kept: they were read anew."""
+    def check_masses(self, snapshot: Snapshot) -> None:
+        """Compares the masses of a snapshot, which were read anew, with the recorded ones."""
         for id, masses in snapshot.masses.items():
             member = self.members.get(id)
             if member is not None and masses != member.masses:
-                self.reweighed.note(id, member.name)
+                self.mass_changes.add(id, member.name)
 
-    def _keep(self, snapshot: Snapshot, rows: RecordedRows) -> None:
+    def _record(self, snapshot: Snapshot, rows: RecordedRows) -> None:
         counts = {table: rows.count(snapshot, table) for table in self.buffers}
-        failed = self._tried(self._tell_new)
-        is_due = self._is_due(snapshot.time) or not all(
-            self.buffers[table].takes(count) for table, count in counts.items()
+        error = self._error_of(self._store_new_members)
+        is_due = self._is_storing_due(snapshot.time) or not all(
+            self.buffers[table].has_room(count) for table, count in counts.items()
         )
         if is_due:
-            failed = self._tried(self._hand_over) or failed
-        elif not self._storing.is_busy:
-            failed = failed or self._tried(self._look_after)
-        failed = failed or self._storing.failure()
+            error = self._error_of(self._start_storing) or error
+        elif not self._writer.is_busy:
+            error = error or self._error_of(self._drop_old_ticks)
+        error = error or self._writer.pop_failure()
         if is_due or not self.buffers["ticks"].count:
             for table, count in counts.items():
-                self.buffers[table].reserve(count, self._waits)
+                self.buffers[table].reserve(count, self._max_ticks)
         for table, count in counts.items():
             rows.copy(snapshot, table, self.buffers[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
-        if not snapshot.is_complete:  # where the buffer has what is no number, the store has NULL
-            failed = failed or self._tried(self.flush)
-        if failed is not None:
-            raise failed
+        if not snapshot.is_complete:  # the store has NULL where the buffer has NaN
+            error = error or self._error_of(self.flush)
+        if error is not None:
+            raise error
 
     @staticmethod
-    def _tried(store: Callable[[], None]) -> BaseException | None:
-        """Why something could not be stored, or waited for; None if it was."""
+    def _error_of(store: Callable[[], None]) -> BaseException | None:
+        """Calls a function that stores or waits; returns its error, or None if it succeeds."""
         try:
             store()
-        except (SelectScriptError, KeyboardInterrupt) as error:
-            return error
+        except (SelectScriptError, KeyboardInterrupt) as failure:
+            return failure
         return None
 
-    def _hand_over(self) -> None:
-        """Let what waits be stored, when all before it is."""
+    def _start_storing(self) -> None:
+        """Starts storing the buffered rows, once all earlier ones are stored."""
         self.wait()
-        self._put()
-        self._look_after()
-        if self._new or not len(self._storing):  # rows go after what their entities are
+        self._empty_buffers()
+        self._drop_old_ticks()
+        if self._new_members or not len(self._writer):  # rows follow the models of their entities
             return
-        self._is_looked_after = False
+        self._has_dropped_old = False
         if self._store.is_in_place:
-            self._storing.store()
-            self._look_after()
+            self._writer.store()
+            self._drop_old_ticks()
         else:
-            self._storing.start()
+            self._writer.start()
 
-    def _put(self) -> None:
-        """Empty the buffers; what was in them waits in a batch."""
+    def _empty_buffers(self) -> None:
+        """Moves the buffered rows to a batch of the writer."""
         if self.buffers["ticks"].count:
-            self._storing.put({table: buffer.taken() for table, buffer in self.buffers.items()})
+            self._writer.put({table: buffer.take() for table, buffer in self.buffers.items()})
 
     def wait(self) -> None:
-        """Wait until nothing is being stored in a thread."""
-        self._storing.wait()
+        """Waits until no rows are being stored in the background."""
+        self._writer.wait()
 
     def flush(self) -> None:
-        """Store what waits, and drop what is too old.
+        """Stores the buffered rows, and drops ticks that are too old.
 
         Raises:
-            RecordError: it cannot be stored in a folder; it waits on.
+            RecordError: the rows cannot be stored in a folder; they stay buffered.
             SqlError: the same of a database.
         """
         with self._lock:
             self.wait()
-            failed = self._storing.failure()
-            if len(self._storing):  # whether it can be stored now is seen here
-                failed = None
-            self._tell_new()
-            self._put()
-            self._is_looked_after = False
-            self._storing.store()
-            self._look_after()
-            if failed is not None:
-                raise failed
+            error = self._writer.pop_failure()
+            if len(self._writer):  # the batches are stored below, or that fails again
+                error = None
+            self._store_new_members()
+            self._empty_buffers()
+            self._has_dropped_old = False
+            self._writer.store()
+            self._drop_old_ticks()
+            if error is not None:
+                raise error
 
-    def _look_after(self) -> None:
-        """Drop what is too old, once after something was stored; nothing is being stored."""
-        if self._is_looked_after:
+    def _drop_old_ticks(self) -> None:
+        """Drops ticks that are too old, once after rows were stored; the writer must be idle."""
+        if self._has_dropped_old:
             return
-        self._is_looked_after = True
-        oldest = self._oldest()
+        self._has_dropped_old = True
+        oldest = self._first_tick_to_keep()
         if oldest is not None:
-            self.ticks.forget_before(self._store.drop_before(oldest))
+            self.ticks.drop_before(self._store.drop_before(oldest))
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """The rows of a table at ticks from first to last, those that wait among them.
+        """Returns the rows of a table at the ticks from first to last, buffered ones included.
 
         The caller holds the world.
         """
-        with self.reading:
+        with self.read_lock:
             stored = self._archive.fetch(table, first, last)
-            waiting = self._waiting(table)
-            ticks = waiting["tick"].to_numpy()
-            inside = waiting.filter(pa.array((ticks >= first) & (ticks <= last)))
-            copied = inside.select(stored.column_names).cast(stored.schema)
+            buffered = self._buffered_rows(table)
+            ticks = buffered["tick"].to_numpy()
+            buffered = buffered.filter(pa.array((ticks >= first) & (ticks <= last)))
+            copied = buffered.select(stored.column_names).cast(stored.schema)
             return pa.concat_tables([stored, copied])
 
-    def near(self, request: PairRequest) -> pa.Table:
-        """The pairs of entities whose boxes are near at some ticks, with their poses.
+    def near_pairs(self, request: PairRequest) -> pa.Table:
+        """Returns the pairs of entities whose boxes are near at some ticks, with their poses.
 
         The caller holds the world.
         """
-        with self.reading:
-            return self._archive.near(request, self._waiting("entities"))
+        with self.read_lock:
+            return self._archive.near_pairs(request, self._buffered_rows("entities"))
 
     @property
     def _archive(self) -> TickArchive:
-        """The store, to be read.
+        """The store as an archive.
 
         Raises:
-            RecordError: it is a folder, which is opened to be read.
+            RecordError: it is a folder, which has to be opened to be read.
         """
         if not isinstance(self._store, TickArchive):
             raise RecordError("a folder that is being recorded is read by opening it")
         return self._store
 
-    def _waiting(self, table: str) -> pa.Table:
-        """The rows of a table that are not stored."""
-        return pa.concat_tables([self._storing.batches[table].arrow, self.buffers[table].rows()])
+    def _buffered_rows(self, table: str) -> pa.Table:
+        """Returns the rows of a table that are not stored yet."""
+        return pa.concat_tables([self._writer.batches[table].arrow, self.buffers[table].rows()])
 
-    def _is_due(self, time: float) -> bool:
-        """Whether what waits is to be stored: so many ticks, or a quarter of what is kept."""
-        waiting = self.buffers["ticks"].count
-        if not waiting:
+    def _is_storing_due(self, time: float) -> bool:
+        """Checks whether the buffered ticks are enough, or a quarter of what is retained."""
+        buffered = self.buffers["ticks"].count
+        if not buffered:
             return False
         recording = self.recording
         if recording.seconds is not None:
-            since = self.ticks.times[-waiting]
-            if time - since >= recording.seconds / QUARTERS:
+            start = self.ticks.times[-buffered]
+            if time - start >= recording.seconds / RETENTION_PARTS:
                 return True
-        most = self._waits if recording.ticks is None else recording.ticks // QUARTERS
-        return waiting >= min(self._waits, max(most, 1))
+        quarter = self._max_ticks if recording.ticks is None else recording.ticks // RETENTION_PARTS
+        return buffered >= min(self._max_ticks, max(quarter, 1))
 
-    def _oldest(self) -> int | None:
-        """The first tick that is to be kept; None if all are."""
+    def _first_tick_to_keep(self) -> int | None:
+        """Returns the first tick to keep; None if all are kept."""
         recording, numbers = self.recording, self.ticks.numbers
         if not len(numbers) or not recording.is_bounded:
             return None
@@ -252,8 +253,8 @@ class Recorder:
             first = max(first, int(np.searchsorted(times, times[-1] - recording.seconds)))
         return int(numbers[first])
 
-    def _rows_of(self, snapshot: Snapshot) -> RecordedRows:
-        if self._rows is None or not self._rows.fit(snapshot):
+    def _recorded_rows(self, snapshot: Snapshot) -> RecordedRows:
+        if self._rows is None or not self._rows.matches(snapshot):
             self._rows = RecordedRows(snapshot, self.recording.entities)
             masses = snapshot.masses
             new = [
@@ -261,15 +262,15 @@ class Recorder:
                 for member in self._rows.members
                 if member.id not in self.members
             ]
-            self._new += new
-            self._numbers = snapshot
+            self._new_members += new
+            self._id_provider = snapshot
             self.members |= {member.id: member for member in new}
         return self._rows
 
-    def _tell_new(self) -> None:
-        """Store what entities are, before rows of theirs."""
-        if self._new:
-            assert self._numbers is not None
+    def _store_new_members(self) -> None:
+        """Stores the models of new entities, before any row of theirs."""
+        if self._new_members:
+            assert self._id_provider is not None
             self.wait()
-            self._store.add_members(self._new, self._numbers)
-            self._new = []
+            self._store.add_members(self._new_members, self._id_provider)
+            self._new_members = []

@@ -1,4 +1,4 @@
-"""What of a world's ticks is kept: what `record` is asked for."""
+"""Specifies what is recorded of a world's ticks: `Recording`."""
 
 from __future__ import annotations
 
@@ -11,33 +11,32 @@ from ssduck.formatting import short_repr
 from ssduck.schema import RECORDABLE
 from ssduck.world.layout import EntityInfo
 
-# Of what is kept, a quarter at a time is stored together, and dropped together.
-QUARTERS = 4
+# Where older ticks are dropped, a quarter of the retained ones is stored and dropped at a time.
+RETENTION_PARTS = 4
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What is kept of a world's ticks.
+    """What is recorded of a world's ticks.
 
-    Where each link of a body is, is kept with the entities in any case: relations of shapes need
-    it.
+    The poses of links are always recorded with the entities: relations of shapes need them.
 
     Args:
-        tables: which tables, `entities` always among them. The others are read from the simulator
-            with every tick.
-        entities: the names of those that are kept; None for all. A sensor brings the body that it
-            sits on.
-        every: only every n-th tick is kept, the first one among them.
-        changed: whether a row that is as in the tick before is not stored again. The tables of
-            history are the same; they take less memory and more time.
-        seconds: of simulated time that are kept at least, and at most half as much more; None
-            for all.
-        ticks: that are kept at least, and at most half as many more; None for all. Where both are
-            given, what is older than either may be dropped.
+        tables: the recorded tables, always with `entities`. The others are read from the simulator
+            at every tick.
+        entities: the names of the recorded entities; None for all. The body that carries a recorded
+            sensor is recorded, too.
+        every: n, to record every n-th tick, beginning with the first.
+        changed: whether rows that equal those of the previous tick are not stored again. The
+            history tables are the same; they take less memory and more time.
+        seconds: the simulated time that is retained, s, at least, and at most half as much more;
+            None for all.
+        ticks: the number of ticks that are retained, at least, and at most half as many more; None
+            for all. Where both are given, ticks older than either may be dropped.
 
     Raises:
-        ArgumentError: a table is none of these, a number is no number above 0, or nothing is
-            to be kept.
+        ArgumentError: a table is unknown, a number is not above 0, or a value is of the wrong
+            type.
     """
 
     tables: tuple[str, ...] = ("entities",)
@@ -81,16 +80,16 @@ class Recording:
 
 
 def chosen_members(members: Collection[EntityInfo], names: Collection[str]) -> list[EntityInfo]:
-    """The entities of these names, and the bodies that sensors among them sit on."""
+    """Returns the entities of these names, and the bodies that carry the sensors among them."""
     hosts = {member.mount[0] for member in members if member.sensor and member.name in names}
     return [member for member in members if member.name in names or member.id in hosts]
 
 
 def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
-    """Complain of names that no entity has.
+    """Checks that entities have the names of a recording.
 
     Raises:
-        ArgumentError: with the nearest right names.
+        ArgumentError: no entity has one of the names; suggests the nearest ones.
     """
     known = [member.name for member in members]
     for name in recording.entities or ():
@@ -101,8 +100,8 @@ def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
             )
 
 
-def not_recorded(table: str, world: str) -> str:
-    """The message that a table of a world has no history."""
+def not_recorded_message(table: str, world: str) -> str:
+    """Returns the message that a table of a world has no history."""
     return (
         f"the table of {table} of {world!r} is not recorded: record it with "
         f"tables=('entities', '{table}')"

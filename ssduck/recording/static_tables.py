@@ -1,4 +1,4 @@
-"""Turns entities into the rows of their models, and back: the columns that no tick changes."""
+"""Converts entities to the rows of their models and back: the columns that no tick changes."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.layout import EntityInfo
 from ssduck.world.live_tables import ARROW_TYPES
 
-# The margins, m, of shapes in old records, which lack them: those that PyBullet gave hulls.
+# The margins of shapes in old records, which lack them, m: PyBullet's margin of hulls.
 UNRECORDED_MARGINS = {"hull": 1e-3}
 
 
-class ShapeNumbers(Protocol):
-    """What numbers entities' run and their geometries: a snapshot of their world."""
+class IdProvider(Protocol):
+    """Gives the numbers of a run and of its geometries: a snapshot of the world."""
 
     @property
     def run(self) -> int:
-        """The number of the run that its ticks are of."""
+        """The number of the run."""
 
     def geometry_id(self, geometry: Geometry) -> int:
-        """The number of a geometry."""
+        """Returns the number of a geometry."""
 
 
 def model_rows(
-    members: Collection[EntityInfo], numbers: ShapeNumbers, known: Collection[int]
+    members: Collection[EntityInfo], id_provider: IdProvider, stored: Collection[int]
 ) -> dict[str, pa.Table]:
-    """The rows of the models of entities, by table.
+    """Returns the rows of the models of entities, by table.
 
     Args:
         members: the entities.
-        numbers: of their run, and of geometries.
-        known: geometries that are stored already.
+        id_provider: gives the numbers of their run and of their geometries.
+        stored: the numbers of geometries that are stored already.
     """
     rows: dict[str, list[tuple[Any, ...]]] = {table: [] for table in MODELS}
     geometries: dict[int, Geometry] = {}
     for member in members:
-        rows["entities"].append((*_member_row(member), numbers.run))
+        rows["entities"].append((*_member_row(member), id_provider.run))
         if member.body is None:
             continue
         for number, link in enumerate(member.body.links):
@@ -58,26 +58,26 @@ def model_rows(
                 (member.id, joint.link, joint.name, joint.type, *limits, *joint.axis)
             )
         for number, shape in enumerate(member.body.shapes):
-            id = numbers.geometry_id(shape.geometry)
+            id = id_provider.geometry_id(shape.geometry)
             geometries[id] = shape.geometry
             pose = (*np.asarray(shape.position).tolist(), *np.asarray(shape.orientation).tolist())
-            marks = (shape.margin, shape.exact)
-            rows["shapes"].append((member.id, shape.frame, number, id, *pose, *marks))
+            details = (shape.margin, shape.exact)
+            rows["shapes"].append((member.id, shape.frame, number, id, *pose, *details))
     rows["geometries"] = [
         (id, g.type, *g.size, g.vertices.tolist(), g.faces.tolist())
         for id, g in geometries.items()
-        if id not in known
+        if id not in stored
     ]
-    return {table: _table(table, own) for table, own in rows.items()}
+    return {table: _table(table, tuples) for table, tuples in rows.items()}
 
 
 def _member_row(member: EntityInfo) -> tuple[Any, ...]:
     body, sensor = member.body, member.sensor
-    told = (member.id, member.name, member.kind, member.parent, member.mass)
+    common = (member.id, member.name, member.kind, member.parent, member.mass)
     if body is not None:
-        return (*told, len(body.links), body.movable, None, None, None)
+        return (*common, len(body.links), body.movable, None, None, None)
     spec = None if sensor is None else json.dumps(asdict(sensor), sort_keys=True)
-    return (*told, 0, None, *member.mount, spec)
+    return (*common, 0, None, *member.mount, spec)
 
 
 def _table(table: str, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
@@ -90,20 +90,20 @@ def _table(table: str, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
     return pa.table(arrays, names=[column.name for column in model])
 
 
-# -- and back ---------------------------------------------------------------------------------
+# -- from rows to entities --------------------------------------------------------------------
 
 
 def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
-    """The entities that rows tell of, by id."""
+    """Returns the entities of the rows of models, by id."""
     geometries = {row["id"]: _geometry(row) for row in models["geometries"].to_pylist()}
     links = _by_entity(models["links"], "link")
     joints = _by_entity(models["joints"], "link")
     shapes = _by_entity(models["shapes"], "shape")
-    found = {}
+    members = {}
     for row in models["entities"].to_pylist():
         id = row["id"]
         if row["kind"] == "sensor":
-            found[id] = _sensor(row)
+            members[id] = _sensor(row)
             continue
         body = Body(
             handle=id,
@@ -114,15 +114,15 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
             joints=tuple(map(_joint, joints.get(id, ()))),
             shapes=tuple(_shape(shape, geometries) for shape in shapes.get(id, ())),
         )
-        found[id] = EntityInfo(id, row["name"], row["kind"], row["parent"], body=body)
-    return found
+        members[id] = EntityInfo(id, row["name"], row["kind"], row["parent"], body=body)
+    return members
 
 
 def run_of(models: Mapping[str, pa.Table]) -> int | None:
-    """The number of the run that rows are of; None where they do not tell, as old records.
+    """Returns the number of the run of the rows of models; None for old records, which lack it.
 
     Raises:
-        RecordError: they are of several.
+        RecordError: the rows have several runs.
     """
     entities = models["entities"]
     if "run" not in entities.column_names:
@@ -134,15 +134,15 @@ def run_of(models: Mapping[str, pa.Table]) -> int | None:
 
 
 def geometries_of(models: Mapping[str, pa.Table]) -> dict[str, int]:
-    """The numbers of geometries that rows tell of, by their keys."""
+    """Returns the numbers of the geometries of the rows of models, by their keys."""
     return {_geometry(row).key: row["id"] for row in models["geometries"].to_pylist()}
 
 
 def default_values(run: int | None, geometries: str) -> dict[str, str]:
-    """The values of columns that rows of older records lack, in SQL; the others are unknown.
+    """Returns the SQL of the values of columns that older records lack; the others are unknown.
 
     Args:
-        run: the number of the run, of rows that do not tell it.
+        run: the number of the run for rows that lack it; None if it is unknown.
         geometries: the table of the geometries, in SQL.
     """
     cases = " ".join(
@@ -156,18 +156,18 @@ def default_values(run: int | None, geometries: str) -> dict[str, str]:
 
 
 def _by_entity(table: pa.Table, key: str) -> dict[int, list[dict[str, Any]]]:
-    found: dict[int, list[dict[str, Any]]] = {}
+    rows: dict[int, list[dict[str, Any]]] = {}
     for row in sorted(table.to_pylist(), key=lambda row: (row["entity"], row[key])):
-        found.setdefault(row["entity"], []).append(row)
-    return found
+        rows.setdefault(row["entity"], []).append(row)
+    return rows
 
 
 def _sensor(row: Mapping[str, Any]) -> EntityInfo:
-    told = json.loads(row["sensor"])
-    told |= {name: tuple(told[name]) for name in ("position", "orientation")}
+    values = json.loads(row["sensor"])
+    values |= {name: tuple(values[name]) for name in ("position", "orientation")}
     mount = (row["host"], row["host_link"])
     return EntityInfo(
-        row["id"], row["name"], "sensor", row["parent"], sensor=SensorSpec(**told), mount=mount
+        row["id"], row["name"], "sensor", row["parent"], sensor=SensorSpec(**values), mount=mount
     )
 
 
@@ -177,8 +177,8 @@ def _link(row: Mapping[str, Any]) -> Link:
 
 def _joint(row: Mapping[str, Any]) -> Joint:
     names = ("name", "type", "link", "lower", "upper", "max_effort", "max_velocity")
-    told = {name: row[name] for name in names}
-    return Joint(**told, axis=(row["axis_x"], row["axis_y"], row["axis_z"]))
+    values = {name: row[name] for name in names}
+    return Joint(**values, axis=(row["axis_x"], row["axis_y"], row["axis_z"]))
 
 
 def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> PlacedGeometry:
@@ -198,26 +198,26 @@ def _geometry(row: Mapping[str, Any]) -> Geometry:
     )
 
 
-def with_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]) -> pa.Table:
-    """Rows of a tick with what entities are.
+def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]) -> pa.Table:
+    """Joins the rows of ticks with the model of their table.
 
     Args:
-        table: what the rows are of.
-        rows: what differs from tick to tick.
-        model: what does not.
-        names: the columns that are wanted, in order.
+        table: the name of the table.
+        rows: the columns that differ from tick to tick.
+        model: the columns that do not.
+        names: the columns of the result, in order.
     """
     place = np.searchsorted(*_sorted_keys(table, model, rows))
     order = _order(table, model)
-    chosen = pa.array(order[place])
+    model_rows = pa.array(order[place])
     columns = [
-        rows[name] if name in rows.column_names else model[name].take(chosen) for name in names
+        rows[name] if name in rows.column_names else model[name].take(model_rows) for name in names
     ]
     return pa.table(columns, names=list(names))
 
 
 def _keys(table: str, rows: pa.Table) -> Any:
-    """One number a row, by which rows and models belong together."""
+    """Returns one integer a row, by which rows and models are joined."""
     first, *others = (rows[name].to_numpy() for name in RECORDED[table].key)
     return first if not others else first * 2**20 + others[0]
 

@@ -34,11 +34,11 @@ class TickSink(Protocol):
     def tables(self) -> Collection[str]:
         """The tables that each tick must include."""
 
-    def note(self, snapshot: Snapshot) -> None:
+    def record(self, snapshot: Snapshot) -> None:
         """Records a tick if it is due; the caller holds the lock of the world."""
 
-    def note_masses(self, snapshot: Snapshot) -> None:
-        """Handles masses that were read again."""
+    def check_masses(self, snapshot: Snapshot) -> None:
+        """Compares masses that were read anew with the recorded ones."""
 
 
 class SteppedSimulation(Observable):
@@ -199,7 +199,7 @@ class SteppedSimulation(Observable):
             recorder = reference()
             if recorder is not None:
                 try:
-                    recorder.note(self.snapshot)
+                    recorder.record(self.snapshot)
                 except SelectScriptError as error:  # the other recorders still get the tick
                     failure = failure or error
         if failure is not None:
@@ -224,7 +224,7 @@ class SteppedSimulation(Observable):
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
-                recorder.note_masses(self.snapshot)
+                recorder.check_masses(self.snapshot)
 
     def _take_requested(self) -> None:
         if self._simulator.is_external:
@@ -267,7 +267,7 @@ class SteppedSimulation(Observable):
             if self.snapshot.request_tables(()):
                 self._take()
             else:
-                recorder.note(self.snapshot)
+                recorder.record(self.snapshot)
 
     def remove_recorder(self, recorder: TickSink) -> None:
         """Removes a recorder, which gets no more ticks."""

@@ -121,7 +121,7 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "an episode copied",
         renamed_episode,
-        "lab-1.json tells of episode 0 of 'lab': it was renamed",
+        "lab-1.json describes episode 0 of 'lab': it was renamed",
     ),
 ]
 

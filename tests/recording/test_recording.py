@@ -27,11 +27,11 @@ class Store(TickStore):
     def add_members(self, members: Any, geometry_id: Any) -> None:
         pass
 
-    def add(self, rows: Any, cut: Any) -> None:
+    def add(self, rows: Any, commit_lock: Any) -> None:
         if self.failures:
             self.failures -= 1
             raise SqlError("the disk is full")
-        with cut:
+        with commit_lock:
             self.rows += [rows["entities"].select(["tick", "id", "z"]).to_pylist()]
 
     def drop_before(self, tick: int) -> int:
@@ -51,7 +51,7 @@ def world(client: int) -> ssduck.World:
 
 
 def _recorded(world: ssduck.World, store: Any, **given: Any) -> tuple[Recorder, int]:
-    recorder = Recorder(Recording(**given), store, waits=10)
+    recorder = Recorder(Recording(**given), store, max_ticks=10)
     first = world.snapshot.number
     world.add_recorder(recorder)
     return recorder, first
@@ -129,4 +129,4 @@ def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World)
         for rows in kept:
             ticks = rows["tick"].to_pylist()
             assert ticks == [tick for tick in range(ticks[0], ticks[-1] + 1) for _ in range(3)]
-        assert len(ss._database._recorders.running[0].buffers["entities"]._lent) < 30
+        assert len(ss._database._recorders.running[0].buffers["entities"]._lent_buffers) < 30

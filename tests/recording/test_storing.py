@@ -163,8 +163,8 @@ def test_nothing_is_made_good_amid_a_query(
 ) -> None:
     _ticked(world, RING)
     recorder = _recorder(recorded)
-    with recorded._database.held():
-        recorder._hand_over()
+    with recorded._database.pinned():
+        recorder._start_storing()
         thread = _storers()[0]
         thread.join(0.2)
         assert thread.is_alive()
@@ -186,7 +186,7 @@ def test_queries_see_whole_ticks_while_they_are_stored(
     thread, _ = _in_thread(stepping)
     try:
         for _ in range(20):
-            with recorded._database.held():
+            with recorded._database.pinned():
                 last = world.snapshot.number
                 for _ in range(2):
                     assert _counts(recorded) == _whole(last)
@@ -227,7 +227,7 @@ def test_a_tick_waits_when_both_are_full(
     assert thread.is_alive()
     recorder = _recorder(recorded)
     assert (len(recorder.ticks), recorder.buffers["ticks"].count) == (2 * RING, RING)
-    assert len(recorder._storing) == 1
+    assert len(recorder._writer) == 1
     gate.opened.set()
     thread.join(60)
     assert _counts(recorded) == _whole(10 * RING)
@@ -346,7 +346,7 @@ def test_a_log_that_cannot_be_moved_is_told_at_flush(
         raise SqlError("no checkpoint")
 
     with monkeypatch.context() as patch:
-        patch.setattr(WriterConnection, "settle", fails)
+        patch.setattr(WriterConnection, "checkpoint", fails)
         _ticked(world, RING + 1)
         _recorder(recorded).wait()
     with pytest.raises(SqlError, match="no checkpoint"):

@@ -18,7 +18,7 @@ from ssduck.geometry.poses import flat_rotation_matrices, multiply, rotation_mat
 from ssduck.interpreter import query_runner as queries
 from ssduck.recording.replay import batch_queries as many_ticks
 from ssduck.recording.stores.base import PAIR_COLUMNS, PairRequest
-from ssduck.recording.stores.history_sql import near_rows
+from ssduck.recording.stores.history_sql import near_pair_rows
 from ssduck.recording.stores.memory import _near_pair
 from ssduck.schema import POSE
 from ssduck.sql.relations.relation import BOX
@@ -183,7 +183,7 @@ def test_two_entities_picked_out_of_memory_are_those_of_sql(
 ) -> None:
     rows = pa.concat_tables(parts)
     asked = PairRequest(*ends, *pair, apart)
-    found, wanted = _near_pair(rows, asked), near_rows(writer, None, asked, rows)
+    found, wanted = _near_pair(rows, asked), near_pair_rows(writer, None, asked, rows)
     assert tuple(found.column_names) == tuple(wanted.column_names) == PAIR_COLUMNS
     for name in PAIR_COLUMNS:
         assert np.array_equal(
@@ -197,7 +197,7 @@ def test_two_entities_at_many_ticks_need_no_statement_of_their_own(
     comings: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wanted = comings.eval("holds(near(board, ball, 0.12));")
-    monkeypatch.setattr("ssduck.recording.stores.memory.near_rows", None)
+    monkeypatch.setattr("ssduck.recording.stores.memory.near_pair_rows", None)
     assert comings.eval("holds(near(board, ball, 0.12));") == wanted != []
 
 

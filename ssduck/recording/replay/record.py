@@ -28,7 +28,7 @@ from ssduck.recording.replay.batch_queries import LinkPosesOverTicks as LinkFram
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
-from ssduck.recording.spec import not_recorded
+from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import ON_DEMAND, POSE, TABLES
 from ssduck.simulators.static import StaticSimulator
@@ -75,7 +75,7 @@ class Record:
         near: Callable[[PairRequest], pa.Table],
         geometries: dict[str, int] | None = None,
         run: int | None = None,
-        reweighed: MassChanges | None = None,
+        mass_changes: MassChanges | None = None,
     ) -> None:
         self._world: weakref.ref[World] | None = None
         if world is not None:
@@ -86,7 +86,7 @@ class Record:
         self.members = members
         self.fetch = fetch
         self._near = near
-        self._reweighed = reweighed
+        self._reweighed = mass_changes
         self._models = EntityShapes(members)
         # Of how many members it was found.
         self._margins = -1, 0.0
@@ -213,7 +213,7 @@ class Record:
             The columns `PAIR` of those of which it holds, or is not known.
         """
         far = self.margins if question.of == "touching" else 0.0
-        rows = self._near(replace(asked, apart=asked.apart + far))
+        rows = self._near(replace(asked, max_gap=asked.max_gap + far))
         ticks = rows["tick"].to_numpy()
         sides = [
             PairSide(
@@ -316,7 +316,7 @@ def _unavailable(record: Record) -> dict[str, str]:
     """Tables whose rows nobody knows at a past tick, and why."""
     world = record.world.name
     return {
-        table: not_recorded(table, world)
+        table: not_recorded_message(table, world)
         for table in ON_DEMAND - record.tables
         if not TABLES[table].follows_from_poses
     }

@@ -1,1 +1,1 @@
-"""Where recorded ticks are stored: in memory, in DuckDB, or in folders of Parquet files."""
+"""Stores recorded ticks: in memory, in DuckDB, or in folders of Parquet files."""

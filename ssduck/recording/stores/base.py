@@ -1,11 +1,11 @@
-"""Declares what a store of recorded ticks does: `TickStore` takes rows, `TickArchive` gives them.
+"""Defines the interfaces of stores of recorded ticks: `TickStore` writes rows, `TickArchive` reads.
 
-A store in memory or in DuckDB is both. A folder of Parquet files is written by the one and read by
-the other, since a file is read when it is complete.
+A store in memory or in DuckDB implements both. A folder of Parquet files has a class for each,
+since a file is read only when it is complete.
 
-Times and orders. Ticks have numbers that ascend and simulated times, in seconds, that never fall;
-several ticks may be of one time. The rows of a tick come together, all of its tables at once, and
-the rows of earlier ticks come first. Within a table, the rows of a tick are in any order.
+Times and orders. The numbers of ticks ascend, and their simulated times, in seconds, never fall;
+several ticks may have the same time. The rows of a tick are stored together, in all of its tables
+at once, after the rows of earlier ticks. Within a table, the rows of a tick are in any order.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from typing import Any, Protocol, TypeAlias
 
 import pyarrow as pa
 
-from ssduck.recording.background_writer import WHENEVER, Cut
+from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import ShapeNumbers
+from ssduck.recording.static_tables import IdProvider
 from ssduck.schema import POSE
 from ssduck.world.layout import EntityInfo
 
 
 class VisibleRows(Protocol):
-    """Rows that DuckDB reads from where they are in memory.
+    """Rows in memory that DuckDB reads in place.
 
     Attributes:
-        version: counts up whenever `arrow` becomes another object.
+        version: is incremented whenever `arrow` becomes another object.
     """
 
     version: int
@@ -38,46 +38,46 @@ class VisibleRows(Protocol):
         """The rows."""
 
 
-# Gives the names of the DuckDB views that hold the rows of a table that are not stored.
-Waiting: TypeAlias = Callable[[str], Sequence[str]]
+# Returns the names of the DuckDB views of the buffered rows of a table.
+BufferViews: TypeAlias = Callable[[str], Sequence[str]]
 
 
 @dataclass(frozen=True)
 class PairRequest:
-    """A request for pairs of entities whose boxes are near, at some ticks.
+    """A request for pairs of entities whose boxes are near each other, at some ticks.
 
     Attributes:
         first: the first tick.
         last: the last tick.
-        a: the id of the one entity; 0 for any.
-        b: the id of the other; 0 for any.
-        apart: how far apart their boxes may be along each axis, m.
+        a: the id of the first entity; 0 for any.
+        b: the id of the second entity; 0 for any.
+        max_gap: the largest gap between their boxes along each axis, m.
     """
 
     first: int
     last: int
     a: int
     b: int
-    apart: float
+    max_gap: float
 
 
-# The columns of the answer: a tick, two entities, and the pose of each.
+# The columns of the result: a tick, two entities, and the pose of each.
 PAIR_COLUMNS = ("tick", "a", "b", *(f"{side}_{name}" for side in "ab" for name in POSE))
 
 
 class TickStore(ABC):
-    """A store that takes the rows of recorded ticks.
+    """A store that the rows of recorded ticks are written to.
 
-    Threads. At any time one thread writes: that of the `BackgroundWriter`, or the one that flushes.
-    `add_members`, `add` and `drop_before` are never called at the same time. Rows are read by other
-    threads meanwhile; these hold the lock that `cut` takes, so that no row is read both as waiting
-    and as stored, or as neither.
+    Threads. One thread writes at a time: that of the `BackgroundWriter`, or the one that flushes.
+    `add_members`, `add` and `drop_before` are never called concurrently. Other threads read rows
+    meanwhile; they hold the lock that `commit_lock` takes, so that they see each row exactly once,
+    either buffered or stored.
 
     Attributes:
         recording: what is recorded of each tick.
         tables: the tables whose rows are stored, `ticks` among them.
-        is_in_place: whether `add` keeps the given buffers and takes next to no time; rows are then
-            stored at once, in the thread that ticks.
+        is_in_place: whether `add` keeps the given buffers, in next to no time; rows are then stored
+            at once, in the thread that steps the world.
         visible_rows: the stored rows that DuckDB reads from memory, by table.
     """
 
@@ -87,12 +87,12 @@ class TickStore(ABC):
     visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
 
     @abstractmethod
-    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
+    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
         """Stores the models of entities, all or nothing, before any row of theirs.
 
         Args:
             members: entities that were not stored before.
-            numbers: gives the numbers of their run and of their geometries.
+            id_provider: gives the numbers of their run and of their geometries.
 
         Raises:
             RecordError: a folder cannot be written.
@@ -100,15 +100,15 @@ class TickStore(ABC):
         """
 
     @abstractmethod
-    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
+    def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
         """Stores the rows of whole ticks, all or nothing.
 
-        When it returns, the rows are as safe as the store makes them: on the disk in a folder,
-        committed in a database. When it raises, none of them is stored, and the caller keeps them.
+        When it returns, the rows are on the disk in a folder, or committed in a database. When it
+        raises, none of them is stored, and the caller keeps them.
 
         Args:
-            rows: of each of `tables`, ticks ascending, later than all that were stored before.
-            cut: is entered for the moment in which the rows become readable.
+            rows: the rows of each of `tables`, by ascending tick, later than all stored ones.
+            commit_lock: is held while the rows become readable.
 
         Raises:
             RecordError: a folder cannot be written.
@@ -120,19 +120,19 @@ class TickStore(ABC):
         """Drops rows of ticks before a number, as far as whole parts are older.
 
         Returns:
-            The first tick that is stored still, or any before it: 0 if nothing is ever dropped.
+            The first tick that is still stored, or any before it: 0 if nothing is ever dropped.
         """
 
 
 class TickArchive(ABC):
-    """Recorded ticks that can be read: the rows that are stored, those that wait left out.
+    """Recorded ticks that can be read: the stored rows, without the buffered ones.
 
     The caller holds the world that was recorded, so that nothing is dropped meanwhile.
 
     Attributes:
         recording: what was recorded of each tick.
         tables: the tables that have rows, `ticks` among them.
-        unrecorded_run: the number of the run, where the rows of an old record do not have it.
+        unrecorded_run: the number of the run for an old record, whose rows lack it.
     """
 
     recording: Recording
@@ -140,54 +140,54 @@ class TickArchive(ABC):
     unrecorded_run: int | None = None
 
     @abstractmethod
-    def select(self, table: str, waiting: Waiting | None) -> str | None:
-        """The SELECT of the view of a table's history; None for a table that is not recorded.
+    def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
+        """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
         Args:
             table: a table of a world.
-            waiting: names the views of the rows that are not stored; None if there are none.
+            buffer_views: names the views of the buffered rows; None if there are none.
         """
 
     @abstractmethod
     def models(self) -> dict[str, str]:
-        """The SELECT of the view of each model, by the name of the view."""
+        """Returns the SELECT of the view of each model, by the name of the view."""
 
     @abstractmethod
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """The rows of a table at the ticks from first to last, both included.
+        """Returns the rows of a table at the ticks from first to last, both included.
 
-        Their columns are `schema.TickColumns.names`, in any order of rows; unknown numbers are
+        Their columns are `schema.TickColumns.names`. The rows are in any order; unknown numbers are
         NULL or NaN. For `links`, those of bodies of one link may be left out.
         """
 
     @abstractmethod
-    def near(self, request: PairRequest, waiting: pa.Table | None) -> pa.Table:
-        """The pairs of entities whose boxes are near at a tick, or unknown, by tick.
+    def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
+        """Returns the pairs of entities whose boxes are near at a tick, or unknown.
 
         Args:
-            request: which pairs.
-            waiting: rows of `entities` that are not stored; None if there are none.
+            request: selects the pairs.
+            buffered: the buffered rows of `entities`; None if there are none.
 
         Returns:
-            `PAIR_COLUMNS`, each pair both ways unless the request says otherwise.
+            `PAIR_COLUMNS`, sorted by tick; each pair in both orders unless the request selects one.
         """
 
     @abstractmethod
     def close(self, *, forget: bool) -> None:
-        """Releases the connection; drops the stored ticks, too, if they are to be forgotten."""
+        """Closes the connection; drops the stored ticks first if `forget` is set."""
 
 
 class StoreConnection(Protocol):
-    """A connection to DuckDB of a store's own."""
+    """A store's own connection to DuckDB."""
 
     def run(self, sql: str) -> None:
         """Runs a statement."""
 
     def insert(self, place: str, rows: pa.Table) -> None:
-        """Adds rows to a table, by the names of its columns."""
+        """Inserts rows into a table, by the names of its columns."""
 
     def insert_new(self, place: str, rows: pa.Table) -> None:
-        """Makes a table of rows."""
+        """Creates a table from rows."""
 
     def rows(
         self,
@@ -195,13 +195,13 @@ class StoreConnection(Protocol):
         parameters: Sequence[Any] = (),
         tables: Mapping[str, pa.Table] | None = None,
     ) -> pa.Table:
-        """All rows of a SELECT, which may read the given tables."""
+        """Returns all rows of a SELECT, which may read the given tables."""
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
-        """All rows of a SELECT, as tuples."""
+        """Returns all rows of a SELECT as tuples."""
 
-    def settle(self) -> None:
-        """Tidies up after writing, if there is reason and room to; reading goes on meanwhile."""
+    def checkpoint(self) -> None:
+        """Moves stored rows from the log to the file if there are many; reading goes on."""
 
     def close(self) -> None:
         """Closes the connection."""

@@ -1,13 +1,13 @@
 """Stores the recorded ticks of a world in DuckDB, and selects them for its views.
 
-Columns that differ from tick to tick are stored in tables of numbers, the models of entities once,
-beside them. The views `<table>_history` join the two, and the rows that wait in buffers with those
-that are stored.
+Columns that differ from tick to tick are stored in tables of numbers; the models of entities are
+stored once, in tables of their own. The views `<table>_history` join the two, and unite buffered
+and stored rows.
 
-The record of a world is a schema of its own. A connection of its own writes the rows and commits
-them between queries (`ssduck.recording.background_writer`), so that no query sees a tick twice or
-misses it. Where older ticks are dropped, each table is split into `SLOTS`: the oldest is dropped as
-a whole, which takes no time and gives its memory back.
+The record of a world is a schema. A separate connection writes the rows and commits them between
+queries (`ssduck.recording.background_writer`), so that a query sees each tick exactly once. Where
+older ticks are dropped, each table is split into `SLOTS`: the oldest is dropped as a whole, which
+takes no time and releases its memory.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from collections.abc import Collection, Mapping
 import numpy as np
 import pyarrow as pa
 
-from ssduck.recording.background_writer import WHENEVER, Cut
+from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.spec import QUARTERS, Recording
-from ssduck.recording.static_tables import ShapeNumbers
+from ssduck.recording.spec import RETENTION_PARTS, Recording
+from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
+    BufferViews,
     PairRequest,
     StoreConnection,
     TickArchive,
     TickStore,
-    Waiting,
 )
 from ssduck.recording.stores.history_sql import (
     all_columns,
+    buffered_rows,
     column_list,
     create_table,
     history,
-    near_rows,
-    waiting_rows,
+    near_pair_rows,
 )
 from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 
-SLOTS = QUARTERS + 2
+SLOTS = RETENTION_PARTS + 2
 
 
 class DuckDBStore(TickStore, TickArchive):
@@ -48,9 +48,9 @@ class DuckDBStore(TickStore, TickArchive):
 
     Args:
         schema: the name of the schema.
-        connection: a connection of its own.
+        connection: the store's own connection.
         recording: what is recorded of each tick.
-        world: the name of the world, to make the schema; None to read one that is there already.
+        world: the name of the world, to create the schema; None to read an existing one.
         catalog: the attached file that has the schema; None for the database itself.
     """
 
@@ -68,154 +68,160 @@ class DuckDBStore(TickStore, TickArchive):
         self._connection = connection
         self._models = ModelTables(schema, connection, catalog)
         self._slots = SLOTS if recording.is_bounded else 1
-        # Of each slot in use, the oldest first: its number, and its first tick.
-        self._used: list[tuple[int, int]] = [(0, 0)]
-        # Of the last one: how many ticks it has, and the times of the first and the last.
-        self._filled, self._times = 0, (0.0, 0.0)
+        # The number and the first tick of each slot in use, oldest first.
+        self._used_slots: list[tuple[int, int]] = [(0, 0)]
+        # The number of ticks of the last slot, and its first and last time.
+        self._slot_ticks, self._slot_times = 0, (0.0, 0.0)
         self._is_new = world is not None
-        # Of an older record: the columns that the stored rows of each table have.
-        self._present: dict[str, frozenset[str]] = {}
+        # The columns that the stored rows of each table of an older record have.
+        self._present_columns: dict[str, frozenset[str]] = {}
         if world is not None:
             with self._models.transaction():
                 self._models.create(world, recording)
                 for table in self.tables:
                     for slot in range(self._slots):
-                        self._make_slot(table, slot)
+                        self._create_slot(table, slot)
 
     def close(self, *, forget: bool) -> None:
-        """Closes the connection; drops the schema first, if it is to be forgotten."""
+        """Closes the connection; drops the schema first if `forget` is set."""
         self._models.close(forget=forget)
 
     def place(self, name: str) -> str:
-        """A table or view of the schema, in SQL."""
+        """Returns a table or view of the schema, in SQL."""
         return self._models.place(name)
 
     def _slot(self, table: str, slot: int) -> str:
         return self.place(f"{table} {slot}")
 
-    def _make_slot(self, table: str, slot: int, *, replace: bool = False) -> None:
+    def _create_slot(self, table: str, slot: int, *, replace: bool = False) -> None:
         columns = RECORDED[table].tick_columns.sql
         if self._has_changes_only(table):
             columns |= {"until": "BIGINT"}
         self._connection.run(create_table(self._slot(table, slot), columns, replace=replace))
 
     def _has_changes_only(self, table: str) -> bool:
-        """Whether rows of a table are stored only where they changed."""
+        """Checks whether rows of a table are stored only where they changed."""
         return self.recording.changed and bool(RECORDED[table].key)
 
     # -- writing ------------------------------------------------------------------------------
 
-    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
+    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
         """Stores the models of entities, before any row of theirs."""
-        self._models.add_members(members, numbers)
+        self._models.add_members(members, id_provider)
 
-    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
-        """Stores the rows of whole ticks, all or nothing; commits in the cut."""
+    def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
+        """Stores the rows of whole ticks, all or nothing; commits under the lock."""
         numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
         self._choose_slot(int(numbers[0]))
-        slot, _ = self._used[-1]
+        slot, _ = self._used_slots[-1]
         self._models.insert(
             {
-                self._slot(table, slot): _changed_rows(table, own)
+                self._slot(table, slot): _changed_rows(table, added)
                 if self._has_changes_only(table)
-                else own
-                for table, own in rows.items()
-                if own.num_rows
+                else added
+                for table, added in rows.items()
+                if added.num_rows
             },
-            cut,
+            commit_lock,
         )
-        first = self._times[0] if self._filled else float(times[0])
-        self._filled, self._times = self._filled + len(times), (first, float(times[-1]))
-        self._connection.settle()
+        first = self._slot_times[0] if self._slot_ticks else float(times[0])
+        self._slot_ticks, self._slot_times = (
+            self._slot_ticks + len(times),
+            (first, float(times[-1])),
+        )
+        self._connection.checkpoint()
 
     def _choose_slot(self, tick: int) -> None:
-        """Takes the next slot, if this one has a quarter of what is kept."""
+        """Begins the next slot if the last one has a quarter of the retained ticks."""
         if self._slots == 1:
             return
-        if not self._filled:
-            self._used[-1] = self._used[-1][0], tick
+        if not self._slot_ticks:
+            self._used_slots[-1] = self._used_slots[-1][0], tick
             return
-        count, seconds = self._filled, self._times[1] - self._times[0]
+        count, seconds = self._slot_ticks, self._slot_times[1] - self._slot_times[0]
         recording = self.recording
-        is_full = recording.ticks is not None and count >= recording.ticks // QUARTERS
-        # What is stored together ends a tick before a quarter is over.
-        if recording.seconds is not None and seconds >= recording.seconds / QUARTERS / 2:
+        is_full = recording.ticks is not None and count >= recording.ticks // RETENTION_PARTS
+        # Batches end a tick before a quarter is over.
+        if recording.seconds is not None and seconds >= recording.seconds / RETENTION_PARTS / 2:
             is_full = True
-        free = set(range(SLOTS)) - {number for number, _ in self._used}
+        free = set(range(SLOTS)) - {number for number, _ in self._used_slots}
         if is_full and free:
-            self._used.append((free.pop(), tick))
-            self._filled = 0
+            self._used_slots.append((free.pop(), tick))
+            self._slot_ticks = 0
 
     def drop_before(self, tick: int) -> int:
-        """Drops slots whose ticks are all older; returns the first tick that is still there."""
-        while len(self._used) > 1 and self._used[1][1] <= tick:
-            slot, _ = self._used.pop(0)
+        """Drops slots whose ticks are all older; returns the first tick of the oldest one left."""
+        while len(self._used_slots) > 1 and self._used_slots[1][1] <= tick:
+            slot, _ = self._used_slots.pop(0)
             for table in self.tables:
-                self._make_slot(table, slot, replace=True)
-        return self._used[0][1]
+                self._create_slot(table, slot, replace=True)
+        return self._used_slots[0][1]
 
     # -- reading ------------------------------------------------------------------------------
 
     def ticks(self) -> TickBuffer:
-        """The numbers and times of the stored ticks."""
-        stored = self._stored("ticks")
+        """Returns the numbers and times of the stored ticks."""
+        stored = self._stored_rows("ticks")
         sql = f"SELECT tick, time FROM ({stored}) AS ticks ORDER BY tick"  # noqa: S608
         rows = self._connection.rows(sql)
-        return TickBuffer.of(rows["tick"].to_numpy(), rows["time"].to_numpy())
+        return TickBuffer.from_arrays(rows["tick"].to_numpy(), rows["time"].to_numpy())
 
     def model_rows(self) -> dict[str, pa.Table]:
-        """The stored rows of each model, by the table that it is of."""
+        """Returns the stored rows of each model, by the name of its table."""
         return self._models.rows()
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """The stored rows of a table at the ticks from first to last."""
-        rows = self._stored(table)
+        """Returns the stored rows of a table at the ticks from first to last."""
+        rows = self._stored_rows(table)
         return self._connection.rows(
             f"SELECT * FROM ({rows}) AS stored WHERE tick BETWEEN ? AND ?",  # noqa: S608
             (first, last),
         )
 
-    def near(self, request: PairRequest, waiting: pa.Table | None) -> pa.Table:
-        """The pairs of entities whose boxes are near at a tick, or unknown."""
-        return near_rows(self._connection, self._stored("entities"), request, waiting)
+    def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
+        """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
+        return near_pair_rows(self._connection, self._stored_rows("entities"), request, buffered)
 
-    def select(self, table: str, waiting: Waiting | None) -> str | None:
-        """The SELECT of the view of a table's history; None for a table that is not recorded."""
+    def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
+        """Returns the SELECT of the view of a table's history; None if it is not recorded."""
         if table not in self.tables:
             return None
-        rows, entities = self._all(table, waiting), self._all("entities", waiting)
-        return history(TABLES[table], rows, entities, self._model)
+        rows, entities = (
+            self._all_rows(table, buffer_views),
+            self._all_rows("entities", buffer_views),
+        )
+        return history(TABLES[table], rows, entities, self._model_source)
 
     def models(self) -> dict[str, str]:
-        """The SELECT of the view of each model, by the name of the view."""
+        """Returns the SELECT of the view of each model, by the name of the view."""
         return {
-            table.model_view: f"SELECT * FROM {self._model(table.name)}"  # noqa: S608
+            table.model_view: f"SELECT * FROM {self._model_source(table.name)}"  # noqa: S608
             for table in MODELS.values()
         }
 
     @property
     def views(self) -> dict[str, str]:
-        """The SELECTs of the views of the stored rows, by the names of the views."""
+        """The SELECTs of the views of stored rows and models, by the names of the views."""
         tables = [table for table in self.tables if table != FRAMES]
         histories = {TABLES[t].history_view: str(self.select(t, None)) for t in tables}
         return histories | self.models()
 
-    def make_views(self) -> None:
-        """Makes these views in the schema, where DuckDB can read them without ssduck."""
+    def create_views(self) -> None:
+        """Creates the views in the schema, where DuckDB reads them without ssduck."""
         for name, rows in self.views.items():
             self._connection.run(f"CREATE VIEW {self.place(name)} AS {rows}")
 
-    def _model(self, table: str) -> str:
+    def _model_source(self, table: str) -> str:
         return self._models.source(table, self.unrecorded_run)
 
-    def _all(self, table: str, waiting: Waiting | None) -> str:
-        """A SELECT of all rows of a table, those that wait among them."""
-        views = () if waiting is None else waiting(table)
-        parts = [self._stored(table), *(waiting_rows(table, view) for view in views)]
+    def _all_rows(self, table: str, buffer_views: BufferViews | None) -> str:
+        """Returns a SELECT of all rows of a table, buffered ones included."""
+        views = () if buffer_views is None else buffer_views(table)
+        parts = [self._stored_rows(table), *(buffered_rows(table, view) for view in views)]
         return " UNION ALL ".join(parts)
 
-    def _stored(self, table: str) -> str:
-        """A SELECT of the stored rows of a table."""
+    def _stored_rows(self, table: str) -> str:
+        """Returns a SELECT of the stored rows of a table."""
         return " UNION ALL ".join(self._rows_of_slot(table, slot) for slot in range(self._slots))
 
     def _rows_of_slot(self, table: str, slot: int) -> str:
@@ -233,14 +239,14 @@ class DuckDBStore(TickStore, TickArchive):
         )
 
     def _source_of_slot(self, table: str, slot: int) -> str:
-        """The stored rows of a slot, in SQL; of an older record with all columns."""
+        """Returns the stored rows of a slot, in SQL; adds the columns that older records lack."""
         place = self._slot(table, slot)
         if self._is_new:
             return place
-        if table not in self._present:
+        if table not in self._present_columns:
             rows = self._connection.rows(f"SELECT * FROM {place} LIMIT 0")  # noqa: S608
-            self._present[table] = frozenset(rows.column_names)
-        present, columns = self._present[table], RECORDED[table].tick_columns.sql
+            self._present_columns[table] = frozenset(rows.column_names)
+        present, columns = self._present_columns[table], RECORDED[table].tick_columns.sql
         if present >= columns.keys():
             return place
         if self._has_changes_only(table):
@@ -249,7 +255,7 @@ class DuckDBStore(TickStore, TickArchive):
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:
-    """The rows that differ from those of the tick before, each with the last tick it holds at."""
+    """Returns the rows that differ from those of the previous tick, and `until` when they hold."""
     if not rows.num_rows:
         return rows.append_column("until", rows["tick"])
     keys = RECORDED[table].key
@@ -264,7 +270,7 @@ def _changed_rows(table: str, rows: pa.Table) -> pa.Table:
         before, now = values[:-1], values[1:]
         unknown = np.isnan(before) & np.isnan(now) if values.dtype == np.float64 else False
         same &= (before == now) | unknown
-    # A run ends where something is missing in between, as well.
+    # A run of equal rows also ends at a tick without such a row.
     present = np.unique(ticks)
     place = np.searchsorted(present, ticks)
     same &= place[1:] == place[:-1] + 1

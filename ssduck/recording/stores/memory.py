@@ -1,8 +1,9 @@
-"""Stores the recorded ticks of a world in memory: full buffers, as they are.
+"""Stores the recorded ticks of a world in memory, by keeping full buffers.
 
-Nothing is copied: DuckDB reads them where they are (`ssduck.recording.buffers`), which costs a tick
-a tenth of storing it in DuckDB's tables. The oldest are dropped as a whole. The models of entities
-are in a DuckDB schema, as those of a `ssduck.recording.stores.duckdb.DuckDBStore` are.
+Nothing is copied: DuckDB reads the buffers in place (`ssduck.recording.buffers`), which takes a
+tenth of the time of storing a tick in DuckDB's tables. The oldest buffers are dropped as a whole.
+The models of entities are in a DuckDB schema, like those of a
+`ssduck.recording.stores.duckdb.DuckDBStore`.
 """
 
 from __future__ import annotations
@@ -15,30 +16,30 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.recording.background_writer import WHENEVER, BufferedRows, Cut
+from ssduck.recording.background_writer import NO_LOCK, BufferedRows, CommitLock
 from ssduck.recording.buffers import buffer_schema
-from ssduck.recording.spec import QUARTERS, Recording
-from ssduck.recording.static_tables import ShapeNumbers
+from ssduck.recording.spec import RETENTION_PARTS, Recording
+from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     PAIR_COLUMNS,
+    BufferViews,
     PairRequest,
     StoreConnection,
     TickArchive,
     TickStore,
-    Waiting,
 )
 from ssduck.recording.stores.history_sql import (
     BOX_TOLERANCE,
+    buffered_rows,
     history,
-    near_rows,
-    waiting_rows,
+    near_pair_rows,
 )
 from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.schema import MODELS, POSE, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 
-# A part of fewer rows takes those that come next.
-_LEAST_ROWS = 4096
+# A part with fewer rows is joined with the next one.
+_MIN_ROWS = 4096
 
 
 class MemoryStore(TickStore, TickArchive):
@@ -46,7 +47,7 @@ class MemoryStore(TickStore, TickArchive):
 
     Args:
         schema: the name of the DuckDB schema for the models.
-        connection: a connection of its own.
+        connection: the store's own connection.
         recording: what is recorded of each tick.
         world: the name of the world.
     """
@@ -64,58 +65,63 @@ class MemoryStore(TickStore, TickArchive):
             self._models.create(world, recording)
         self._stored = {table: BufferedRows(buffer_schema(table)) for table in self.tables}
         self.visible_rows = (self._stored,)
-        # The first tick of each part, and the time of its first and its last.
+        # The first tick of each part, its first and its last time.
         self._parts: list[tuple[int, float, float]] = []
 
     @property
     def nbytes(self) -> int:
-        """The memory of the stored rows, bytes."""
+        """The memory that the stored rows take, bytes."""
         return sum(part.nbytes for rows in self._stored.values() for part in rows.parts)
 
     def close(self, *, forget: bool) -> None:
-        """Closes the connection; drops the models first, if they are to be forgotten."""
+        """Closes the connection; drops the models first if `forget` is set."""
         self._models.close(forget=forget)
 
     # -- writing ------------------------------------------------------------------------------
 
-    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
+    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
         """Stores the models of entities, before any row of theirs."""
-        self._models.add_members(members, numbers)
+        self._models.add_members(members, id_provider)
 
-    def add(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
-        """Keeps the rows of whole ticks, in the cut."""
-        with cut:
+    def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
+        """Keeps the rows of whole ticks, under the lock."""
+        with commit_lock:
             self._add(rows)
 
     def _add(self, rows: Mapping[str, pa.Table]) -> None:
         numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
-        joins = self._joins(len(numbers), float(times[-1]))
+        is_joined = self._is_joined(len(numbers), float(times[-1]))
         new = dict(rows)
-        if joins:
+        if is_joined:
             for table, stored in self._stored.items():
                 new[table] = pa.concat_tables([stored.parts[-1], new[table]]).combine_chunks()
         for table, stored in self._stored.items():
-            stored.parts[len(stored.parts) - joins :] = [new[table]]
+            stored.parts[len(stored.parts) - is_joined :] = [new[table]]
             stored.version += 1
-        if joins:
-            first, since, _ = self._parts.pop()
+        if is_joined:
+            first, start, _ = self._parts.pop()
         else:
-            first, since = int(numbers[0]), float(times[0])
-        self._parts.append((first, since, float(times[-1])))
+            first, start = int(numbers[0]), float(times[0])
+        self._parts.append((first, start, float(times[-1])))
 
-    def _joins(self, ticks: int, until: float) -> bool:
-        """Whether so many ticks more go to the last part, for it is a small one."""
-        if not self._parts or max(map(_last_rows, self._stored.values())) > _LEAST_ROWS:
+    def _is_joined(self, ticks: int, end: float) -> bool:
+        """Checks whether further ticks are joined with the last part, as it is small.
+
+        Args:
+            ticks: the number of further ticks.
+            end: the time of the last one, s.
+        """
+        if not self._parts or max(map(_last_rows, self._stored.values())) > _MIN_ROWS:
             return False
         recording = self.recording
         ticks += self._stored["ticks"].parts[-1].num_rows
-        if recording.ticks is not None and ticks > recording.ticks // QUARTERS:
+        if recording.ticks is not None and ticks > recording.ticks // RETENTION_PARTS:
             return False
-        seconds = until - self._parts[-1][1]
-        return recording.seconds is None or seconds <= recording.seconds / QUARTERS
+        seconds = end - self._parts[-1][1]
+        return recording.seconds is None or seconds <= recording.seconds / RETENTION_PARTS
 
     def drop_before(self, tick: int) -> int:
-        """Drop parts whose ticks are all older; tells the first tick that is still there."""
+        """Drops parts whose ticks are all older; returns the first tick of the oldest one left."""
         while len(self._parts) > 1 and self._parts[1][0] <= tick:
             del self._parts[0]
             for stored in self._stored.values():
@@ -126,7 +132,7 @@ class MemoryStore(TickStore, TickArchive):
     # -- reading ----------------------------------------------------------------------------
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
-        """The stored rows of a table at the ticks from first to last."""
+        """Returns the stored rows of a table at the ticks from first to last."""
         rows = self._between(table, first, last)
         ticks = rows["tick"].to_numpy()
         rows = rows.filter(pa.array((ticks >= first) & (ticks <= last)))
@@ -136,87 +142,87 @@ class MemoryStore(TickStore, TickArchive):
         return rows
 
     def _between(self, table: str, first: int, last: int) -> pa.Table:
-        """The parts of a table that have the ticks from first to last."""
+        """Returns the parts of a table that have the ticks from first to last."""
         starts = [start for start, _, _ in self._parts]
         begin = max(int(np.searchsorted(starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(starts, last, side="right"))
         stored = self._stored[table]
         return pa.concat_tables([stored.empty, *stored.parts[begin:end]])
 
-    def near(self, request: PairRequest, waiting: pa.Table | None) -> pa.Table:
-        """The pairs of entities whose boxes are near at a tick, or unknown."""
+    def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
+        """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
         stored = self._between("entities", request.first, request.last)
-        rows = stored if waiting is None else pa.concat_tables([stored, waiting])
+        rows = stored if buffered is None else pa.concat_tables([stored, buffered])
         if request.a and request.b and request.a != request.b:
             return _near_pair(rows, request)
-        return near_rows(self._connection, None, request, rows)
+        return near_pair_rows(self._connection, None, request, rows)
 
-    def select(self, table: str, waiting: Waiting | None) -> str | None:
-        """The SELECT of the view of a table's history; None for a table that is not recorded.
+    def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
+        """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
-        All rows wait, as far as DuckDB is concerned: it reads the stored ones from memory, too.
+        The stored rows are among the buffered ones for DuckDB: it reads both from memory.
         """
         if table not in self.tables:
             return None
-        assert waiting is not None
+        assert buffer_views is not None
         rows, entities = (
-            " UNION ALL ".join(waiting_rows(name, view) for view in waiting(name))
+            " UNION ALL ".join(buffered_rows(name, view) for view in buffer_views(name))
             for name in (table, "entities")
         )
-        return history(TABLES[table], rows, entities, self._model)
+        return history(TABLES[table], rows, entities, self._model_source)
 
     def models(self) -> dict[str, str]:
-        """The SELECT of the view of each model, by the name of the view."""
+        """Returns the SELECT of the view of each model, by the name of the view."""
         return {
-            table.model_view: f"SELECT * FROM {self._model(table.name)}"  # noqa: S608
+            table.model_view: f"SELECT * FROM {self._model_source(table.name)}"  # noqa: S608
             for table in MODELS.values()
         }
 
-    def _model(self, table: str) -> str:
+    def _model_source(self, table: str) -> str:
         return self._models.source(table, None)
 
 
 def _last_rows(rows: BufferedRows) -> int:
-    """How many rows the last part has."""
+    """Returns the number of rows of the last part."""
     count: int = rows.parts[-1].num_rows
     return count
 
 
 def _near_pair(rows: pa.Table, request: PairRequest) -> pa.Table:
-    """What `near_rows` gives of one pair, picked out of the columns where they are.
+    """Returns the result of `near_pair_rows` for one pair, taken from the columns in place.
 
     Args:
-        rows: of entities, in parts of whole ticks, the oldest first.
-        request: which pair.
+        rows: the rows of entities, in parts of whole ticks, oldest first.
+        request: selects the pair.
     """
-    parts = [_near_in(part, request) for part in rows.to_batches()]
+    parts = [_near_columns(part, request) for part in rows.to_batches()]
     columns = zip(*parts, strict=True) if parts else [[np.zeros(0, np.int64)]] * len(PAIR_COLUMNS)
     return pa.table([np.concatenate(column) for column in columns], names=PAIR_COLUMNS)
 
 
-def _near_in(part: pa.RecordBatch, request: PairRequest) -> list[npt.NDArray[Any]]:
-    """The columns of `near_rows`, of some ticks."""
+def _near_columns(part: pa.RecordBatch, request: PairRequest) -> list[npt.NDArray[Any]]:
+    """Returns the columns of `near_pair_rows` for the ticks of a part."""
     start, end = np.searchsorted(
         part["tick"].to_numpy(), [request.first, request.last + 1]
     ).tolist()
     part = part.slice(start, max(end - start, 0))
     ticks, ids = part["tick"].to_numpy(), part["id"].to_numpy()
-    one, other = np.flatnonzero(ids == request.a), np.flatnonzero(ids == request.b)
-    if not np.array_equal(ticks[one], ticks[other]):  # one of them was not there all the time
-        _, in_one, in_other = np.intersect1d(
-            ticks[one], ticks[other], assume_unique=True, return_indices=True
+    rows_a, rows_b = np.flatnonzero(ids == request.a), np.flatnonzero(ids == request.b)
+    if not np.array_equal(ticks[rows_a], ticks[rows_b]):  # one of them is missing at some ticks
+        _, in_a, in_b = np.intersect1d(
+            ticks[rows_a], ticks[rows_b], assume_unique=True, return_indices=True
         )
-        one, other = one[in_one], other[in_other]
+        rows_a, rows_b = rows_a[in_a], rows_b[in_b]
 
     def column(name: str, rows: Indices) -> Array:
-        found: Array = part[name].to_numpy(zero_copy_only=False)[rows]
-        return found  # NaN where it is not known, which is not far
+        values: Array = part[name].to_numpy(zero_copy_only=False)[rows]
+        return values  # NaN where unknown, which compares as not apart
 
-    apart = request.apart + BOX_TOLERANCE
-    far = np.zeros(len(one), dtype=bool)
+    max_gap = request.max_gap + BOX_TOLERANCE
+    are_apart = np.zeros(len(rows_a), dtype=bool)
     for axis in "xyz":
-        for side, beside in ((one, other), (other, one)):
-            far |= column(f"{axis}min", side) > column(f"{axis}max", beside) + apart
-    one, other = one[~far], other[~far]
-    poses = [column(name, side) for side in (one, other) for name in POSE]
-    return [ticks[one], ids[one], ids[other], *poses]
+        for side, other in ((rows_a, rows_b), (rows_b, rows_a)):
+            are_apart |= column(f"{axis}min", side) > column(f"{axis}max", other) + max_gap
+    rows_a, rows_b = rows_a[~are_apart], rows_b[~are_apart]
+    poses = [column(name, side) for side in (rows_a, rows_b) for name in POSE]
+    return [ticks[rows_a], ids[rows_a], ids[rows_b], *poses]

@@ -1,4 +1,4 @@
-"""Stores what entities are in a DuckDB schema of a record: the models of its tables."""
+"""Stores the models of entities in the DuckDB schema of a record."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from datetime import UTC, datetime
 
 import pyarrow as pa
 
-from ssduck.recording.background_writer import WHENEVER, Cut
+from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import ShapeNumbers, default_values, model_rows
+from ssduck.recording.static_tables import IdProvider, default_values, model_rows
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
 from ssduck.schema import MODELS
 from ssduck.world.layout import EntityInfo
 
-# The version of what is stored, and the table that tells it.
+# The version of the format, and the table that has it.
 VERSION = 1
 ABOUT = "ssduck record"
 
@@ -27,9 +27,9 @@ class ModelTables:
     """The schema of a record in DuckDB, with the models of its tables.
 
     Args:
-        schema: its name.
-        connection: a connection of its own.
-        catalog: of the attached file that has the schema; None for the database itself.
+        schema: the name of the schema.
+        connection: the store's own connection.
+        catalog: the attached file that has the schema; None for the database itself.
     """
 
     def __init__(
@@ -40,11 +40,11 @@ class ModelTables:
         self.connection = connection
         self._geometries: set[int] = set()
         self._is_new = False
-        # Of an older record: a SELECT of all columns of each model.
+        # A SELECT of all columns of each model of an older record.
         self._completed: dict[str, str] = {}
 
     def create(self, world: str, recording: Recording) -> None:
-        """Makes the schema, a table that tells what is recorded, and empty models."""
+        """Creates the schema, a table that describes the record, and empty models."""
         about = {
             "version": VERSION,
             "world": world,
@@ -56,67 +56,67 @@ class ModelTables:
         self.connection.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
         for table in MODELS.values():
             columns = {column.name: column.sql for column in table.model}
-            self.connection.run(create_table(self._place_of(table.name), columns))
+            self.connection.run(create_table(self._model_place(table.name), columns))
 
     def place(self, name: str) -> str:
-        """A table or view of the schema, in SQL."""
+        """Returns a table or view of the schema, in SQL."""
         where = (self.schema,) if self._catalog is None else (self._catalog, self.schema)
         return ".".join(map(quoted, (*where, name)))
 
-    def _place_of(self, table: str) -> str:
+    def _model_place(self, table: str) -> str:
         return self.place(f"{table} model")
 
     @contextmanager
-    def transaction(self, cut: Cut = WHENEVER) -> Iterator[None]:
-        """Stores what is written in it together, or not at all; commits in the cut."""
+    def transaction(self, commit_lock: CommitLock = NO_LOCK) -> Iterator[None]:
+        """A context that stores all of what is written in it or nothing; commits under the lock."""
         self.connection.run("BEGIN")
         try:
             yield
         except BaseException:
             self.connection.run("ROLLBACK")
             raise
-        with cut:
+        with commit_lock:
             self.connection.run("COMMIT")
 
-    def insert(self, rows: Mapping[str, pa.Table], cut: Cut = WHENEVER) -> None:
-        """Adds rows to tables, by their places, all or none of them."""
-        with self.transaction(cut):
-            for place, own in rows.items():
-                if own.num_rows:
-                    self.connection.insert(place, own)
+    def insert(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
+        """Inserts rows into tables, by their names in SQL, all or nothing."""
+        with self.transaction(commit_lock):
+            for place, added in rows.items():
+                if added.num_rows:
+                    self.connection.insert(place, added)
 
-    def add_members(self, members: Collection[EntityInfo], numbers: ShapeNumbers) -> None:
+    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
         """Stores the models of entities (`ssduck.recording.stores.base.TickStore`)."""
-        models = model_rows(members, numbers, self._geometries)
-        self.insert({self._place_of(table): rows for table, rows in models.items()})
+        models = model_rows(members, id_provider, self._geometries)
+        self.insert({self._model_place(table): rows for table, rows in models.items()})
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 
     def rows(self) -> dict[str, pa.Table]:
-        """The stored rows of each model, with the columns that they have."""
+        """Returns the stored rows of each model, with the columns that they have."""
         return {
-            table: self.connection.rows(f"SELECT * FROM {self._place_of(table)}")  # noqa: S608
+            table: self.connection.rows(f"SELECT * FROM {self._model_place(table)}")  # noqa: S608
             for table in MODELS
         }
 
     def source(self, table: str, run: int | None) -> str:
-        """The rows of a model, in SQL, with all its columns.
+        """Returns the rows of a model with all its columns, in SQL.
 
         Args:
-            table: the table that it is of.
-            run: the number of the run, for an older record that lacks it.
+            table: the table of the model.
+            run: the number of the run for an older record, which lacks it.
         """
-        place = self._place_of(table)
+        place = self._model_place(table)
         if self._is_new:
             return place
         if table not in self._completed:
             present = self.connection.rows(f"SELECT * FROM {place} LIMIT 0").column_names  # noqa: S608
-            missing = default_values(run, self._place_of("geometries"))
+            missing = default_values(run, self._model_place("geometries"))
             columns = {column.name: column.sql for column in MODELS[table].model}
             self._completed[table] = f"({all_columns(place, columns, present, missing)})"
         return self._completed[table]
 
     def close(self, *, forget: bool) -> None:
-        """Closes the connection; drops the schema first, if it is to be forgotten."""
+        """Closes the connection; drops the schema first if `forget` is set."""
         if forget:
             self.connection.run(f"DROP SCHEMA {quoted(self.schema)} CASCADE")
         self.connection.close()

@@ -1,22 +1,22 @@
-"""Records as folders of Parquet files: where what is, and reading it.
+"""Defines the layout of records in folders of Parquet files, and reads them.
 
     run/
-      ssduck.json                                             what this is, its version, the units
+      ssduck.json                                             the format, its version, the units
       episodes/kitchen-0.json                                 what is recorded of which world
-      entities/world=kitchen/episode=0/part-000000.parquet    a table, in sealed parts
+      entities/world=kitchen/episode=0/part-000000.parquet    a table, in complete parts
       links/… joints/… shapes/… contacts/… sensings/… ticks/…
-      frames/…                                                where links are, without `links`
-      models/entities/world=kitchen/episode=0/part-000000.parquet    what the entities are
+      frames/…                                                the poses of links, without `links`
+      models/entities/world=kitchen/episode=0/part-000000.parquet    the models of the entities
 
-A folder such as `run/entities` is read by DuckDB, polars and pandas as it is: its rows are those
-of the table at each tick, and the world and the episode are columns by the folders' names.
+DuckDB, polars and pandas read a folder such as `run/entities` as it is: its rows are those of the
+table at each tick, and the names of the folders make the columns of the world and the episode.
 
-A part is written under another name, which begins with a dot, and gets its own when it is
-complete; its ticks come last, and of what entities are, the table of entities. So a part that
-has these is whole, whatever happened, and one that has not is not counted.
+A file is written under a temporary name, which begins with a dot, and renamed when it is complete.
+The `ticks` of a part are written last, and the `entities` of a part of models. So a part that has
+these is complete, whatever happened; a part without them does not count.
 
-Each file tells in its footer which part of which table of which episode it is, so that one that is
-missing, swapped, or of another record is noticed.
+The footer of each file identifies its episode, table and part, so that a missing file, a swapped
+one, or one of another record is noticed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ UNITS = {
 ABOUT = "ssduck.json"
 _PART = re.compile(r"part-(\d{6,})\.parquet")
 _EPISODE = re.compile(r"(.+)-(\d+)\.json")
-# What a Parquet file begins and ends with.
+# The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
 
 
@@ -70,74 +70,75 @@ class FolderRun:
     number: int
 
     @property
-    def about(self) -> Path:
-        """The file that tells what is recorded."""
+    def about_file(self) -> Path:
+        """The file that describes the episode."""
         return self.path / "episodes" / f"{self.world}-{self.number}.json"
 
     def place(self, table: str) -> Path:
-        """Where the parts of a table are; `models/entities` and the like are tables, too."""
+        """Returns the folder of the parts of a table, or of a model such as `models/entities`."""
         return self.path / table / f"world={self.world}" / f"episode={self.number}"
 
     @cached_property
-    def _told(self) -> dict[str, Any]:
-        told = _json(self.about)
-        if (told.get("world"), told.get("episode")) not in ((self.world, self.number), (None,) * 2):
+    def _about(self) -> dict[str, Any]:
+        about = _json(self.about_file)
+        episode = about.get("world"), about.get("episode")
+        if episode not in ((self.world, self.number), (None, None)):
             raise RecordError(
-                f"{self.about} tells of episode {told.get('episode')} of {told.get('world')!r}: it "
-                "was renamed, or copied; give it its name again"
+                f"{self.about_file} describes episode {episode[1]} of {episode[0]!r}: it was "
+                "renamed or copied; give it its name again"
             )
-        tables, recording = told.get("tables"), told.get("recording")
-        is_right = isinstance(told.get("started"), str) and isinstance(recording, dict)
-        if not (is_right and isinstance(tables, list) and "entities" in tables):
-            raise RecordError(f"{self.about} is damaged: it does not tell what is recorded")
-        return told
+        tables, recording = about.get("tables"), about.get("recording")
+        is_valid = isinstance(about.get("started"), str) and isinstance(recording, dict)
+        if not (is_valid and isinstance(tables, list) and "entities" in tables):
+            raise RecordError(f"{self.about_file} is damaged: it lacks what is recorded")
+        return about
 
     @property
     def tables(self) -> tuple[str, ...]:
         """The tables that have parts, `ticks` among them.
 
         Raises:
-            RecordError: the file that tells of the episode is damaged.
+            RecordError: the file that describes the episode is damaged.
         """
-        return tuple(self._told["tables"])
+        return tuple(self._about["tables"])
 
     @property
     def recording(self) -> dict[str, Any]:
-        """What was kept of the ticks: `every` which one, and of which `entities`."""
-        told: dict[str, Any] = self._told["recording"]
-        return told
+        """What was recorded: n of `every` n-th tick, and the names of the `entities`."""
+        recording: dict[str, Any] = self._about["recording"]
+        return recording
 
     @cached_property
     def parts(self) -> list[int]:
-        """The numbers of the parts that are whole."""
-        return _numbers(self.place("ticks"))
+        """The numbers of the complete parts."""
+        return _part_numbers(self.place("ticks"))
 
     def _parts_of(self, table: str) -> list[int]:
-        """The numbers of the parts of a table, 0 and all up to the last one.
+        """Returns the numbers of the parts of a table, without gaps from 0 on.
 
         Raises:
-            RecordError: one is missing before the last one.
+            RecordError: a part before the last one is missing.
         """
         is_model = table.startswith("models/")
         place = self.place("models/entities" if is_model else "ticks")
-        found = _numbers(place) if is_model else self.parts
-        missing = sorted(set(range(max(found, default=-1))) - set(found))
+        numbers = _part_numbers(place) if is_model else self.parts
+        missing = sorted(set(range(max(numbers, default=-1))) - set(numbers))
         if missing:
-            rest = "" if is_model else ", or take those away: what is before can be opened then"
+            hint = "" if is_model else ", or remove those: the parts before it can be opened then"
             raise RecordError(
-                f"{place / part_name(missing[0])} is missing, and parts after it are there: what "
-                f"was between is not known; put it back{rest}"
+                f"{place / part_name(missing[0])} is missing, and parts after it are there: put it "
+                f"back{hint}"
             )
-        wanted = self._told.get("parts", {}).get("models" if is_model else "ticks", 0)
-        if len(found) < wanted:
+        expected = self._about.get("parts", {}).get("models" if is_model else "ticks", 0)
+        if len(numbers) < expected:
             if is_model:
-                raise RecordError(f"{place / part_name(len(found))} is missing")
+                raise RecordError(f"{place / part_name(len(numbers))} is missing")
             if table == "ticks":
                 warn(
-                    f"{place / part_name(len(found))} is missing: the record of {self.world!r} was "
-                    f"closed with {wanted} parts, and ends after {len(found)} of them",
+                    f"{place / part_name(len(numbers))} is missing: the record of {self.world!r} "
+                    f"was closed with {expected} parts, and ends after {len(numbers)} of them",
                 )
-        return found
+        return numbers
 
     @property
     def has_ticks(self) -> bool:
@@ -145,10 +146,10 @@ class FolderRun:
         return bool(self.parts)
 
     def files(self, table: str) -> list[Path]:
-        """The files of a table, of whole parts only.
+        """Returns the files of a table, of complete parts only.
 
         Raises:
-            RecordError: one is missing, or was cut off.
+            RecordError: a file is missing or damaged.
         """
         is_model = table.startswith("models/")
         files = []
@@ -159,54 +160,54 @@ class FolderRun:
         return files
 
     def label(self, table: str, number: int) -> bytes | None:
-        """What the footer of a part's file has; None in records that are older than that."""
-        key = self._told.get("key")
+        """Returns the label in the footer of a part's file; None for an older record."""
+        key = self._about.get("key")
         return None if key is None else label_of(key, table, number)
 
     def _check(self, file: Path, label: bytes | None, *, is_model: bool) -> None:
-        """Complain of a part that is not there, not whole, or another one."""
+        """Checks that the file of a part exists, is complete, and has the right label."""
         if not file.is_file():
-            wrong = "is missing: the record was damaged, or only copied in part"
+            problem = "is missing: the record was damaged, or only copied in part"
         elif (footer := _footer(file)) is None:
-            wrong = "is damaged: it is no whole Parquet file"
+            problem = "is damaged: it is no complete Parquet file"
         elif label is not None and label not in footer:
-            wrong = "is another part, or of another record: it was renamed, or copied there"
+            problem = "is another part, or of another record: it was renamed, or copied there"
         else:
             return
         ticks = self.place("ticks") / file.name
-        rest = "" if is_model else f"; without {ticks} as well, what is before can be opened"
-        raise RecordError(f"{file} {wrong}{rest}")
+        hint = "" if is_model else f"; remove {ticks} to open the parts before it"
+        raise RecordError(f"{file} {problem}{hint}")
 
     def read(self, table: str) -> pa.Table:
-        """All rows of a table.
+        """Returns all rows of a table.
 
         Raises:
             RecordError: a file is missing or damaged, or there is none.
         """
         files = self.files(table)
         if not files:
-            raise RecordError(f"{self.place(table)} holds no whole part: nothing was stored")
+            raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
         return pa.concat_tables([_read(file) for file in files])
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
-        """The first tick of each part, and all of them.
+        """Returns the first tick of each part, and all ticks.
 
         Raises:
             RecordError: a file is damaged, or nothing was stored.
         """
         parts = [_read(file) for file in self.files("ticks")]
         if not parts:
-            raise RecordError(f"{self.place('ticks')} holds no whole part: nothing was stored")
+            raise RecordError(f"{self.place('ticks')} has no complete part: nothing was stored")
         rows = pa.concat_tables(parts)
         numbers = rows["tick"].to_numpy()
         if (np.diff(numbers) <= 0).any():
             raise RecordError(f"{self.place('ticks')} is damaged: its ticks do not ascend")
-        ticks = TickBuffer.of(numbers, rows["time"].to_numpy())
+        ticks = TickBuffer.from_arrays(numbers, rows["time"].to_numpy())
         return [part["tick"][0].as_py() for part in parts], ticks
 
     @property
     def episode(self) -> Episode:
-        """What it holds.
+        """The description of the episode.
 
         Raises:
             RecordError: a file is damaged.
@@ -219,7 +220,7 @@ class FolderRun:
             self.path,
             self.world,
             self.number,
-            started=self._told["started"],
+            started=self._about["started"],
             tables=[table for table in self.tables if table in RECORDABLE],
             every=self.recording.get("every", 1),
             entities=None if entities is None else tuple(entities),
@@ -227,34 +228,34 @@ class FolderRun:
         )
 
 
-def _numbers(place: Path) -> list[int]:
+def _part_numbers(place: Path) -> list[int]:
     if not place.is_dir():
         return []
-    found = [_PART.fullmatch(file.name) for file in place.iterdir()]
-    return sorted(int(match.group(1)) for match in found if match)
+    matches = [_PART.fullmatch(file.name) for file in place.iterdir()]
+    return sorted(int(match.group(1)) for match in matches if match)
 
 
 def part_name(number: int) -> str:
-    """What a part is called, from 0."""
+    """Returns the file name of a part."""
     return f"part-{number:06d}.parquet"
 
 
 def label_of(key: str, table: str, number: int) -> bytes:
-    """What the footer of a file tells: which part of which table, of the episode of a key."""
+    """Returns the label of a part of a table, of the episode with a key."""
     return json.dumps({"episode": key, "table": table, "part": number}).encode()
 
 
 def _footer(file: Path) -> bytes | None:
-    """What is at the end of a Parquet file; None of one that does not end as they do."""
+    """Returns the footer of a Parquet file; None if the file does not end in one."""
     tail = 4 + len(_MAGIC)  # the length of the footer, and the magic
     with file.open("rb") as stream:
         size = stream.seek(0, 2)
         if size < tail + len(_MAGIC):
             return None
         stream.seek(-tail, 2)
-        told = stream.read()
-        length = int.from_bytes(told[:4], "little") + tail
-        if told[4:] != _MAGIC or length > size:
+        end = stream.read()
+        length = int.from_bytes(end[:4], "little") + tail
+        if end[4:] != _MAGIC or length > size:
             return None
         stream.seek(-length, 2)
         return stream.read()
@@ -268,45 +269,49 @@ def _read(file: Path) -> pa.Table:
 
 
 def runs_in(path: Path) -> list[FolderRun]:
-    """The runs that are recorded in a folder, by world and number.
+    """Returns the runs that are recorded in a folder, sorted by world and number.
 
     Raises:
-        RecordError: it is no record, a damaged one, or one of a newer version.
+        RecordError: the folder is no record, a damaged one, or one of a newer version.
     """
     check_about(path)
-    found = []
+    runs = []
     for file in (path / "episodes").glob("*.json"):
         match = _EPISODE.fullmatch(file.name)
-        if match and file.stat().st_size:  # else it was about to begin
-            found.append(FolderRun(path, match.group(1), int(match.group(2))))
-    return sorted(found, key=lambda run: (run.world, run.number))
+        if match and file.stat().st_size:  # an empty file is of an episode that did not begin
+            runs.append(FolderRun(path, match.group(1), int(match.group(2))))
+    return sorted(runs, key=lambda run: (run.world, run.number))
 
 
 def check_about(folder: Path) -> None:
-    """Complain of a folder that is no record, or of a newer version."""
-    about = folder / ABOUT
-    if not about.is_file():
+    """Checks that a folder is a record of a known version.
+
+    Raises:
+        RecordError: it is not.
+    """
+    about_file = folder / ABOUT
+    if not about_file.is_file():
         raise RecordError(f"{folder} is no record of ssduck: it has no {ABOUT}")
-    told = _json(about)
-    if told.get("format") != FORMAT:
-        raise RecordError(f"{folder} is no record of ssduck: {about} is of another format")
-    number = told.get("version")
-    if type(number) is not int or number < 1:
-        raise RecordError(f"{about} is damaged: it tells no version")
-    if number > VERSION:
+    about = _json(about_file)
+    if about.get("format") != FORMAT:
+        raise RecordError(f"{folder} is no record of ssduck: {about_file} is of another format")
+    version = about.get("version")
+    if type(version) is not int or version < 1:
+        raise RecordError(f"{about_file} is damaged: it has no version")
+    if version > VERSION:
         raise RecordError(
-            f"{folder} is a record of version {number}; this ssduck reads those up to {VERSION}: "
+            f"{folder} is a record of version {version}; this ssduck reads those up to {VERSION}: "
             "install a newer one"
         )
 
 
 def _json(file: Path) -> dict[str, Any]:
     try:
-        told = json.loads(file.read_text("utf-8"))
+        content = json.loads(file.read_text("utf-8"))
     except OSError as error:
         raise RecordError(f"{file} cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise RecordError(f"{file} is damaged: {error}") from error
-    if not isinstance(told, dict):
-        raise RecordError(f"{file} is damaged: it holds no object")
-    return told
+    if not isinstance(content, dict):
+        raise RecordError(f"{file} is damaged: it has no JSON object")
+    return content
