@@ -75,7 +75,13 @@ def test_the_name_of_a_body_is_its_models_as_an_identifier(client, write, model,
 
 def test_names_of_pybullets_own_models(client):
     pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), physicsClientId=client)
-    for file in ("plane.urdf", "table/table.urdf", "cube.urdf", "lego/lego.urdf", "duck_vhacd.urdf"):
+    for file in (
+        "plane.urdf",
+        "table/table.urdf",
+        "cube.urdf",
+        "lego/lego.urdf",
+        "duck_vhacd.urdf",
+    ):
         pybullet.loadURDF(file, physicsClientId=client)
     pybullet.loadSDF("kiva_shelf/model.sdf", physicsClientId=client)
     models = [pybullet.getBodyInfo(body, client)[1] for body in range(6)]
