@@ -94,7 +94,12 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
         Raises:
             SceneError: the scene cannot be loaded: file, key and reason.
+            ArgumentError: `scene` is no `Scene`.
         """
+        if not isinstance(scene, Scene):
+            raise ArgumentError(
+                f"load: {short_repr(scene)} is no Scene; find_scene of ssduck.simulators reads one"
+            )
         running = backend(simulator).load(scene)
         try:
             return cls.owning(running, scene.name, scene.sensors, scene.camera)
