@@ -35,7 +35,7 @@ _SHARE = (
 
 
 def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
-    """Whether joints are open, or closed, by a share of their range."""
+    """Checks whether joints are open, or closed, by a share of their range."""
     most, named = f'"joints most_open"({_OF})', f'"joints openness"({_OF}, joint)'
     return Relation(
         name,

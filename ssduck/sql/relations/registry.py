@@ -55,7 +55,7 @@ BOXES_WITHIN = sqlglot.parse_one(boxes_within("d"), dialect="duckdb")
 
 
 def _geometry_udf(relation: Relation) -> GeometryUdf:
-    """The function of shapes that a relation calls."""
+    """Returns the function of shapes that a relation calls."""
     query = relation.geometry
     assert query is not None
     element = "DOUBLE[]" if relation.element == "list" else "DOUBLE"
@@ -75,7 +75,7 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
 
 
 def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
-    """The functions of shapes that relations call, and those that find all pairs, by name.
+    """Returns the functions of shapes that relations call, and those that find all pairs, by name.
 
     Raises:
         ValueError: two relations describe the same function differently.

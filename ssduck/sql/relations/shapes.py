@@ -39,7 +39,7 @@ def shape_relation(
     candidate_pairs: CandidatePairs | None = None,
     aliases: tuple[str, ...] = (),
 ) -> Relation:
-    """A relation that a function of the shapes of its entities answers.
+    """Returns a relation that a function of the shapes of its entities answers.
 
     Args:
         name: its name.
