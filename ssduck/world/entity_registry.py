@@ -130,7 +130,12 @@ class EntityRegistry:
         by_name = {info.name: info for info in self.entities}
         sensors = []
         for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
-            host = by_name[spec.on]
+            host = by_name.get(spec.on)
+            if host is None:
+                raise SceneError(
+                    f"there is no body {spec.on!r} for the sensor {spec.name!r}",
+                    suggestions=nearest(spec.on, by_name),
+                )
             mount = (host.id, _link_number(host, spec, index))
             sensors.append(
                 EntityInfo(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)

@@ -94,7 +94,12 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
         Raises:
             SceneError: the scene cannot be loaded; the message has file, key and reason.
+            ArgumentError: `scene` is no `Scene`.
         """
+        if not isinstance(scene, Scene):
+            raise ArgumentError(
+                f"load: {short_repr(scene)} is no Scene; find_scene of ssduck.simulators reads one"
+            )
         loaded = backend(simulator).load(scene)
         try:
             return cls.owning(loaded, scene.name, scene.sensors, scene.camera)
