@@ -21,7 +21,7 @@ from ssduck.geometry.batch import PairPredicate, PredicateKind
 from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
-from ssduck.recording.replay.record import PAIR, Record
+from ssduck.recording.replay.record import PREDICATE_COLUMNS, Record
 from ssduck.recording.stores.base import PairRequest
 from ssduck.simulators.joints import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
@@ -141,7 +141,7 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
             "DOUBLE",
             null_handling=FunctionNullHandling.SPECIAL,
         )
-    pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
+    pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PREDICATE_COLUMNS)})[]"
     for search in PAIR_SEARCHES:
         if search.predicate is None:
             continue
@@ -261,8 +261,8 @@ def _then(
         apart = 0.0 if of == "colliding" else distance
         if of == "touching":
             worlds[world].note_margins(first)
-        pairs = history.record.pairs(PairRequest(first, last, a, b, apart), question)
-        return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PAIR)
+        pairs = history.record.matching_pairs(PairRequest(first, last, a, b, apart), question)
+        return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PREDICATE_COLUMNS)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)
     answers = [found(*row) for row in rows]
