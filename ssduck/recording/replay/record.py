@@ -212,7 +212,7 @@ class Record:
         Returns:
             The columns `PREDICATE_COLUMNS`.
         """
-        margins = self.margins if predicate.of == "touching" else 0.0
+        margins = self.margins if predicate.kind == "touching" else 0.0
         rows = self._near_pairs(replace(request, max_gap=request.max_gap + margins))
         ticks = rows["tick"].to_numpy()
         sides = [
@@ -223,7 +223,7 @@ class Record:
             )
             for side in "ab"
         ]
-        holds, known = self._entity_shapes.together(sides[0], sides[1], predicate, self.calls)
+        holds, known = self._entity_shapes.evaluate(sides[0], sides[1], predicate, self.calls)
         selected = np.flatnonzero(holds | ~known)
         columns = (ticks, sides[0].ids, sides[1].ids, known.astype(np.int64))
         return [column[selected] for column in columns]
